@@ -1,0 +1,79 @@
+"""A diagram as SCXML (W3C State Chart XML, Recommendation of 1 September 2015)."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+
+from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
+
+__all__ = ["NOTES", "SCXML", "scxml"]
+
+SCXML = "http://www.w3.org/2005/07/scxml"
+"""Namespace of the elements."""
+
+NOTES = "urn:contact-statecharts:diagram"
+"""Namespace of the attributes that SCXML has no place for (labels, resets, invariants, visits)."""
+
+
+def scxml(diagram: Diagram) -> str:
+    """Render a diagram as an SCXML document.
+
+    Guards go to ``cond`` as the formulas they are; resets, which are no SCXML expressions, and
+    all else that SCXML cannot say go to attributes of the namespace `NOTES`, as its schema allows.
+
+    Parameters
+    ----------
+    diagram : Diagram
+        What to write.
+
+    Returns
+    -------
+    str
+        An indented XML document, ending with a newline.
+    """
+    states, groups = identifiers(diagram)
+    root = ET.Element("scxml", {"xmlns": SCXML, "xmlns:diagram": NOTES, "version": "1.0"})
+    if diagram.initial is not None:
+        root.set("initial", states[diagram.initial.name])
+    _annotate(root, title=diagram.title, notes="\n".join(diagram.notes))
+    leaving: dict[str, list[Link]] = {node.name: [] for node in diagram.nodes}
+    for link in diagram.links:
+        leaving[link.source].append(link)
+    for group, nodes in diagram.groups.items():
+        parent = root
+        if group is not None:
+            parent = ET.SubElement(root, "state", {"id": groups[group]})
+            _annotate(parent, label=group)
+        for node in nodes:
+            _state(parent, node, leaving[node.name], states)
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _state(parent: ET.Element, node: Node, leaving: list[Link], states: dict[str, str]) -> None:
+    # A <final> may hold no transitions.
+    tag = "final" if node.final and not leaving else "state"
+    element = ET.SubElement(parent, tag, {"id": states[node.name]})
+    _annotate(
+        element,
+        name=node.name,
+        label=node.label,
+        invariants="\n".join(node.invariants),
+        infeasible=node.infeasible,
+        visits=node.visits,
+    )
+    for link in leaving:
+        transition = ET.SubElement(element, "transition")
+        if event := re.sub(r"[^\w-]+", ".", printable(link.cause)).strip("."):
+            transition.set("event", event)
+        if link.guard:
+            transition.set("cond", printable(link.guard))
+        transition.set("target", states[link.target])
+        _annotate(transition, reset=link.reset, visits=link.visits)
+
+
+def _annotate(element: ET.Element, **values: str | int | None) -> None:
+    for key, value in values.items():
+        if value not in (None, ""):
+            element.set(f"diagram:{key}", printable(str(value)))

@@ -1,0 +1,349 @@
+import itertools
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from statechart.diagram import Diagram, Link, Node, dot, mermaid, scxml, write
+from statechart.diagram.model import identifiers
+from statechart.diagram.scxml import NOTES, SCXML
+from statechart.diagram.write import SUFFIXES
+from statechart.errors import StatechartError
+
+
+def one_contact() -> Diagram:
+    nodes = (
+        Node("tip:free", "free", invariants=("gap >= 0",), visits=0),
+        Node("tip:slide+", "slide+", "slide", ("gap = 0", "V >= 0"), visits=1),
+        Node("tip:slide-", "slide-", "slide", infeasible="the wall is in the way"),
+        Node("tip:pin", "pin", initial=True, visits=12),
+    )
+    links = (
+        Link("tip:free", "tip:free", "impact", "gap < 0", "v := impact(v)", visits=0),
+        Link("tip:free", "tip:pin", "touchdown", "gap < 0", "v := impact(v)", visits=0),
+        Link("tip:pin", "tip:free", "lift-off", "V < 0", "", visits=0),
+        Link("tip:pin", "tip:slide+", "slip", "mu V + H < 0", "", visits=7),
+        Link("tip:pin", "tip:slide+", "shove", "F > F0", "", visits=0),
+        Link("tip:slide+", "tip:pin", "stick", "slip < 0", "slip := 0", visits=11),
+        Link("tip:slide+", "tip:slide-", "reversal", "slip < 0", ""),
+    )
+    path = ("tip:pin", "tip:slide+", "tip:pin")
+    return Diagram("toppling_stick", nodes, links, ("4 modes", "mu = 0.5"), path)
+
+
+def two_states() -> Diagram:
+    nodes = (Node("flight", "flight", initial=True), Node("rest", "rest", final=True))
+    links = (
+        Link("flight", "flight", "bounce", "x < 0", "v := -k v"),
+        Link("flight", "rest", "zeno", "v < v_cap", "v := 0"),
+    )
+    return Diagram("bouncing_ball_chart", nodes, links)
+
+
+def two_contacts() -> Diagram:
+    modes = ("free", "slide", "pin")
+    pairs = list(itertools.product(modes, modes))
+    name = "A:{} B:{}".format
+    nodes = tuple(
+        Node(name(*pair), f"A {pair[0]}\nB {pair[1]}", initial=i == 0)
+        for i, pair in enumerate(pairs)
+    )
+    links = tuple(
+        Link(name(*old), name(*new), f"{contact} to {new[which]}", f"margin_{contact} < 0", "")
+        for which, contact in enumerate("AB")
+        for old, new in itertools.product(pairs, pairs)
+        if old[1 - which] == new[1 - which]
+    )
+    return Diagram("bar on two contacts", nodes, links)
+
+
+HOSTILE = (
+    '<b>bold</b> & "quoted" \\N',
+    "line one\nline two\r\n\ttab",
+    "μ ≥ 0 → ẋ 接触",
+    "a --> b : {c} %% d; #39; [[fork]]",
+    "direction TB end note <<choice>>",
+    "nul \x00 bell \x07 lone \ud800",
+    "]]> <!-- --> &amp; '",
+    "state",
+    "note",
+    "",
+    " ",
+    "\\",
+    "<>",
+)
+
+
+def hostile() -> Diagram:
+    nodes = tuple(
+        Node(text, text, HOSTILE[(i + i // 2) % 4], (text,), i == 3, infeasible=text)
+        for i, text in enumerate(HOSTILE)
+    )
+    links = tuple(Link(a, b, a, b, a + b) for a, b in itertools.pairwise(HOSTILE))
+    return Diagram("\n".join(HOSTILE), nodes, links, HOSTILE, HOSTILE)
+
+
+DIAGRAMS = pytest.mark.parametrize(
+    "make", [one_contact, two_states, two_contacts, hostile], ids=lambda make: make.__name__
+)
+
+texts = st.text(st.characters(exclude_categories=()), max_size=12) | st.sampled_from(HOSTILE)
+
+
+@st.composite
+def diagrams(draw: st.DrawFn) -> Diagram:
+    names = draw(st.lists(texts, min_size=1, max_size=4, unique=True))
+    groups = st.none() | st.sampled_from(["g", "<g>", *names])
+    nodes = tuple(Node(name, draw(texts), draw(groups), (draw(texts),)) for name in names)
+    ends = st.sampled_from(names)
+    link = st.builds(Link, ends, ends, texts, texts, texts, st.none() | st.integers(0, 20))
+    return Diagram(draw(texts), nodes, tuple(draw(st.lists(link, max_size=5))), (draw(texts),))
+
+
+def check_dot(diagram: Diagram) -> None:
+    import pygraphviz
+
+    states, _ = identifiers(diagram)
+    graph = pygraphviz.AGraph(string=dot(diagram))
+    assert set(graph.nodes()) - {"_start"} == set(states.values())
+    drawn = [edge for edge in graph.edges() if edge[0] != "_start"]
+    meant = {(states[link.source], states[link.target]) for link in diagram.links}
+    assert set(drawn) == meant
+    assert len(drawn) == len(meant)
+
+
+def check_scxml(diagram: Diagram) -> None:
+    root = ET.fromstring(scxml(diagram))
+    assert root.tag == f"{{{SCXML}}}scxml"
+    ids = [element.get("id") for element in root.iter() if element.get("id")]
+    assert len(ids) == len(set(ids)) == len(diagram.nodes) + len(set(diagram.groups) - {None})
+    transitions = list(root.iter(f"{{{SCXML}}}transition"))
+    assert len(transitions) == len(diagram.links)
+    assert {element.get("target") for element in transitions} <= set(ids)
+    assert all(re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) for name in ids if name)
+
+
+MERMAID_LINE = re.compile(
+    r"""state\ "[^"\n:;{}\[\]<>%]+(?:<br/>[^"\n:;{}\[\]<>%]*)*"\ as\ \w+(?:\ \{)?
+    | \w+\ :\ [^:;{}%"]+
+    | (?:\w+|\[\*\])\ -->\ (?:\w+|\[\*\])(?:\ :\ [^:;{}%"]+)?
+    | classDef\ \w+\ [\w#:,;-]+
+    | class\ \w+(?:,\w+)*\ \w+
+    | note\ right\ of\ \w+ | end\ note | \}
+    """,
+    re.VERBOSE,
+)
+
+
+def check_mermaid(diagram: Diagram) -> None:
+    text = mermaid(diagram)
+    assert re.match(r'---\ntitle: ".*"\n---\nstateDiagram-v2\n', text)
+    # Mermaid replaces entities before it reads anything else.
+    body = re.sub(r"#\d+;", "¤", text.split("stateDiagram-v2\n", 1)[1])
+    assert "#" not in re.sub(r"classDef.*", "", body)
+    in_note = False
+    for line in filter(None, (line.strip() for line in body.split("\n"))):
+        if in_note and line != "end note":
+            assert "end note" not in line
+            continue
+        assert MERMAID_LINE.fullmatch(line), line
+        assert not re.search(r"direction\s", line, re.IGNORECASE)
+        in_note = line.startswith("note right of ")
+    declared = re.findall(r'^ *state ".*" as (\w+)', text, re.MULTILINE)
+    assert len({name.lower() for name in declared}) == len(declared)
+    assert len(re.findall(r"^ +\w+ --> \w", text, re.MULTILINE)) == len(diagram.links)
+
+
+@DIAGRAMS
+def test_dot_parses_back_to_the_same_states_and_edges(make):
+    check_dot(make())
+
+
+@DIAGRAMS
+def test_scxml_is_well_formed_and_its_targets_exist(make):
+    check_scxml(make())
+
+
+@DIAGRAMS
+def test_mermaid_has_unique_ids_and_only_lines_its_grammar_knows(make):
+    check_mermaid(make())
+
+
+@given(diagrams())
+@settings(max_examples=60, deadline=None)
+def test_any_text_survives_every_renderer(diagram):
+    check_dot(diagram)
+    check_scxml(diagram)
+    check_mermaid(diagram)
+
+
+@DIAGRAMS
+@pytest.mark.parametrize("render", [dot, mermaid, scxml], ids=lambda render: render.__name__)
+def test_same_diagram_gives_same_text(make, render):
+    assert render(make()) == render(make())
+
+
+@pytest.mark.parametrize("render", [dot, mermaid, scxml], ids=lambda render: render.__name__)
+def test_guards_resets_and_causes_are_all_there(render):
+    text = render(one_contact())
+    for word in ("touchdown", "lift-off", "shove", "mu V + H", "impact(v)", "the wall is in"):
+        assert word in text
+
+
+def test_svg_shows_hostile_text_literally(tmp_path):
+    text = '<b>&amp; "q" \\N'
+    path = tmp_path / "x.svg"
+    write(Diagram(text, (Node("a", text), Node("b", "b")), (Link("a", "b", text, "", ""),)), path)
+    root = ET.parse(path).getroot()
+    shown = ["".join(e.itertext()) for e in root.iter("{http://www.w3.org/2000/svg}text")]
+    literal = [line.replace("\N{ZERO WIDTH SPACE}", "").replace("\xa0", " ") for line in shown]
+    assert literal.count(text) == 3
+
+
+def test_visits_are_counted_and_only_then_is_the_rest_greyed():
+    counted, plain = dot(one_contact()), dot(two_states())
+    assert ">x12<" in counted
+    assert "slip x7" in counted
+    grey = re.search(r'\n\ttip_free \[.* color="(#\w+)"', counted)
+    assert grey is not None
+    assert grey[1] in counted
+    assert grey[1] not in plain
+    assert "pin → slide+ → pin" in counted
+
+
+def test_long_path_is_cut():
+    diagram = two_states()
+    names = ("flight",) * 1000
+    text = dot(Diagram(diagram.title, diagram.nodes, diagram.links, path=names))
+    assert "(988 more)" in text
+
+
+def test_infeasible_state_is_dashed_and_says_why():
+    line = next(line for line in dot(one_contact()).splitlines() if "tip_slide_minus [" in line)
+    assert 'style="rounded,dashed,filled"' in line
+    assert 'tooltip="the wall is in the way"' in line
+
+
+def test_scxml_nests_groups_and_keeps_guards_and_resets():
+    root = ET.fromstring(scxml(one_contact()))
+    assert root.get("initial") == "tip_pin"
+    group = root.find(f"{{{SCXML}}}state[@id='slide']")
+    assert group is not None
+    assert [child.get("id") for child in group] == ["tip_slide_plus", "tip_slide_minus"]
+    stick = group.find(f".//{{{SCXML}}}transition[@event='stick']")
+    assert stick is not None
+    assert stick.get("cond") == "slip < 0"
+    assert stick.get(f"{{{NOTES}}}reset") == "slip := 0"
+    assert ET.fromstring(scxml(two_states())).find(f"{{{SCXML}}}final") is not None
+
+
+def test_identifiers_differ_for_names_that_look_alike():
+    names = ("a:b", "a b", "a_b", "A_B", "a+b", "a-b", "1", "s_1", "state", "μ", "λ", "")
+    states, groups = identifiers(Diagram("", tuple(Node(n, n, "a_b") for n in names), ()))
+    every = [*states.values(), *groups.values()]
+    assert len({name.lower() for name in every}) == len(names) + 1
+    assert "state" not in every
+
+
+@pytest.mark.parametrize(
+    ("nodes", "links", "path", "message"),
+    [
+        ((Node("a", "a"), Node("a", "b")), (), (), "two states called 'a'"),
+        ((Node("a", "a"),), (Link("a", "z", "", "", ""),), (), "refers to 'z'"),
+        ((Node("a", "a"),), (), ("y",), "refers to 'y'"),
+        ((Node("a", "", initial=True), Node("b", "", initial=True)), (), (), "initial"),
+    ],
+)
+def test_inconsistent_diagram_is_refused(nodes, links, path, message):
+    with pytest.raises(StatechartError, match=message):
+        Diagram("d", nodes, links, (), path)
+
+
+MAGIC = {
+    ".svg": b"<?xml",
+    ".png": b"\x89PNG\r\n\x1a\n",
+    ".pdf": b"%PDF-",
+    ".dot": b"digraph",
+    ".mmd": b"---\ntitle",
+    ".scxml": b"<?xml",
+}
+
+
+@pytest.mark.parametrize("suffix", [*SUFFIXES, ".SVG"])
+@pytest.mark.parametrize("make", [one_contact, hostile], ids=lambda make: make.__name__)
+def test_suffix_names_the_format(make, suffix, tmp_path):
+    path = tmp_path / f"chart{suffix}"
+    write(make(), path)
+    assert path.read_bytes().startswith(MAGIC[suffix.lower()])
+    assert [path] == list(tmp_path.iterdir())
+
+
+def test_every_suffix_is_tried():
+    assert set(MAGIC) == set(SUFFIXES)
+
+
+def test_pictures_need_no_program_and_carry_their_font(tmp_path):
+    script = (
+        "from pathlib import Path\n"
+        "from statechart.diagram import Diagram, Node, write\n"
+        "for s in ('.pdf', '.png', '.svg'):\n"
+        "    write(Diagram('t', (Node('a', 'a'),), ()), Path('x' + s))\n"
+    )
+    keep = {k: v for k, v in os.environ.items() if k in ("PYTHONPATH", "SYSTEMROOT")}
+    keep["PYTHONPATH"] = str(Path(__file__).parents[1])
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env={**keep, "PATH": ""},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert b"DejaVuSans" in (tmp_path / "x.pdf").read_bytes()
+
+
+@pytest.mark.parametrize("name", ["chart", "chart.gif", ".svg"])
+def test_unknown_suffix_lists_the_known_ones(name, tmp_path):
+    with pytest.raises(StatechartError, match=re.escape(", ".join(SUFFIXES))):
+        write(two_states(), tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_folder_is_named(tmp_path):
+    with pytest.raises(StatechartError, match=r"there is no folder .*nowhere"):
+        write(two_states(), tmp_path / "nowhere" / "x.svg")
+
+
+def test_target_that_is_a_folder_is_refused(tmp_path):
+    path = tmp_path / "x.svg"
+    path.mkdir()
+    with pytest.raises(StatechartError, match=r"cannot write .*x\.svg"):
+        write(two_states(), path)
+    assert [path] == list(tmp_path.iterdir())
+
+
+def test_existing_file_stays_when_writing_fails(tmp_path, monkeypatch):
+    path = tmp_path / "x.dot"
+    path.write_text("before")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StatechartError, match="No space left on device"):
+        write(two_states(), path)
+    assert path.read_text() == "before"
+    assert [path] == list(tmp_path.iterdir())
+
+
+def test_user_settings_of_fonts_and_environment_stay(tmp_path):
+    before = dict(os.environ)
+    write(two_states(), tmp_path / "x.svg")
+    assert dict(os.environ) == before
