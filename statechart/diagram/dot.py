@@ -16,7 +16,6 @@ __all__ = ["dot"]
 _FONT = "DejaVu Sans,Verdana,sans-serif"
 _INK, _RUN, _FAINT, _FRAME = "#1f2933", "#0b5fa5", "#7b8794", "#52606d"
 _FILL, _FILL_RUN = "#f7f9fb", "#dcecf9"
-_PATH_SHOWN = 12
 _WIDTH = 110
 
 
@@ -73,6 +72,9 @@ def dot(diagram: Diagram) -> str:
                 label=_table([_text(group, size=10, colour=_FRAME)]),
                 style="rounded,dashed",
                 color=_FRAME,
+                # Most edges enter a group from above; below, they do not cross its name.
+                labelloc="b",
+                labeljust="l",
                 margin="14",
                 tooltip=_plain(group),
             )
@@ -99,12 +101,8 @@ def _title(diagram: Diagram) -> str:
         for note in diagram.notes
         for line in textwrap.wrap(note, _WIDTH) or [""]
     ]
-    if diagram.path:
-        labels = {node.name: node.label for node in diagram.nodes}
-        shown = [labels[name] for name in diagram.path[:_PATH_SHOWN]]
-        rest = len(diagram.path) - len(shown)
-        run = " → ".join(shown) + (f" → … ({rest} more)" if rest else "")
-        rows += [_text(line, size=10, colour=_RUN) for line in textwrap.wrap(run, _WIDTH)]
+    run = textwrap.wrap(diagram.route, _WIDTH)
+    rows += [_text(line, size=10, colour=_RUN) for line in run]
     return _table([*rows, _text(" ", size=6)])
 
 

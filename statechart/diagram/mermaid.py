@@ -11,7 +11,7 @@ __all__ = ["mermaid"]
 
 # What Mermaid's lexer acts on inside a label (`stateDiagram.jison`): separators, comments,
 # entities, quotes, and two phrases it looks for anywhere in a line.
-_SPECIAL = re.compile(r"[^\w \n.,()*/+=^'|!?-]|(?i:(?<=d)irection(?=\s))|(?i:(?<=e)nd note)")
+_SPECIAL = re.compile(r"[^\w \n→….,()*/+=^'|!?-]|(?i:(?<=d)irection(?=\s))|(?i:(?<=e)nd note)")
 
 
 _BLANK = "#160;"  # the grammar has no empty label
@@ -49,10 +49,11 @@ def mermaid(diagram: Diagram) -> str:
         for link in diagram.links
     ]
     lines += [f"    {states[node.name]} --> [*]" for node in diagram.nodes if node.final]
-    if diagram.notes and diagram.nodes:
+    notes = [*diagram.notes, *filter(None, [diagram.route])]
+    if notes and diagram.nodes:
         anchor = diagram.initial or diagram.nodes[0]
         lines.append(f"    note right of {states[anchor.name]}")
-        lines += [f"        {_escape(note)}" for note in diagram.notes]
+        lines += [f"        {_escape(note)}" for note in notes]
         lines.append("    end note")
     lines += _classes(diagram, states)
     return "\n".join(lines) + "\n"

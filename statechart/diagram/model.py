@@ -15,6 +15,7 @@ _RESERVED = {
     "acctitle", "accdescr", "as", "class", "classdef", "click", "default", "direction", "end",
     "hide", "note", "scale", "state", "statediagram", "style",
 }  # fmt: skip
+_PATH_SHOWN = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +128,14 @@ class Diagram:
     def initial(self) -> Node | None:
         """The state the chart starts in, if one is declared."""
         return next((node for node in self.nodes if node.initial), None)
+
+    @property
+    def route(self) -> str:
+        """The path in words, cut where it gets long; empty without a path."""
+        labels = {node.name: " ".join(node.label.split()) for node in self.nodes}
+        shown = [labels[name] for name in self.path[:_PATH_SHOWN]]
+        rest = len(self.path) - len(shown)
+        return " → ".join([*shown, f"… ({rest} more)"] if rest else shown)
 
     @property
     def groups(self) -> dict[str | None, tuple[Node, ...]]:

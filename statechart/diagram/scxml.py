@@ -37,6 +37,7 @@ def scxml(diagram: Diagram) -> str:
     if diagram.initial is not None:
         root.set("initial", states[diagram.initial.name])
     _annotate(root, title=diagram.title, notes="\n".join(diagram.notes))
+    _annotate(root, path=" ".join(states[name] for name in diagram.path))
     leaving: dict[str, list[Link]] = {node.name: [] for node in diagram.nodes}
     for link in diagram.links:
         leaving[link.source].append(link)
