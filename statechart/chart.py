@@ -1,0 +1,183 @@
+"""A plain chart as declared: variables, and regions of states with flows and transitions."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from statechart.declaration import TIME, Declaration, Part, check_names
+from statechart.errors import DeclarationProblem, FormulaError
+from statechart.fields import FormulaText, Label, NameText, RelationText, problem
+from statechart.formula import close_matches, parse, parse_relation
+
+__all__ = ["Chart", "Region", "State", "Transition"]
+
+
+class State(Part):
+    """One state of a region: how variables change in it, and what holds in it."""
+
+    flows: dict[str, FormulaText] = Field(
+        default={}, description="Variable to its time derivative; without one it is constant."
+    )
+    invariants: dict[Label, RelationText] = Field(
+        default={}, description="Named relations that hold as long as the state is active."
+    )
+
+
+class Transition(Part):
+    """A way from one state of a region to another (or the same), and what it sets."""
+
+    name: NameText
+    source: str = Field(alias="from")
+    target: str = Field(alias="to")
+    guard: RelationText | None = Field(default=None, description="Fires when this becomes true.")
+    on: Literal["zeno"] | None = Field(
+        default=None, description="Fires where jumps out of the state accumulate."
+    )
+    updates: dict[str, FormulaText] = Field(
+        default={}, description="Variable to its new value, of the values before the jump."
+    )
+
+    @model_validator(mode="after")
+    def _one_trigger(self) -> Self:
+        if (self.guard is None) == (self.on is None):
+            raise DeclarationProblem(
+                f"transition {self.name!r} needs a guard or an on, and not both",
+                advice="write guard: x <= 0, or on: zeno",
+            )
+        return self
+
+
+class Region(Part):
+    """States of which exactly one is active, and the transitions between them."""
+
+    initial: str
+    states: dict[NameText, State] = Field(min_length=1)
+    transitions: tuple[Transition, ...] = ()
+
+    @model_validator(mode="after")
+    def _states_exist(self) -> Self:
+        named: list[tuple[str, tuple[str | int, ...]]] = [(self.initial, ("initial",))]
+        for index, transition in enumerate(self.transitions):
+            named.append((transition.source, ("transitions", index, "from")))
+            named.append((transition.target, ("transitions", index, "to")))
+        for state, loc in named:
+            if state not in self.states:
+                raise DeclarationProblem(
+                    f"no state {state!r}", advice=close_matches(state, self.states), loc=loc
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _transitions_differ(self) -> Self:
+        seen: set[tuple[str, str, str]] = set()
+        for index, transition in enumerate(self.transitions):
+            edge = (transition.name, transition.source, transition.target)
+            if edge in seen:
+                raise DeclarationProblem(
+                    f"a second transition {transition.name!r} from {transition.source!r} "
+                    f"to {transition.target!r}",
+                    advice="give it another name",
+                    loc=("transitions", index, "name"),
+                )
+            seen.add(edge)
+        return self
+
+
+class Chart(Declaration):
+    """A hybrid statechart without mechanics.
+
+    Every region has exactly one active state; a variable changes by the flow that an active state
+    gives it and is constant where none does. Formulas may use variables, parameters and `time`;
+    initial values only parameters.
+    """
+
+    kind: Literal["chart"] = "chart"
+    variables: dict[NameText, FormulaText] = Field(
+        min_length=1, description="Variable to its initial value."
+    )
+    regions: dict[NameText, Region] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _variables_have_values(self) -> Self:
+        for name in self.variables:
+            taken = "the time of the run" if name == TIME else "a parameter"
+            if name == TIME or name in self.parameters:
+                raise DeclarationProblem(
+                    f"{name!r} is {taken}",
+                    advice="choose another name",
+                    loc=("variables", name),
+                    key=True,
+                )
+        values = self.values()
+        for name, text in self.variables.items():
+            try:
+                value = parse(text).value(values)
+            except FormulaError as error:
+                raise problem(error, "variables", name) from None
+            if abs(value) == float("inf"):
+                raise DeclarationProblem("must be finite", loc=("variables", name))
+        return self
+
+    @model_validator(mode="after")
+    def _formulas_use_declared_names(self) -> Self:
+        names = {TIME, *self.parameters, *self.variables}
+        for region, state, name, flow in self._flows():
+            loc = ("regions", region, "states", state, "flows", name)
+            self._check_variable(name, *loc)
+            check_names(parse(flow), names, *loc)
+        for region, declared in self.regions.items():
+            for state, content in declared.states.items():
+                for label, relation in content.invariants.items():
+                    loc = ("regions", region, "states", state, "invariants", label)
+                    check_names(parse_relation(relation), names, *loc)
+            for index, transition in enumerate(declared.transitions):
+                at = ("regions", region, "transitions", index)
+                if transition.guard is not None:
+                    check_names(parse_relation(transition.guard), names, *at, "guard")
+                for name, update in transition.updates.items():
+                    self._check_variable(name, *at, "updates", name)
+                    check_names(parse(update), names, *at, "updates", name)
+        self.check_uses(
+            names,
+            {name: region.states for name, region in self.regions.items()},
+            {
+                name: {transition.name for transition in region.transitions}
+                for name, region in self.regions.items()
+            },
+        )
+        return self
+
+    @model_validator(mode="after")
+    def _regions_do_not_contradict(self) -> Self:
+        # Any state of one region can be active together with any state of another.
+        owners: dict[str, tuple[str, str]] = {}
+        for region, state, name, _ in self._flows():
+            owner, in_state = owners.setdefault(name, (region, state))
+            if owner != region:
+                raise DeclarationProblem(
+                    f"region {region!r} in state {state!r} and region {owner!r} in state "
+                    f"{in_state!r} both give {name!r} a flow",
+                    advice="let one region own the variable",
+                    loc=("regions", region, "states", state, "flows", name),
+                    key=True,
+                )
+        return self
+
+    def _flows(self) -> list[tuple[str, str, str, FormulaText]]:
+        return [
+            (region, state, name, flow)
+            for region, declared in self.regions.items()
+            for state, content in declared.states.items()
+            for name, flow in content.flows.items()
+        ]
+
+    def _check_variable(self, name: str, *loc: str | int) -> None:
+        if name not in self.variables:
+            raise DeclarationProblem(
+                f"no variable {name!r}",
+                advice=close_matches(name, self.variables),
+                loc=loc,
+                key=True,
+            )

@@ -1,0 +1,368 @@
+"""What every model declares, whatever its kind: parameters, ranges, end, outputs, settings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    StrictBool,
+    StrictInt,
+    Tag,
+    model_validator,
+)
+
+from statechart.errors import DeclarationProblem, FormulaError
+from statechart.fields import FormulaText, Label, NameText, Real, RelationText, problem
+from statechart.formula import (
+    Formula,
+    Relation,
+    close_matches,
+    evaluate_parameters,
+    parse,
+    parse_relation,
+)
+
+__all__ = [
+    "TIME",
+    "Count",
+    "Declaration",
+    "Event",
+    "Integral",
+    "Maximum",
+    "Minimum",
+    "Moment",
+    "Output",
+    "Part",
+    "Settings",
+    "Stop",
+    "Value",
+    "check_names",
+]
+
+TIME = "time"
+"""What formulas call the time since the start."""
+
+_EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*)", re.ASCII)
+
+
+class Part(BaseModel):
+    """Base of every model of a document: immutable, unknown keys refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A cause of jumps, of one region or (None) of any."""
+
+    region: str | None
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """When an output is taken: `start`, `end`, or at the `first`, `last` or `each` of an event."""
+
+    when: str
+    event: Event | None
+
+
+def _parse_event(text: str) -> Event:
+    match = _EVENT.fullmatch(text)
+    if match is None:
+        raise DeclarationProblem(
+            f"{text!r} is not an event", advice="write a cause, or region.cause as in tip.slip"
+        )
+    return Event(match[1], match[2])
+
+
+def _parse_moment(text: str) -> Moment:
+    match text.split():
+        case ["start" | "end" as when]:
+            return Moment(when, None)
+        case ["first" | "last" | "each" as when, event]:
+            return Moment(when, _parse_event(event))
+    raise DeclarationProblem(
+        f"{text!r} is not a moment",
+        advice="write start, end, first CAUSE, last CAUSE or each CAUSE",
+    )
+
+
+def _checked_event(text: str) -> str:
+    _parse_event(text)
+    return text
+
+
+def _checked_moment(text: str) -> str:
+    _parse_moment(text)
+    return text
+
+
+class Value(Part):
+    """A formula at a moment of the run; a list of its values at `each` event."""
+
+    value: FormulaText
+    at: Annotated[str, AfterValidator(_checked_moment)] = "end"
+    before: StrictBool = Field(
+        default=False, description="Take the state just before the jump, not just after it."
+    )
+
+    @property
+    def moment(self) -> Moment:
+        """When the value is taken."""
+        return _parse_moment(self.at)
+
+    @model_validator(mode="after")
+    def _before_needs_a_jump(self) -> Self:
+        if self.before and self.moment.event is None:
+            raise DeclarationProblem(f"there is no jump at {self.at!r}", loc=("before",))
+        return self
+
+
+class Integral(Part):
+    """A formula integrated over time, or over the time that regions spend in given states."""
+
+    integral: FormulaText
+    during: dict[str, str] = Field(default={}, description="Region to state.")
+
+
+class Count(Part):
+    """How often an event happened."""
+
+    count: Annotated[str, AfterValidator(_checked_event)]
+
+    @property
+    def event(self) -> Event:
+        """What is counted."""
+        return _parse_event(self.count)
+
+
+class Minimum(Part):
+    """The least value of a formula over the run."""
+
+    minimum: FormulaText
+
+
+class Maximum(Part):
+    """The greatest value of a formula over the run."""
+
+    maximum: FormulaText
+
+
+def _which_output(value: Any) -> str | None:
+    for model in (Value, Integral, Count, Minimum, Maximum):
+        word = model.__name__.lower()
+        if isinstance(value, model) or (isinstance(value, Mapping) and word in value):
+            return f"{word} output"
+    return None
+
+
+Output = Annotated[
+    Annotated[Value, Tag("value output")]
+    | Annotated[Integral, Tag("integral output")]
+    | Annotated[Count, Tag("count output")]
+    | Annotated[Minimum, Tag("minimum output")]
+    | Annotated[Maximum, Tag("maximum output")],
+    Discriminator(
+        _which_output,
+        custom_error_type="output",
+        custom_error_message="an output has one of the keys value, integral, count, minimum, "
+        "maximum",
+    ),
+]
+"""What a run reports under a name; told apart by their keys."""
+
+
+class Stop(Part):
+    """When a run ends: at a time, or when a condition becomes true."""
+
+    time: FormulaText | None = None
+    conditions: dict[Label, RelationText] = {}
+
+
+class Settings(Part):
+    """How a run is computed; everything has a sensible default."""
+
+    engine: Literal["auto", "taylor", "scipy"] = "auto"
+    method: Literal["RK45", "DOP853", "Radau", "LSODA"] | None = None
+    tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="Relative tolerance of every step."
+    )
+    accuracy: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="Error allowed at the end, in the scales of the model."
+    )
+    max_jumps: Annotated[StrictInt, Field(gt=0)] = 100_000
+
+    @model_validator(mode="after")
+    def _compatible(self) -> Self:
+        if self.tolerance is not None and self.accuracy is not None:
+            raise DeclarationProblem(
+                "tolerance and accuracy exclude each other",
+                advice="accuracy finds the tolerance that it needs",
+                loc=("accuracy",),
+                key=True,
+            )
+        if self.method is not None and self.engine == "taylor":
+            raise DeclarationProblem(
+                "the engine taylor has no methods",
+                advice="remove it, or write engine: scipy",
+                loc=("method",),
+                key=True,
+            )
+        return self
+
+
+class Declaration(Part):
+    """Base of the documents' models."""
+
+    name: NameText
+    doc: str = Field(default="", description="What the model is, in a line.")
+    parameters: dict[NameText, FormulaText] = Field(
+        default={}, description="Constants: numbers, or formulas of each other."
+    )
+    ranges: dict[str, tuple[Real, Real]] = Field(
+        default={}, description="What checks vary: parameter to least and greatest value."
+    )
+    stop: Stop = Stop()
+    outputs: dict[NameText, Output] = {}
+    settings: Settings = Settings()
+
+    def values(self, overrides: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Return the value of every parameter.
+
+        Parameters
+        ----------
+        overrides : mapping of str to float, optional
+            Values that replace those of some parameters; formulas of them follow.
+
+        Raises
+        ------
+        FormulaError
+            If an override names no parameter, or a formula has no value.
+        """
+        formulas = {name: parse(text) for name, text in self.parameters.items()}
+        return evaluate_parameters(formulas, overrides or {})
+
+    @model_validator(mode="after")
+    def _parameters_have_values(self) -> Self:
+        if TIME in self.parameters:
+            raise DeclarationProblem(
+                f"{TIME!r} is the time of the run", loc=("parameters", TIME), key=True
+            )
+        try:
+            values = self.values()
+        except FormulaError as error:
+            raise problem(error, "parameters", error.name) from None
+        if self.stop.time is not None:
+            check_names(parse(self.stop.time), self.parameters, "stop", "time")
+            try:
+                end = parse(self.stop.time).value(values)
+            except FormulaError as error:
+                raise problem(error, "stop", "time") from None
+            if end < 0:
+                raise DeclarationProblem("must not be negative", loc=("stop", "time"))
+        return self
+
+    @model_validator(mode="after")
+    def _ranges_are_of_parameters(self) -> Self:
+        for name, (least, greatest) in self.ranges.items():
+            if name not in self.parameters:
+                raise DeclarationProblem(
+                    f"no parameter {name!r}",
+                    advice=close_matches(name, self.parameters),
+                    loc=("ranges", name),
+                    key=True,
+                )
+            if least > greatest:
+                raise DeclarationProblem("the least value comes first", loc=("ranges", name))
+        return self
+
+    def check_uses(
+        self,
+        names: Collection[str],
+        states: Mapping[str, Collection[str]],
+        causes: Mapping[str, Collection[str]],
+    ) -> None:
+        """Check that stop conditions and outputs speak of things that exist.
+
+        For the validators of the models of a kind, which know what exists.
+
+        Parameters
+        ----------
+        names : collection of str
+            What formulas may use.
+        states : mapping of str to collection of str
+            The states of every region.
+        causes : mapping of str to collection of str
+            The causes of jumps of every region; `zeno` and `stop` need not be among them.
+
+        Raises
+        ------
+        DeclarationProblem
+            At the first that does not.
+        """
+        for label, relation in self.stop.conditions.items():
+            check_names(parse_relation(relation), names, "stop", "conditions", label)
+        for label, output in self.outputs.items():
+            loc = ("outputs", label)
+            match output:
+                case Value():
+                    check_names(parse(output.value), names, *loc, "value")
+                    if output.moment.event is not None:
+                        _check_event(output.moment.event, causes, *loc, "at")
+                case Integral():
+                    check_names(parse(output.integral), names, *loc, "integral")
+                    for region, state in output.during.items():
+                        _check_member("region", region, states, *loc, "during", region)
+                        _check_member("state", state, states[region], *loc, "during", region)
+                case Count():
+                    _check_event(output.event, causes, *loc, "count")
+                case Minimum():
+                    check_names(parse(output.minimum), names, *loc, "minimum")
+                case Maximum():
+                    check_names(parse(output.maximum), names, *loc, "maximum")
+
+
+def check_names(formula: Formula | Relation, known: Collection[str], *loc: str | int) -> None:
+    """Check that a formula uses only known names.
+
+    Parameters
+    ----------
+    formula : Formula or Relation
+        What was written.
+    known : collection of str
+        The declared names.
+    *loc : str or int
+        Where it stands, from the validated value down.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first unknown name.
+    """
+    try:
+        formula.require(known)
+    except FormulaError as error:
+        raise problem(error, *loc) from None
+
+
+def _check_event(event: Event, causes: Mapping[str, Collection[str]], *loc: str) -> None:
+    if event.region is not None:
+        _check_member("region", event.region, causes, *loc)
+        known = set(causes[event.region])
+    else:
+        known = set().union(*causes.values())
+    _check_member("cause", event.cause, {"zeno", "stop", *known}, *loc)
+
+
+def _check_member(what: str, name: str, known: Collection[str], *loc: str) -> None:
+    if name not in known:
+        raise DeclarationProblem(f"no {what} {name!r}", advice=close_matches(name, known), loc=loc)

@@ -1,0 +1,381 @@
+"""YAML to the model of its kind, and back; every error says file:line:column.
+
+A document is read from YAML's event stream, never by a loader: size, depth, number of values,
+anchors, aliases, merge keys, tags and duplicate keys are judged before anything is built, because
+a few hundred bytes of aliases can keep a loader busy for minutes.
+
+The plain values are those of YAML 1.2's core schema: `1e-3` is a number, `off` and `inf` are text.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import io
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentEndEvent,
+    DocumentStartEvent,
+    Event,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+    StreamEndEvent,
+    StreamStartEvent,
+)
+from ruamel.yaml.reader import ReaderError
+
+from statechart.errors import DeclarationError, Position
+from statechart.formula import close_matches
+from statechart.kinds import kind, kinds
+from statechart.problems import declaration_error
+from statechart.yaml_text import dump, resolve
+
+__all__ = ["Document", "dump", "find", "interpret", "load", "read", "read_text", "validate"]
+
+Loc = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
+
+# The YAML parser takes about 40 us a value and 3 us a character of text: these bounds keep the
+# worst file below a second, and are some hundred times what a scene needs.
+MAX_BYTES = 256 * 1024
+MAX_VALUES = 20_000
+MAX_DEPTH = 32
+
+
+@dataclass(frozen=True)
+class Document:
+    """A YAML document as plain data, with the place of everything in it.
+
+    Attributes
+    ----------
+    source : str
+        The file's path, or a name in angle brackets.
+    data : dict
+        Mappings, lists, text, numbers, booleans and None.
+    """
+
+    source: str
+    data: dict[str, Any]
+    _values: Mapping[Loc, Position]
+    _keys: Mapping[Loc, Position]
+
+    def position(self, loc: Loc, *, key: bool = False) -> Position:
+        """Return where the value at `loc` stands, or its nearest ancestor that exists.
+
+        Parts of `loc` that the data does not have on the way are skipped: pydantic puts the
+        names of the members of a union there.
+
+        Parameters
+        ----------
+        loc : tuple of str or int
+            Keys and indices from the top.
+        key : bool
+            Whether to return the place of the key instead of that of its value.
+        """
+        at = self.existing(loc)
+        return self._keys.get(at, self._values[at]) if key else self._values[at]
+
+    def existing(self, loc: Loc) -> Loc:
+        """Return the parts of `loc` that lead down the data."""
+        at: Loc = ()
+        for part in loc:
+            if (*at, part) in self._values:
+                at = (*at, part)
+        return at
+
+
+def read(path: Path) -> Document:
+    """Read a YAML file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    DeclarationError
+        If it is missing, not a readable file, not UTF-8, or not an acceptable document.
+    """
+    source = str(path)
+    try:
+        if path.is_dir():
+            raise DeclarationError("this is a folder", advice="name a YAML file", source=source)
+        if path.exists() and not path.is_file():
+            raise DeclarationError("not a file", advice="name a YAML file", source=source)
+        with path.open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise DeclarationError("no such file", source=source) from None
+    except (OSError, ValueError) as error:
+        raise DeclarationError(f"cannot be read: {error}", source=source) from None
+    try:
+        # Too long a file may be cut inside a character; read_text will refuse it anyway.
+        text = raw.decode("utf-8-sig", "ignore" if len(raw) > MAX_BYTES else "strict")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        column = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
+        raise DeclarationError(
+            f"the byte 0x{raw[error.start]:02x} is not UTF-8",
+            advice="save the file as UTF-8",
+            source=source,
+            line=line,
+            column=column,
+        ) from None
+    return read_text(text if len(raw) <= MAX_BYTES else " " * (MAX_BYTES + 1), source)
+
+
+def read_text(text: str, source: str = "<text>") -> Document:
+    """Read YAML text.
+
+    Parameters
+    ----------
+    text : str
+        The document.
+    source : str
+        What errors call it.
+
+    Raises
+    ------
+    DeclarationError
+        If it is not an acceptable document.
+    """
+    if len(text) > MAX_BYTES:
+        raise DeclarationError(
+            f"more than {MAX_BYTES // 1024} KiB", advice="a model is a page or two", source=source
+        )
+    return _Builder(source).build(text)
+
+
+class _Builder:
+    """Events to data and positions; refuses at the first event that it does not want."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._values: dict[Loc, Position] = {}
+        self._keys: dict[Loc, Position] = {}
+
+    def build(self, text: str) -> Document:
+        try:
+            events = self._wanted(YAML(typ="safe", pure=True).parse(io.StringIO(text)))
+            data = self._document(events)
+        except MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            message = " ".join(str(error.problem or error.context).split())
+            line, column = (mark.line + 1, mark.column + 1) if mark else (None, None)
+            raise DeclarationError(
+                f"not YAML: {message}", source=self._source, line=line, column=column
+            ) from None
+        except ReaderError as error:
+            at = int(error.position)
+            raise DeclarationError(
+                f"the character U+{int(error.character):04X} is not allowed",
+                advice="remove it",
+                source=self._source,
+                line=text.count("\n", 0, at) + 1,
+                column=at - text.rfind("\n", 0, at),
+            ) from None
+        return Document(self._source, data, self._values, self._keys)
+
+    def _document(self, events: Iterator[Event]) -> dict[str, Any]:
+        first = next(events, None)
+        if first is None:
+            raise DeclarationError(
+                "the file is empty",
+                advice="`statechart new NAME` writes one to start from",
+                source=self._source,
+                line=1,
+                column=1,
+            )
+        if not isinstance(first, MappingStartEvent):
+            self._fail(first, "a model is a mapping", "begin with a line such as kind: chart")
+        data: dict[str, Any] = self._value(first, events, ())
+        for _ in events:
+            pass  # What follows must be judged too: it may be a second document.
+        return data
+
+    def _wanted(self, events: Iterator[Event]) -> Iterator[Event]:
+        """Pass on the events of one document, and judge each before anything is built of it."""
+        depth = documents = 0
+        for count, event in enumerate(events):
+            match event:
+                case DocumentStartEvent():
+                    documents += 1
+                    if documents > 1:
+                        self._fail(event, "a second document", "one model a file")
+                    if event.version or event.tags:
+                        self._fail(event, "a YAML directive", "remove the line that begins with %")
+                case MappingStartEvent() | SequenceStartEvent():
+                    depth += 1
+                    if depth > MAX_DEPTH:
+                        self._fail(event, f"nested deeper than {MAX_DEPTH} levels")
+                case MappingEndEvent() | SequenceEndEvent():
+                    depth -= 1
+                case AliasEvent():
+                    self._fail(event, "an alias (*)", "write the value out")
+            if getattr(event, "anchor", None):
+                self._fail(event, "an anchor (&)", "write the value out where it is needed")
+            if getattr(event, "ctag", None):
+                self._fail(event, "a tag (!)", "write plain values; put text in quotes")
+            if count > MAX_VALUES:
+                self._fail(event, f"more than {MAX_VALUES} values")
+            if not isinstance(
+                event, StreamStartEvent | StreamEndEvent | DocumentStartEvent | DocumentEndEvent
+            ):
+                yield event
+
+    def _value(self, event: Event, events: Iterator[Event], loc: Loc) -> Any:
+        self._values[loc] = self._position(event)
+        if isinstance(event, ScalarEvent):
+            if event.style in ("'", '"'):
+                self._values[loc] = self._position(event).shifted(1)
+            elif not event.value and loc in self._keys:
+                # What is left out stands nowhere: YAML's own mark is already on the next line.
+                self._values[loc] = self._keys[loc]
+            return event.value if event.style else self._plain(event)
+        if isinstance(event, SequenceStartEvent):
+            items: list[Any] = []
+            while not isinstance(item := next(events), SequenceEndEvent):
+                items.append(self._value(item, events, (*loc, len(items))))
+            return items
+        mapping: dict[str, Any] = {}
+        while not isinstance(key := next(events), MappingEndEvent):
+            if not isinstance(key, ScalarEvent):
+                self._fail(key, "a key must be a word")
+            name = key.value
+            if name == "<<":
+                self._fail(key, "a merge key (<<)", "write the values out")
+            at = (*loc, name)
+            if name in mapping:
+                self._fail(
+                    key, f"duplicate key {name!r}", f"the first is on line {self._keys[at].line}"
+                )
+            self._keys[at] = self._position(key)
+            mapping[name] = self._value(next(events), events, at)
+        return mapping
+
+    def _plain(self, event: ScalarEvent) -> Any:
+        try:
+            return resolve(event.value)
+        except ValueError:
+            self._fail(event, "a number of too many digits")
+
+    def _position(self, event: Event) -> Position:
+        mark = event.start_mark
+        return Position(self._source, mark.line + 1, mark.column + 1)
+
+    def _fail(self, event: Event, message: str, advice: str = "") -> NoReturn:
+        at = self._position(event)
+        raise DeclarationError(
+            message, advice=advice, source=at.source, line=at.line, column=at.column
+        )
+
+
+def validate(document: Document, model: type[Model]) -> Model:
+    """Build `model` from a document.
+
+    Parameters
+    ----------
+    document : Document
+        What was read.
+    model : type of pydantic.BaseModel
+        What it should be.
+
+    Raises
+    ------
+    DeclarationError
+        With the place of the first wrong field; its `others` are the further ones.
+    """
+    try:
+        # A document uses the documented spelling of a field (`from`), never its Python name.
+        return model.model_validate(document.data, by_alias=True, by_name=False)
+    except ValidationError as error:
+        raise declaration_error(error, document, model) from None
+
+
+def interpret(document: Document) -> BaseModel:
+    """Build the model of the kind that the document names in its `kind:`.
+
+    Parameters
+    ----------
+    document : Document
+        What was read.
+
+    Raises
+    ------
+    DeclarationError
+        If it names no known kind, or is not a correct model of it.
+    """
+    name = document.data.get("kind")
+    if not isinstance(name, str) or name not in kinds():
+        at = document.position(("kind",))
+        found = f"unknown kind {name!r}" if "kind" in document.data else "'kind' is missing"
+        raise DeclarationError(
+            found,
+            advice=close_matches(str(name), kinds()),
+            source=at.source,
+            line=at.line,
+            column=at.column,
+        )
+    return validate(document, kind(name).model)
+
+
+def load(path_or_name: str | Path) -> BaseModel:
+    """Read a model: a file, or a shipped model by its name.
+
+    Parameters
+    ----------
+    path_or_name : str or Path
+        See `find`.
+
+    Raises
+    ------
+    DeclarationError
+        If there is none, or it is wrong.
+    """
+    return interpret(read(find(str(path_or_name))))
+
+
+def find(path_or_name: str) -> Path:
+    """Return the file that a path or the name of a shipped model stands for.
+
+    Parameters
+    ----------
+    path_or_name : str
+        An existing path comes first.
+
+    Raises
+    ------
+    DeclarationError
+        If neither exists; with the names that it may have meant.
+    """
+    path = Path(path_or_name)
+    try:
+        exists, is_file = path.exists(), path.is_file()
+    except (OSError, ValueError) as error:
+        raise DeclarationError(f"not a path: {error}", source=repr(path_or_name)) from None
+    if is_file:
+        return path
+    names: list[str] = []
+    for entry in importlib.metadata.entry_points(group="statechart.models"):
+        shipped: Callable[[str], Path | None] = entry.load()
+        if (found := shipped(path_or_name)) is not None:
+            return found
+        names += getattr(importlib.import_module(entry.module), "names", list)()
+    if exists:
+        return path
+    raise DeclarationError(
+        f"no such file, and no shipped model of this name: {path_or_name!r}",
+        advice=close_matches(path_or_name, names),
+    )

@@ -1,0 +1,235 @@
+"""Everything that can go wrong, as one tree.
+
+::
+
+    StatechartError
+      DeclarationError        the input is wrong: what, where (file:line:column), what to do
+        FormulaError          a formula in it cannot be read or evaluated
+      SimulationError         a run cannot go on: why, with the trace so far
+        NoConsistentMode      no mode explains the state
+        AmbiguousMode         several modes with different motions explain it
+        EventLoop             jumps without end at one instant
+        InitialPenetration    the run would start inside a surface
+        StepFailure           the integrator cannot meet its tolerance
+        NonFinite             the state became infinite or undefined
+        Undecided             a guard could be neither found nor excluded within the search's budget
+
+`DeclarationProblem` stands outside the tree: it is what a validator of a pydantic model raises to
+point at the field concerned; `statechart.document.validate` turns it into a `DeclarationError`.
+"""
+
+# ruff: noqa: N818 -- the outcomes of a run are named after what happened, as users read them.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+__all__ = [
+    "AmbiguousMode",
+    "DeclarationError",
+    "DeclarationProblem",
+    "EventLoop",
+    "FormulaError",
+    "InitialPenetration",
+    "NoConsistentMode",
+    "NonFinite",
+    "Position",
+    "SimulationError",
+    "StatechartError",
+    "StepFailure",
+    "Undecided",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """A place in a text; lines and columns count from 1."""
+
+    source: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.source}:{self.line}:{self.column}"
+
+    def shifted(self, columns: int) -> Position:
+        """Return the place `columns` further right on the same line."""
+        return Position(self.source, self.line, self.column + columns)
+
+
+class StatechartError(Exception):
+    """Root of every error that this project raises on purpose."""
+
+
+class DeclarationError(StatechartError):
+    """The input is wrong.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong and what was expected, without its place.
+    advice : str
+        What to do about it; may be empty.
+    source : str
+        The file, or a name in angle brackets for text from elsewhere; empty if unknown.
+    line, column : int, optional
+        The place, counted from 1.
+    others : tuple of DeclarationError
+        Further errors of the same document, in its order; `str` prints them below this one.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        advice: str = "",
+        source: str = "",
+        line: int | None = None,
+        column: int | None = None,
+        others: tuple[DeclarationError, ...] = (),
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.advice = advice
+        self.source = source
+        self.line = line
+        self.column = column
+        self.others = others
+
+    def __str__(self) -> str:
+        place = [str(part) for part in (self.source, self.line, self.column) if part]
+        prefix = ":".join(place) + ": " if self.source else ""
+        own = prefix + "; ".join(filter(None, (self.message, self.advice)))
+        return "\n".join([own, *map(str, self.others)])
+
+
+class FormulaError(DeclarationError):
+    """A formula cannot be read or evaluated.
+
+    Parameters
+    ----------
+    message, advice, source, line, column
+        As for `DeclarationError`; the column points into the formula.
+    offset : int
+        Where in the formula's text, counted from 0.
+    name : str
+        The named formula concerned, where several are handled at once; else empty.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        advice: str = "",
+        source: str = "",
+        line: int | None = None,
+        column: int | None = None,
+        offset: int = 0,
+        name: str = "",
+    ) -> None:
+        super().__init__(message, advice=advice, source=source, line=line, column=column)
+        self.offset = offset
+        self.name = name
+
+
+class DeclarationProblem(ValueError):
+    """What a validator of a model raises to point at a field.
+
+    Parameters
+    ----------
+    message, advice : str
+        As for `DeclarationError`.
+    loc : tuple of str or int
+        Keys and indices from the validated value down to the field concerned; empty for the
+        value itself.
+    key : bool
+        Whether the key is wrong rather than its value.
+    offset : int
+        Where in the field's text, counted from 0.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        advice: str = "",
+        loc: tuple[str | int, ...] = (),
+        key: bool = False,
+        offset: int = 0,
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.advice = advice
+        self.loc = loc
+        self.key = key
+        self.offset = offset
+
+    def __str__(self) -> str:
+        return "; ".join(filter(None, (self.message, self.advice)))
+
+
+class SimulationError(StatechartError):
+    """A run cannot go on.
+
+    Parameters
+    ----------
+    message : str
+        Why, with the time, the mode and the margins concerned.
+    trace : object, optional
+        The trace up to here.
+
+    Attributes
+    ----------
+    outcome : str
+        The name of the run's outcome that this error stands for; empty for none in particular.
+    """
+
+    outcome: ClassVar[str] = ""
+
+    def __init__(self, message: str, trace: object | None = None) -> None:
+        super().__init__(message)
+        self.message = message
+        self.trace = trace
+
+
+class NoConsistentMode(SimulationError):
+    """No mode explains the state."""
+
+    outcome = "NO_CONSISTENT_MODE"
+
+
+class AmbiguousMode(SimulationError):
+    """Several modes with different motions explain the state."""
+
+    outcome = "AMBIGUOUS_MODE"
+
+
+class EventLoop(SimulationError):
+    """Jumps without end at one instant."""
+
+    outcome = "EVENT_LOOP"
+
+
+class InitialPenetration(SimulationError):
+    """The run would start inside a surface."""
+
+    outcome = "INITIAL_PENETRATION"
+
+
+class StepFailure(SimulationError):
+    """The integrator cannot meet its tolerance."""
+
+    outcome = "STEP_FAILURE"
+
+
+class NonFinite(SimulationError):
+    """The state became infinite or undefined."""
+
+    outcome = "NON_FINITE"
+
+
+class Undecided(SimulationError):
+    """A guard could be neither found nor excluded within the search's budget."""
+
+    outcome = "UNDECIDED"

@@ -1,0 +1,73 @@
+"""Types of the fields that documents share: names, formulas, relations, numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from statechart.errors import DeclarationProblem, FormulaError
+from statechart.formula import NAME, RESERVED, parse, parse_relation
+
+__all__ = ["FormulaText", "Label", "NameText", "Real", "RelationText", "problem"]
+
+
+def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
+    """Return the error of a formula as what validators raise.
+
+    Parameters
+    ----------
+    error : FormulaError
+        What was found.
+    *loc : str or int
+        Keys and indices from the validated value down to the formula.
+    """
+    return DeclarationProblem(error.message, advice=error.advice, loc=loc, offset=error.offset)
+
+
+def _formula(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        raise DeclarationProblem("must be a number or a formula")
+    try:
+        parse(value)
+    except FormulaError as error:
+        raise problem(error) from None
+    # Infinity has one spelling, so that a model equals what is read back from its own text.
+    return str(value) if isinstance(value, float) and math.isinf(value) else value
+
+
+def _relation(value: str) -> str:
+    try:
+        parse_relation(value)
+    except FormulaError as error:
+        raise problem(error) from None
+    return value
+
+
+def _name(value: str) -> str:
+    if not NAME.fullmatch(value):
+        raise DeclarationProblem(
+            f"{value!r} is not a name", advice="letters, digits and _, not beginning with a digit"
+        )
+    if value in RESERVED:
+        raise DeclarationProblem(
+            f"{value!r} already has a meaning in formulas", advice="choose another name"
+        )
+    return value
+
+
+FormulaText = Annotated[str | int | float, BeforeValidator(_formula)]
+"""A number or a formula that can be read; kept as written (infinity as the text `inf`)."""
+
+RelationText = Annotated[str, AfterValidator(_relation)]
+"""A comparison of two formulas, kept as written."""
+
+NameText = Annotated[str, AfterValidator(_name)]
+"""A name that formulas can use."""
+
+Label = Annotated[str, Field(min_length=1, max_length=200)]
+"""A few words for people."""
+
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+"""A finite number, not text that looks like one."""

@@ -1,0 +1,396 @@
+"""Text to formula: read without ever running it, evaluated in floats or built in SymPy.
+
+A formula has numbers, names (`mu`, `tip.V`), ``+ - * / **``, parentheses, the functions in
+`FUNCTIONS` and the constants `pi` and `inf`. Nothing else can be written, so nothing else can
+happen: SymPy's own reader runs Python code found in the text and takes names such as `I`, `S` or
+`beta` for its own objects.
+"""
+
+from __future__ import annotations
+
+import graphlib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from statechart.errors import FormulaError, Position
+from statechart.syntax import (
+    FUNCTIONS,
+    NAME,
+    RELATIONS,
+    RESERVED,
+    Binary,
+    Call,
+    Constant,
+    Name,
+    Node,
+    Number,
+    Reader,
+    Source,
+    Unary,
+    close_matches,
+    evaluate,
+    names_in,
+    undeclared,
+)
+
+if TYPE_CHECKING:
+    import sympy as sp
+
+__all__ = [
+    "FUNCTIONS",
+    "NAME",
+    "RESERVED",
+    "Binary",
+    "Call",
+    "Constant",
+    "Formula",
+    "Name",
+    "Node",
+    "Number",
+    "Relation",
+    "Unary",
+    "close_matches",
+    "evaluate_parameters",
+    "order_parameters",
+    "parse",
+    "parse_relation",
+]
+
+# Above this an integer is no longer every integer's float, so exactness would be an illusion.
+_EXACT = 2**53
+
+
+def _build(node: Node, symbols: Mapping[str, sp.Expr], source: Source) -> sp.Expr:
+    import sympy
+
+    match node:
+        case Number():
+            integer = isinstance(node.value, int)
+            return sympy.Integer(node.value) if integer else sympy.Float(node.value)
+        case Constant():
+            return sympy.pi if node.name == "pi" else sympy.oo
+        case Name():
+            if node.name not in symbols:
+                undeclared(node, symbols, source)
+            return symbols[node.name]
+        case Unary():
+            operand = _build(node.operand, symbols, source)
+            return -operand if node.operator == "-" else operand
+        case Call():
+            arguments = [_build(child, symbols, source) for child in node.arguments]
+            return FUNCTIONS[node.function].build(*arguments)
+    left = _build(node.left, symbols, source)
+    right = _build(node.right, symbols, source)
+    match node.operator:
+        case "+":
+            return sympy.Add(left, right)
+        case "-":
+            return sympy.Add(left, sympy.Mul(sympy.Integer(-1), right))
+        case "*":
+            return sympy.Mul(left, right)
+        case "/":
+            return sympy.Mul(left, sympy.Pow(right, sympy.Integer(-1)))
+    if left.is_number and right.is_number:
+        return _power_of_numbers(node, left, right, source)
+    return sympy.Pow(left, right)
+
+
+def _power_of_numbers(node: Binary, left: sp.Expr, right: sp.Expr, source: Source) -> sp.Expr:
+    """Return a power of numbers in floats: exact ones can be made to fill the memory."""
+    import sympy
+
+    if not (left.is_extended_real and right.is_extended_real):
+        source.fail("it has no real value", node.offset)
+    base, exponent = float(left), float(right)
+    value = evaluate(
+        Binary("**", Name("a", node.offset), Name("b", node.offset), node.offset),
+        {"a": base, "b": exponent},
+        source,
+    )
+    if left.is_Integer and right.is_Integer and exponent >= 0 and abs(value) <= _EXACT:
+        return sympy.Integer(int(value))
+    return sympy.Float(value) if math.isfinite(value) else sympy.oo * math.copysign(1, value)
+
+
+def _finished(expression: sp.Expr, node: Node, source: Source) -> sp.Expr:
+    import sympy
+
+    if expression.has(sympy.nan, sympy.zoo, sympy.I):
+        source.fail("it has no real value", node.offset, "look for a division by zero")
+    return expression
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A formula that was read; build it with `parse`.
+
+    Attributes
+    ----------
+    text : str
+        As written.
+    root : Node
+        Its syntax tree.
+    position : Position or None
+        Where its first character stands.
+    """
+
+    text: str
+    root: Node
+    position: Position | None = field(default=None, compare=False)
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """The declared names that it uses."""
+        return frozenset(name.name for name in names_in(self.root))
+
+    def require(self, known: Iterable[str]) -> None:
+        """Check that it uses only names in `known`.
+
+        Parameters
+        ----------
+        known : iterable of str
+            The declared names.
+
+        Raises
+        ------
+        FormulaError
+            At the first other name, with the ones that it may have meant.
+        """
+        known = frozenset(known)
+        for name in names_in(self.root):
+            if name.name not in known:
+                undeclared(name, known, self._source)
+
+    def to_sympy(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
+        """Build the formula from SymPy's constructors.
+
+        Integers and quotients of them stay exact, decimals become floats of full double
+        precision, powers of two numbers are computed in floats.
+
+        Parameters
+        ----------
+        symbols : mapping of str to sympy.Expr
+            What every name stands for.
+
+        Raises
+        ------
+        FormulaError
+            If a name is missing from `symbols`, or the expression has no real value.
+        """
+        return _finished(_build(self.root, symbols, self._source), self.root, self._source)
+
+    def value(self, values: Mapping[str, float]) -> float:
+        """Evaluate in IEEE floats.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            The value of every name; infinity is an ordinary value.
+
+        Returns
+        -------
+        float
+            Never NaN; infinite only where an operand is.
+
+        Raises
+        ------
+        FormulaError
+            If a name is missing, or a part is undefined or overflows.
+        """
+        return evaluate(self.root, values, self._source)
+
+    @property
+    def _source(self) -> Source:
+        return Source(self.text, self.position)
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A comparison of two formulas; build it with `parse_relation`.
+
+    Attributes
+    ----------
+    left, right : Formula
+        The two sides.
+    operator : str
+        One of ``<``, ``<=``, ``>``, ``>=``.
+    text : str
+        As written.
+    """
+
+    left: Formula
+    right: Formula
+    operator: str
+    text: str
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """The declared names that it uses."""
+        return self.left.names | self.right.names
+
+    def require(self, known: Iterable[str]) -> None:
+        """Check that it uses only names in `known`; see `Formula.require`."""
+        known = frozenset(known)
+        self.left.require(known)
+        self.right.require(known)
+
+    def margin(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
+        """Return what is >= 0 while the relation does not hold and falls as it begins to.
+
+        For ``a <= b`` and ``a < b`` this is ``a - b``, for ``a >= b`` and ``a > b`` it is
+        ``b - a``; its negative is the margin by which the relation holds.
+
+        Parameters
+        ----------
+        symbols : mapping of str to sympy.Expr
+            What every name stands for.
+
+        Raises
+        ------
+        FormulaError
+            As `Formula.to_sympy`.
+        """
+        left, right = self.left.to_sympy(symbols), self.right.to_sympy(symbols)
+        margin = left - right if self.operator in ("<", "<=") else right - left
+        return _finished(margin, self.left.root, self.left._source)
+
+
+def parse(text: str | int | float, *, position: Position | None = None) -> Formula:
+    """Read a formula.
+
+    Parameters
+    ----------
+    text : str, int or float
+        The formula, or a number.
+    position : Position, optional
+        Where its first character stands, for the errors.
+
+    Raises
+    ------
+    FormulaError
+        If it cannot be read, is beyond the bounds, or has a constant part without a value.
+    """
+    if isinstance(text, str):
+        reader = Reader(Source(text, position))
+        root = reader.sum()
+        reader.expect_end()
+        return Formula(text, root, position)
+    if isinstance(text, bool) or not isinstance(text, int | float):
+        Source(str(text), position).fail("not a number and not a formula")
+    return parse(_number_text(text, position), position=position)
+
+
+def _number_text(value: int | float, position: Position | None) -> str:
+    try:
+        as_float = float(value)
+    except OverflowError:
+        Source("integer", position).fail("the number is too large for a float")
+    if math.isnan(as_float):
+        Source("nan", position).fail("a finite number or inf was expected")
+    return str(value) if isinstance(value, int) else repr(as_float)
+
+
+def parse_relation(text: str, *, position: Position | None = None) -> Relation:
+    """Read a comparison: two formulas with one of ``< <= > >=`` between them.
+
+    Parameters
+    ----------
+    text : str
+        The comparison.
+    position : Position, optional
+        Where its first character stands, for the errors.
+
+    Raises
+    ------
+    FormulaError
+        If it cannot be read; see `parse`.
+    """
+    source = Source(text, position)
+    reader = Reader(source)
+    left = reader.sum()
+    if reader.token.kind == "end":
+        source.fail("a comparison is missing", reader.token.offset, "write it as x <= 0")
+    if reader.token.text not in RELATIONS:
+        reader.expect_end()
+    operator = reader.advance().text
+    right = reader.sum()
+    reader.expect_end()
+    # Both sides keep the whole text, so that offsets and messages point into what was written.
+    return Relation(Formula(text, left, position), Formula(text, right, position), operator, text)
+
+
+def order_parameters(formulas: Mapping[str, Formula]) -> tuple[str, ...]:
+    """Return the names so that each comes after those that its formula uses.
+
+    Parameters
+    ----------
+    formulas : mapping of str to Formula
+        The formula of every parameter.
+
+    Raises
+    ------
+    FormulaError
+        If a name is not a parameter, or parameters depend on each other in a circle.
+    """
+    for name, formula in formulas.items():
+        for used in names_in(formula.root):
+            if used.name not in formulas:
+                formula._source.fail(
+                    f"unknown name {used.name!r}",
+                    used.offset,
+                    close_matches(used.name, formulas),
+                    name=name,
+                )
+    uses = {name: sorted(formula.names) for name, formula in formulas.items()}
+    try:
+        return tuple(graphlib.TopologicalSorter(uses).static_order())
+    except graphlib.CycleError as error:
+        # graphlib lists each node before those that use it; readers follow "uses".
+        cycle = list(reversed(error.args[1]))
+        formulas[cycle[0]]._source.fail(
+            f"parameters need each other: {' -> '.join(cycle)}",
+            advice="give one of them a value of its own",
+            name=cycle[0],
+        )
+
+
+def evaluate_parameters(
+    formulas: Mapping[str, Formula], overrides: Mapping[str, float]
+) -> dict[str, float]:
+    """Evaluate parameters that are formulas of each other.
+
+    Parameters
+    ----------
+    formulas : mapping of str to Formula
+        The formula of every parameter.
+    overrides : mapping of str to float
+        Values that replace the formulas of some of them; the others follow.
+
+    Returns
+    -------
+    dict of str to float
+        In the order of `formulas`; finite or infinite, never NaN.
+
+    Raises
+    ------
+    FormulaError
+        If an override names no parameter, or a formula has no value.
+    """
+    for name in overrides:
+        if name not in formulas:
+            raise FormulaError(
+                f"unknown parameter {name!r}", advice=close_matches(name, formulas), name=name
+            )
+    replaced = {name: parse(value) for name, value in overrides.items()}
+    effective = {**formulas, **replaced}
+    values: dict[str, float] = {}
+    for name in order_parameters(effective):
+        try:
+            values[name] = effective[name].value(values)
+        except FormulaError as error:
+            error.name = name
+            raise
+    return {name: values[name] for name in formulas}

@@ -1,0 +1,146 @@
+"""What pydantic found wrong, in plain words and with its place in the document."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, Tag, ValidationError
+
+from statechart.errors import DeclarationError, DeclarationProblem
+from statechart.formula import close_matches
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
+    from statechart.document import Document
+
+__all__ = ["declaration_error"]
+
+_EXPECTED: Mapping[str, str] = {
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+    "dict_type": "a mapping",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "string_type": "text",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "none_required": "null",
+}
+
+
+def declaration_error(
+    error: ValidationError, document: Document, model: type[BaseModel]
+) -> DeclarationError:
+    """Return what pydantic found as one error with places.
+
+    Parameters
+    ----------
+    error : pydantic.ValidationError
+        What validating `document` as `model` raised.
+    document : Document
+        What was validated.
+    model : type of pydantic.BaseModel
+        What it should have been.
+    """
+    found = [_one(details, document, model) for details in error.errors(include_url=False)]
+    found.sort(key=lambda one: (one.line or 0, one.column or 0))
+    found[0].others = tuple(found[1:])
+    return found[0]
+
+
+def _one(details: ErrorDetails, document: Document, model: type[BaseModel]) -> DeclarationError:
+    loc, kind = details["loc"], details["type"]
+    cause = details.get("ctx", {}).get("error")
+    key, offset = kind == "extra_forbidden" or loc[-1:] == ("[key]",), 0
+    if isinstance(cause, DeclarationProblem):
+        loc = (*loc, *cause.loc)
+        key, offset = key or cause.key, cause.offset
+        message, advice = cause.message, cause.advice
+    else:
+        message, advice = _words(details, _known_keys(model, loc[:-1]))
+    at = document.position(loc, key=key).shifted(offset)
+    path = ".".join(str(part) for part in document.existing(loc))
+    if kind not in ("extra_forbidden", "missing") and path:
+        message = f"{path}: {message}"
+    return DeclarationError(
+        message, advice=advice, source=at.source, line=at.line, column=at.column
+    )
+
+
+def _words(details: ErrorDetails, known: Sequence[str]) -> tuple[str, str]:
+    kind, last, given = details["type"], details["loc"][-1:], details["input"]
+    context: Mapping[str, Any] = details.get("ctx", {})
+    if kind == "extra_forbidden":
+        return f"unknown key {last[0]!r}", close_matches(str(last[0]), known).replace(
+            "known:", "known keys:"
+        )
+    if kind == "missing":
+        return f"{last[0]!r} is missing", ""
+    if "error" in context:
+        return str(context["error"]), ""
+    shown = repr(given) if isinstance(given, str | int | float | None) else type(given).__name__
+    shown = shown if len(shown) <= 60 else shown[:57] + "..."
+    shown = {"dict": "a mapping", "list": "a list", "None": "nothing"}.get(shown, shown)
+    if kind in _EXPECTED:
+        return f"must be {_EXPECTED[kind]}, not {shown}", ""
+    if kind == "literal_error":
+        return f"must be {context['expected']}, not {shown}", ""
+    return f"{details['msg'].replace('Input should', 'must', 1)}; got {shown}", ""
+
+
+def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
+    """Return the keys that the mapping at `loc` may have."""
+    annotations: list[Any] = [model]
+    for part in loc:
+        annotations = (
+            list(_below(annotations, part)) or list(_tagged(annotations, part)) or annotations
+        )
+    return [
+        field.alias or name
+        for annotation in _members(annotations)
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel)
+        for name, field in annotation.model_fields.items()
+    ]
+
+
+def _members(annotations: Sequence[Any]) -> Iterator[Any]:
+    """Yield every alternative of the annotations, without what is only attached to them."""
+    for annotation in annotations:
+        if get_origin(annotation) is Annotated:
+            yield from _members(get_args(annotation)[:1])
+        elif get_origin(annotation) in (Union, types.UnionType):
+            yield from _members(get_args(annotation))
+        else:
+            yield annotation
+
+
+def _tagged(annotations: Sequence[Any], part: str | int) -> Iterator[Any]:
+    """Yield the member of a union that pydantic calls `part` in the place of an error."""
+    for annotation in annotations:
+        if get_origin(annotation) is Annotated:
+            member, *attached = get_args(annotation)
+            if Tag(str(part)) in attached:
+                yield member
+            else:
+                yield from _tagged([member], part)
+        elif get_origin(annotation) in (Union, types.UnionType):
+            yield from _tagged(get_args(annotation), part)
+
+
+def _below(annotations: Sequence[Any], part: str | int) -> Iterator[Any]:
+    for annotation in _members(annotations):
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            for name, field in annotation.model_fields.items():
+                if part in (name, field.alias):
+                    yield field.annotation
+        elif isinstance(origin := get_origin(annotation), type):
+            arguments = get_args(annotation)
+            if issubclass(origin, Mapping):
+                yield arguments[1]
+            elif issubclass(origin, Sequence) and isinstance(part, int):
+                yield arguments[0]
