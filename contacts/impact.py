@@ -1,0 +1,183 @@
+"""One contact's frictional impact: Routh's path, ended by a restitution law.
+
+The impulse grows along the edge of the friction cone while the point slips, along the sticking
+direction while it sticks; velocities are affine along each piece, so every piece is closed form
+and the path has at most a few. Restitution is Stronge's (energetic: the work of the normal
+impulse in restitution is e^2 of that in compression; energy never grows), Poisson's (impulse) or
+Newton's (velocity). Routh 1905; Stronge, Proc. R. Soc. A 431 (1990); Wang and Mason 1992.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.classify import ContactLaw
+from contacts.snapshot import PerContact, Snapshot, solve_kkt
+from statechart.errors import NoConsistentMode
+
+__all__ = ["Impact", "impact"]
+
+Array = NDArray[np.float64]
+
+_LONGEST_PATH = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Impact:
+    """What an impact does.
+
+    Attributes
+    ----------
+    velocity : (n,) array
+        Rates of the coordinates after it.
+    normal, tangential : float
+        Impulse on the body.
+    path : tuple of str
+        slip+, slip-, stick in the order of the path.
+    """
+
+    velocity: Array
+    normal: float
+    tangential: float
+    path: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """Rates of change along a piece of the path, per unit of its parameter."""
+
+    name: str
+    velocity: Array
+    u_n: float
+    u_t: float
+    normal: float
+    tangential: float
+
+
+def impact(snapshot: Snapshot, contact: PerContact, law: ContactLaw, restitution: float) -> Impact:
+    """Return the outcome of an impact at `contact`, the only closed one.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+        The state's numbers, before.
+    contact : PerContact
+        With ``gap_rate < 0``.
+    law : ContactLaw
+        Friction and the meaning of restitution.
+    restitution : float
+        Coefficient, 0 to 1.
+
+    Raises
+    ------
+    NoConsistentMode
+        If the path does not end (possible only on the Painleve boundary).
+    """
+    velocity = snapshot.velocity.copy()
+    u_n, u_t = contact.gap_rate, contact.slip
+    approach = u_n
+    normal = tangential = work = compressed = compression_work = 0.0
+    compressing = True
+    path: list[str] = []
+    for _ in range(_LONGEST_PATH):
+        piece = _piece(snapshot, contact, law, u_t)
+        if not path or path[-1] != piece.name:
+            path.append(piece.name)
+        to_stop = -u_t / piece.u_t if u_t * piece.u_t < 0.0 else math.inf
+        if compressing:
+            to_end = -u_n / piece.u_n if piece.u_n > 0.0 else math.inf
+        elif law.impact == "newton":
+            to_end = (-restitution * approach - u_n) / piece.u_n if piece.u_n > 0 else math.inf
+        elif law.impact == "poisson":
+            left = (1.0 + restitution) * compressed - normal
+            to_end = left / piece.normal if piece.normal > 0.0 else 0.0
+        else:
+            to_end = _energetic(piece, u_n, restitution**2 * compression_work - work)
+        length = min(to_stop, to_end)
+        if not math.isfinite(length):
+            break
+        work += piece.normal * length * (u_n + 0.5 * piece.u_n * length)
+        velocity += piece.velocity * length
+        normal += piece.normal * length
+        tangential += piece.tangential * length
+        u_n = 0.0 if compressing and to_end <= to_stop else u_n + piece.u_n * length
+        u_t = 0.0 if to_stop <= to_end else u_t + piece.u_t * length
+        if to_end <= to_stop:
+            if not compressing or restitution == 0.0:
+                return Impact(velocity, normal, tangential, tuple(path))
+            compressing, compressed, compression_work, work = False, normal, -work, 0.0
+    raise NoConsistentMode(
+        f"{law.name}: the impact's path does not end (p = 0, slip {u_t:.3g}); "
+        f"it went {', '.join(path)}"
+    )
+
+
+def _energetic(piece: _Piece, u_n: float, left: float) -> float:
+    """Solve ``normal (u_n s + u_n' s^2 / 2) = left`` for s >= 0."""
+    if left <= 0.0 or piece.normal <= 0.0:
+        return 0.0
+    a, c = 0.5 * piece.normal * piece.u_n, left
+    b = piece.normal * u_n
+    root = math.sqrt(b * b + 4.0 * a * c) if b * b + 4.0 * a * c > 0.0 else 0.0
+    return 2.0 * c / (b + root) if b + root > 0.0 else math.inf
+
+
+def _piece(snapshot: Snapshot, contact: PerContact, law: ContactLaw, u_t: float) -> _Piece:
+    if law.cone_t == 0.0:
+        return _along(snapshot, contact, "slip", law.cone_n, 0.0)
+    if u_t != 0.0:
+        sign = math.copysign(1.0, u_t)
+        return _slipping(snapshot, contact, law, sign)
+    stick = _sticking(snapshot, contact)
+    if stick is not None and law.cone_n * abs(stick.tangential) <= law.cone_t * stick.normal:
+        return stick
+    for sign in (1.0, -1.0):
+        piece = _slipping(snapshot, contact, law, sign)
+        if sign * piece.u_t > 0.0:
+            return piece
+    raise NoConsistentMode(f"{law.name}: at zero slip no direction of an impact is consistent")
+
+
+def _slipping(snapshot: Snapshot, contact: PerContact, law: ContactLaw, sign: float) -> _Piece:
+    name = "slip+" if sign > 0 else "slip-"
+    return _along(snapshot, contact, name, law.cone_n, -sign * law.cone_t)
+
+
+def _along(
+    snapshot: Snapshot, contact: PerContact, name: str, n: float, t: float
+) -> _Piece:
+    """Impulse along (n, t); scaled to a unit change of normal velocity, forwards."""
+    size = len(snapshot.forces)
+    column = contact.jacobian.T @ np.array([n, t])
+    row = np.concatenate([contact.jacobian[0], [0.0]])[None]
+    solved = solve_kkt(snapshot.mass, np.zeros(size), row, column[:, None], np.ones(1))
+    if solved is None:
+        raise NoConsistentMode("an impulse along the friction cone does not change the gap's rate")
+    change, amount = solved[0], float(solved[1][0])
+    # Where pressing makes the approach faster (Painleve), the impulse still grows.
+    forwards = 1.0 if amount >= 0.0 else -1.0
+    change = forwards * change
+    return _Piece(
+        name,
+        change,
+        forwards,
+        float(contact.jacobian[1] @ change),
+        abs(amount) * n,
+        abs(amount) * t,
+    )
+
+
+def _sticking(snapshot: Snapshot, contact: PerContact) -> _Piece | None:
+    size = len(snapshot.forces)
+    rows = np.hstack([contact.jacobian, np.zeros((2, 2))])
+    solved = solve_kkt(
+        snapshot.mass, np.zeros(size), rows, contact.jacobian.T, np.array([1.0, 0.0])
+    )
+    if solved is None:
+        return None
+    normal, tangential = map(float, solved[1])
+    return _Piece("stick", solved[0], 1.0, 0.0, normal, tangential)

@@ -1,0 +1,299 @@
+"""Positions to equations of motion: mass matrix, forces, contact Jacobians, by SymPy.
+
+The kinetic energy of bodies whose centres and angles are expressions of coordinates q and time
+gives ``M(q) a + b(q, v, t) = Q + sum J_n^T V + J_t^T H``; nothing is simplified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import sympy as sp
+
+from contacts.modes import ContactSymbols
+from contacts.scene import Body, Contact, Point, Scene
+from statechart.declaration import TIME
+from statechart.formula import parse
+
+__all__ = ["ContactGeometry", "Mechanics"]
+
+Vector = tuple[sp.Expr, sp.Expr]
+
+
+@dataclass(frozen=True, eq=False)
+class ContactGeometry:
+    """Where a contact point is and how it moves.
+
+    Attributes
+    ----------
+    point : (Expr, Expr)
+        Its position.
+    normal, tangent : (Expr, Expr)
+        Unit vectors of the surface there; the normal points out of the solid, the tangent is
+        the normal turned clockwise.
+    distance : Expr
+        Distance from the surface, to first order (the gap of a height function is vertical).
+    symbols : ContactSymbols
+        Gap, velocities, accelerations, forces.
+    jacobian_n, jacobian_t : tuple of Expr
+        d(velocity of the point along normal, tangent)/d(rates), one per coordinate.
+    bias_n, bias_t : Expr
+        The parts of the point's accelerations that do not depend on the unknown ones.
+    """
+
+    point: Vector
+    normal: Vector
+    tangent: Vector
+    distance: sp.Expr
+    symbols: ContactSymbols
+    jacobian_n: tuple[sp.Expr, ...]
+    jacobian_t: tuple[sp.Expr, ...]
+    bias_n: sp.Expr
+    bias_t: sp.Expr
+
+
+class Mechanics:
+    """The equations of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        As declared.
+    parameters : mapping
+        Parameter -> symbol.
+    cones : mapping
+        Contact -> (cone_n, cone_t).
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        parameters: Mapping[str, sp.Symbol],
+        cones: Mapping[str, tuple[sp.Expr, sp.Expr]],
+    ) -> None:
+        self.scene = scene
+        self.names = scene.variables
+        count = range(len(self.names))
+        self.time = sp.Symbol("t", real=True)
+        self.q = tuple(sp.Symbol(f"q{i}", real=True) for i in count)
+        self.v = tuple(sp.Symbol(f"v{i}", real=True) for i in count)
+        self.a = tuple(sp.Symbol(f"a{i}", real=True) for i in count)
+        self.forces = {
+            name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
+            for i, name in enumerate(scene.contacts)
+        }
+        self._cones = cones
+        self._parameters = dict(parameters)
+        rates = [scene.rate_name(name) for name in self.names]
+        self._known: dict[str, sp.Expr] = {
+            TIME: self.time,
+            **self._parameters,
+            **dict(zip(self.names, self.q, strict=True)),
+            **dict(zip(rates, self.v, strict=True)),
+        }
+        self._contacts: dict[str, ContactGeometry] = {}
+
+    def rate(self, expression: sp.Expr) -> sp.Expr:
+        """Return the total derivative with respect to time, accelerations included."""
+        used = expression.free_symbols
+        terms = [sp.diff(expression, self.time)] if self.time in used else []
+        for x, dx in (*zip(self.q, self.v, strict=True), *zip(self.v, self.a, strict=True)):
+            if x in used:
+                terms.append(sp.diff(expression, x) * dx)
+        return sp.Add(*terms)
+
+    def body_frame(self, name: str) -> tuple[Vector, sp.Expr]:
+        """Return the centre of mass and the angle of a body."""
+        body = self.scene.bodies[name]
+        if body.position is not None:
+            x, y = (self._formula(text) for text in body.position)
+            return (x, y), self._formula(body.angle) if body.angle is not None else sp.S.Zero
+        own = {c: self._known[f"{name}.{c}"] for c in body.coordinates}
+        return (own["x"], own["y"]), own.get("angle", sp.S.Zero)
+
+    def point(self, point: Point) -> Vector:
+        """Return the position of a point of a body."""
+        (x, y), angle = self.body_frame(point.body)
+        along, across = (self._formula(text) for text in point.at)
+        c, s = sp.cos(angle), sp.sin(angle)
+        return x + along * c - across * s, y + along * s + across * c
+
+    @cached_property
+    def mass_matrix(self) -> sp.Matrix:
+        """(n, n): of the kinetic energy ``v^T M v / 2``."""
+        return self._inertia[0]
+
+    @cached_property
+    def generalised_forces(self) -> tuple[sp.Expr, ...]:
+        """(n,): ``Q - b``, so that ``M a`` equals it where no contact is closed."""
+        return tuple(
+            q - b for q, b in zip(self._applied, self._inertia[1], strict=True)
+        )
+
+    @cached_property
+    def equations(self) -> tuple[sp.Expr, ...]:
+        """(n,): each = 0, in the unknown accelerations and contact forces."""
+        geometry = [self.contact(name) for name in self.scene.contacts]
+        result = []
+        for i, right in enumerate(self.generalised_forces):
+            left = sp.Add(*(self.mass_matrix[i, k] * a for k, a in enumerate(self.a)))
+            contact_forces = sp.Add(
+                *(
+                    c.jacobian_n[i] * c.symbols.V + c.jacobian_t[i] * c.symbols.H
+                    for c in geometry
+                )
+            )
+            result.append(left - right - contact_forces)
+        return tuple(result)
+
+    @cached_property
+    def energy(self) -> sp.Expr:
+        """Kinetic energy plus that of gravity."""
+        kinetic = [
+            self.mass_matrix[i, k] * self.v[i] * self.v[k] / 2
+            for i in range(len(self.q))
+            for k in range(len(self.q))
+        ]
+        gx, gy = self.gravity
+        potential = []
+        for name, body in self.scene.bodies.items():
+            (x, y), _ = self.body_frame(name)
+            potential.append(-self._formula(body.mass) * (gx * x + gy * y))
+        return sp.Add(*kinetic, *potential)
+
+    @cached_property
+    def power(self) -> sp.Expr:
+        """Power of the applied forces, gravity excepted."""
+        return sp.Add(*(q * v for q, v in zip(self._applied_forces, self.v, strict=True)))
+
+    @cached_property
+    def gravity(self) -> Vector:
+        """Acceleration of gravity."""
+        declared = self.scene.gravity
+        if isinstance(declared, tuple):
+            gx, gy = (self._formula(text) for text in declared)
+            return gx, gy
+        return sp.S.Zero, -self._formula(declared)
+
+    def contact(self, name: str) -> ContactGeometry:
+        """Return the geometry of a contact, derived when first asked for."""
+        if name not in self._contacts:
+            self._contacts[name] = self._geometry(name, self.scene.contacts[name])
+        return self._contacts[name]
+
+    @property
+    def observables(self) -> dict[str, sp.Expr]:
+        """What formulas of outputs and stop conditions may use, name -> expression."""
+        result = dict(self._known)
+        for name in self.scene.contacts:
+            symbols = self.contact(name).symbols
+            result |= {
+                f"{name}.gap": symbols.gap,
+                f"{name}.slip": symbols.slip,
+                f"{name}.V": symbols.V,
+                f"{name}.H": symbols.H,
+            }
+        result["energy"] = self.energy
+        return result
+
+    def _formula(self, text: str | int | float, **further: sp.Expr) -> sp.Expr:
+        return parse(text).to_sympy({**self._known, **further})
+
+    @cached_property
+    def _inertia(self) -> tuple[sp.Matrix, tuple[sp.Expr, ...]]:
+        """Mass matrix and bias forces, summed over the bodies."""
+        size = len(self.q)
+        matrix = sp.zeros(size, size)
+        bias = [sp.S.Zero] * size
+        at_rest = dict.fromkeys(self.a, sp.S.Zero)
+        for name, body in self.scene.bodies.items():
+            (x, y), angle = self.body_frame(name)
+            for weight, position in self._weights(body, x, y, angle):
+                gradient = [sp.diff(position, q) for q in self.q]
+                moving = [i for i, g in enumerate(gradient) if g != 0]
+                drift = self.rate(self.rate(position)).xreplace(at_rest)
+                for i in moving:
+                    bias[i] += weight * gradient[i] * drift
+                    for k in moving:
+                        matrix[i, k] += weight * gradient[i] * gradient[k]
+        return matrix, tuple(bias)
+
+    def _weights(
+        self, body: Body, x: sp.Expr, y: sp.Expr, angle: sp.Expr
+    ) -> list[tuple[sp.Expr, sp.Expr]]:
+        mass = self._formula(body.mass)
+        weights = [(mass, x), (mass, y)]
+        if body.inertia is not None:
+            weights.append((self._formula(body.inertia), angle))
+        return weights
+
+    @cached_property
+    def _applied_forces(self) -> tuple[sp.Expr, ...]:
+        total = [sp.S.Zero] * len(self.q)
+        for force in self.scene.forces.values():
+            point = self.point(Point(body=force.body, at=force.at))
+            _, angle = self.body_frame(force.body)
+            components = [self._formula(text) for text in force.force]
+            moment = self._formula(force.moment)
+            for i, q in enumerate(self.q):
+                work = [f * sp.diff(p, q) for f, p in zip(components, point, strict=True)]
+                total[i] += sp.Add(*work, moment * sp.diff(angle, q))
+        return tuple(total)
+
+    @cached_property
+    def _applied(self) -> tuple[sp.Expr, ...]:
+        total = list(self._applied_forces)
+        gx, gy = self.gravity
+        for name, body in self.scene.bodies.items():
+            (x, y), _ = self.body_frame(name)
+            mass = self._formula(body.mass)
+            for i, q in enumerate(self.q):
+                total[i] += mass * (gx * sp.diff(x, q) + gy * sp.diff(y, q))
+        return tuple(total)
+
+    def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
+        x, y = point = self.point(contact.point)
+        surface = self.scene.surfaces[contact.surface]
+        if surface.height is not None:
+            abscissa = sp.Dummy("x", real=True)
+            height = self._formula(surface.height, x=abscissa)
+            slope = sp.diff(height, abscissa).xreplace({abscissa: x})
+            gap = y - height.xreplace({abscissa: x})
+            # The gap is measured vertically, which has the sign and the zeros of the distance
+            # without its square roots; velocities and forces are along the unit normal.
+            unit = 1 / sp.sqrt(1 + slope**2)
+            normal, tangent = (-slope * unit, unit), (unit, slope * unit)
+        else:
+            angle = self._formula(surface.incline)  # type: ignore[arg-type]
+            x0, y0 = (self._formula(text) for text in surface.through)
+            normal, tangent = (-sp.sin(angle), sp.cos(angle)), (sp.cos(angle), sp.sin(angle))
+            gap = normal[0] * (x - x0) + normal[1] * (y - y0)
+            unit = sp.S.One
+        at_rest = dict.fromkeys(self.a, sp.S.Zero)
+        gap_rate = self.rate(gap)
+        jacobian = [(sp.diff(x, q), sp.diff(y, q)) for q in self.q]
+        jacobian_n = tuple(normal[0] * dx + normal[1] * dy for dx, dy in jacobian)
+        jacobian_t = tuple(tangent[0] * dx + tangent[1] * dy for dx, dy in jacobian)
+        slip = tangent[0] * self.rate(x) + tangent[1] * self.rate(y)
+        # On the surface (gap = gap' = 0) this is the derivative of the normal velocity.
+        bias_n = unit * self.rate(gap_rate).xreplace(at_rest)
+        bias_t = self.rate(slip).xreplace(at_rest)
+        V, H = self.forces[name]
+        cone_n, cone_t = self._cones[name]
+        symbols = ContactSymbols(
+            name,
+            gap,
+            unit * gap_rate,
+            slip,
+            sp.Add(bias_n, *(j * a for j, a in zip(jacobian_n, self.a, strict=True))),
+            sp.Add(bias_t, *(j * a for j, a in zip(jacobian_t, self.a, strict=True))),
+            V,
+            H,
+            cone_n,
+            cone_t,
+        )
+        return ContactGeometry(
+            point, normal, tangent, unit * gap, symbols, jacobian_n, jacobian_t, bias_n, bias_t
+        )

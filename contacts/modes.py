@@ -1,0 +1,102 @@
+"""The contact modes free, slide and pin: what each contributes to a product mode (paper 3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import sympy as sp
+from pydantic import Field
+
+from statechart.automaton import Margin, State
+from statechart.declaration import Part
+
+__all__ = ["ContactMode", "ContactSymbols", "Free", "Pin", "Slide", "as_mode"]
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSymbols:
+    """A contact's quantities as expressions; lengths, speeds, forces in the scene's units.
+
+    Attributes
+    ----------
+    name : str
+        Of the contact.
+    gap : Expr
+        Height over the surface, >= 0; its zero and its sign are those of the distance.
+    gap_rate, slip : Expr
+        Normal and tangential velocity of the point relative to the surface.
+    normal_acceleration, tangential_acceleration : Expr
+        Their rates, in the unknown accelerations.
+    V, H : Symbol
+        Normal and tangential force on the body.
+    cone_n, cone_t : Expr
+        The cone's unit edge (1, mu) / hypot(1, mu): mu = 0 and mu = inf are ordinary values.
+        Plain numbers where no coefficient is needed: (1, 0) frictionless, (0, 1) without slide.
+    """
+
+    name: str
+    gap: sp.Expr
+    gap_rate: sp.Expr
+    slip: sp.Expr
+    normal_acceleration: sp.Expr
+    tangential_acceleration: sp.Expr
+    V: sp.Symbol
+    H: sp.Symbol
+    cone_n: sp.Expr
+    cone_t: sp.Expr
+
+
+class Free(Part):
+    """No force: V = 0, H = 0, as long as the gap is not closed."""
+
+    mode: Literal["free"] = "free"
+
+    def state(self, contact: ContactSymbols, direction: int) -> State:
+        """Return the equations and margins of the mode."""
+        return State((contact.V, contact.H), (Margin(f"{contact.name}.gap", contact.gap, "gap"),))
+
+
+class Slide(Part):
+    """The gap stays closed and the force lies on the edge of the cone that opposes the slip."""
+
+    mode: Literal["slide"] = "slide"
+
+    def state(self, contact: ContactSymbols, direction: int) -> State:
+        """Return the equations and margins for slip in `direction` (+1, -1; 0: frictionless).
+
+        The force is ``edge (cone_n n - direction cone_t t)``; the margin `V` is that edge, so
+        that it still has a sign where V itself is zero (mu = inf, equation 13).
+        """
+        name, n, t = contact.name, contact.cone_n, direction * contact.cone_t
+        margins = [Margin(f"{name}.V", n * contact.V - t * contact.H, "force")]
+        if direction:
+            margins.append(Margin(f"{name}.slip", direction * contact.slip, "speed"))
+        return State(
+            (contact.normal_acceleration, t * contact.V + n * contact.H), tuple(margins)
+        )
+
+
+class Pin(Part):
+    """The contact point does not move, as long as the force that this takes is in the cone."""
+
+    mode: Literal["pin"] = "pin"
+
+    def state(self, contact: ContactSymbols, direction: int) -> State:
+        """Return the equations and margins of the mode."""
+        name, n, t = contact.name, contact.cone_n, contact.cone_t
+        margins = [Margin(f"{name}.V", contact.V, "force")]
+        if n != 0:
+            margins.append(Margin(f"{name}.mu V - H", t * contact.V - n * contact.H, "force"))
+            margins.append(Margin(f"{name}.mu V + H", t * contact.V + n * contact.H, "force"))
+        return State(
+            (contact.normal_acceleration, contact.tangential_acceleration), tuple(margins)
+        )
+
+
+ContactMode = Annotated[Free | Slide | Pin, Field(discriminator="mode")]
+
+
+def as_mode(value: Any) -> Any:
+    """Let a mode be declared by its name alone."""
+    return {"mode": value} if isinstance(value, str) else value

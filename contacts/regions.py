@@ -1,0 +1,76 @@
+"""A contact as a region: its states, guards and resets (paper, figure 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from contacts.modes import ContactSymbols, Free, Pin, Slide
+from contacts.scene import Contact
+from statechart.automaton import Edge, Region, State
+
+__all__ = ["edges", "region", "states"]
+
+_DIRECTIONS = {"slide+": 1, "slide-": -1, "slide": 0}
+
+
+def states(contact: Contact) -> tuple[str, ...]:
+    """Return the states of a contact's region: slide has a direction unless frictionless."""
+    sliding = ("slide",) if contact.frictionless else ("slide+", "slide-")
+    per_mode = {"free": ("free",), "slide": sliding, "pin": ("pin",)}
+    return tuple(state for mode in contact.modes for state in per_mode[mode.mode])
+
+
+def region(
+    name: str, contact: Contact, symbols: Callable[[], ContactSymbols]
+) -> Region:
+    """Return the region of a contact.
+
+    Parameters
+    ----------
+    name : str
+        Of the contact.
+    contact : Contact
+        As declared.
+    symbols : callable
+        Its quantities as expressions, asked for when a state is built.
+    """
+    modes = {mode.mode: mode for mode in contact.modes}
+
+    def build(state: str) -> State:
+        mode: Free | Slide | Pin = modes[state.rstrip("+-")]  # type: ignore[index]
+        return mode.state(symbols(), _DIRECTIONS.get(state, 0))
+
+    names = states(contact)
+    groups = {s: "slide" for s in names if s in ("slide+", "slide-")}
+    return Region(name, names, build, edges(name, contact), groups)
+
+
+def edges(name: str, contact: Contact) -> tuple[Edge, ...]:
+    """Return the transitions of a contact's statechart."""
+    present = states(contact)
+    closed = [s for s in present if s != "free"]
+    sliding = [s for s in closed if s != "pin"]
+    result: list[Edge] = []
+    if "free" in present:
+        if contact.restitution != 0:
+            rebound = "impact: rebound by restitution"
+            result.append(Edge("touchdown", "free", "free", "gap = 0, dgap < 0", rebound))
+        for state in closed:
+            result.append(Edge("touchdown", "free", state, "gap = 0, dgap < 0", _landing(state)))
+            if contact.restitution != 0:
+                guard = "bounces accumulate"
+                result.append(Edge("zeno", "free", state, guard, _landing(state, "skip them; ")))
+        result += [Edge("liftoff", state, "free", "V < 0") for state in closed]
+    if "pin" in present:
+        for state in sliding:
+            away = {"slide+": "H < -mu V", "slide-": "H > mu V"}.get(state, "|H| > 0")
+            result.append(Edge("slip", "pin", state, away))
+            result.append(Edge("stick", state, "pin", "slip = 0, |H| <= mu V", "slip := 0"))
+    if len(sliding) == 2:
+        result.append(Edge("reverse", "slide+", "slide-", "slip = 0, H > mu V"))
+        result.append(Edge("reverse", "slide-", "slide+", "slip = 0, H < -mu V"))
+    return tuple(result)
+
+
+def _landing(state: str, before: str = "impact; ") -> str:
+    return before + ("dgap := 0, slip := 0" if state == "pin" else "dgap := 0")

@@ -1,0 +1,98 @@
+"""A scene's own units of length, speed, acceleration and force."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from contacts.mechanics import Mechanics
+from statechart.formula import parse
+from statechart.tape import compile_tape
+
+__all__ = ["ScaleTape", "Scales"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scales:
+    """The sizes that a scene's numbers are compared with; no tolerance of ours is absolute.
+
+    Attributes
+    ----------
+    length, speed, acceleration, force : float
+        In the scene's units.
+    """
+
+    length: float
+    speed: float
+    acceleration: float
+    force: float
+
+
+class ScaleTape:
+    """Reads the scales off the initial state.
+
+    The length is the largest coordinate of a body or contact point (rounding is proportional to
+    it); acceleration is gravity's, or what the initial forces and velocities give; speed and
+    force follow.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        The scene's equations.
+    parameters : sequence of Symbol
+        In the order of the values.
+    """
+
+    def __init__(self, mechanics: Mechanics, parameters: Sequence[sp.Symbol]) -> None:
+        scene = mechanics.scene
+        lengths: list[sp.Expr] = []
+        speeds: list[sp.Expr] = []
+        masses: list[sp.Expr] = []
+        for name, body in scene.bodies.items():
+            centre, _ = mechanics.body_frame(name)
+            lengths += centre
+            speeds += [mechanics.rate(component) for component in centre]
+            known = dict(zip(scene.parameters, parameters, strict=False))
+            masses.append(parse(body.mass).to_sympy(known))
+        for name in scene.contacts:
+            geometry = mechanics.contact(name)
+            lengths += [geometry.symbols.gap, *geometry.point]
+            speeds += [mechanics.rate(component) for component in geometry.point]
+        pushes = [
+            force / mechanics.mass_matrix[i, i]
+            for i, force in enumerate(mechanics.generalised_forces)
+            if mechanics.mass_matrix[i, i] != 0
+        ]
+        end = scene.stop.time
+        known = dict(zip(scene.parameters, parameters, strict=False))
+        duration = parse(end).to_sympy(known) if end is not None else sp.S.One
+        groups = [lengths, speeds, masses, list(mechanics.gravity), pushes, [duration]]
+        self._ends = np.cumsum([len(group) for group in groups])[:-1]
+        self._tape = compile_tape(
+            [expression for group in groups for expression in group],
+            variables=(*mechanics.q, *mechanics.v),
+            parameters=parameters,
+            time=mechanics.time,
+        )
+
+    def at(self, values: Array, state: Array) -> Scales:
+        """Return the scales of a run that starts at `state` (2 n,)."""
+        numbers = np.abs(self._tape.values(state, values, 0.0))
+        numbers[~np.isfinite(numbers)] = 0.0
+        lengths, speeds, masses, gravity, pushes, duration = np.split(numbers, self._ends)
+        length, speed = lengths.max(initial=0.0), speeds.max(initial=0.0)
+        acceleration = math.hypot(*gravity) or float(pushes.max(initial=0.0))
+        if length == 0.0:
+            length = max(speed * duration[0], acceleration * duration[0] ** 2) or 1.0
+        acceleration = max(acceleration, speed**2 / length)
+        if acceleration == 0.0:
+            acceleration = length / max(duration[0], 1e-300) ** 2
+        speed = max(speed, math.sqrt(acceleration * length))
+        return Scales(float(length), float(speed), float(acceleration), float(masses.sum() * acceleration))

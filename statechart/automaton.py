@@ -1,0 +1,288 @@
+"""The hybrid automaton: regions, modes, margins, and the laws at the instants between flows.
+
+Vocabulary: a *mode* is one state per region; its *flow* is an ordinary differential equation; its
+*margins* are expressions that stay >= 0 while the mode holds (its invariant); an *event* is a
+margin falling; a *jump* is what the laws make of an event. Composition is conjunction: a region's
+state contributes equations in the shared unknowns, never a vector field of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, Protocol
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from statechart.trace import Clock, Jump, Key
+
+if TYPE_CHECKING:
+    from statechart.declaration import Declaration
+
+__all__ = [
+    "Automaton",
+    "Edge",
+    "Flow",
+    "Laws",
+    "Margin",
+    "Region",
+    "Setup",
+    "State",
+]
+
+Kind = Literal["plain", "gap", "speed", "force"]
+
+
+@dataclass(frozen=True)
+class Margin:
+    """An expression that is >= 0 while a mode holds.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``tip.gap`` or ``tip.mu V - H``.
+    expression : Expr
+        In variables, parameters, time and unknowns.
+    kind : str
+        Which tolerance decides it. A `force` margin is an event once it is below minus its
+        tolerance (hysteresis, so that the mode just left is not entered again); the others are
+        located at their zero.
+    """
+
+    name: str
+    expression: sp.Expr
+    kind: Kind = "plain"
+
+
+@dataclass(frozen=True)
+class State:
+    """What one state of a region contributes to a mode.
+
+    Attributes
+    ----------
+    equations : tuple of Expr
+        Each = 0, linear in the automaton's unknowns.
+    margins : tuple of Margin
+        The state's invariant.
+    """
+
+    equations: tuple[sp.Expr, ...] = ()
+    margins: tuple[Margin, ...] = ()
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A transition of a region, as text for people.
+
+    Attributes
+    ----------
+    cause : str
+        touchdown, liftoff, ... or the transition's name.
+    source, target : str
+        States of the region.
+    guard, reset : str
+        What fires it and what it does; "" where nothing is changed.
+    """
+
+    cause: str
+    source: str
+    target: str
+    guard: str
+    reset: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """An orthogonal region: its states, built when first asked for, and its edges.
+
+    Attributes
+    ----------
+    name : str
+        Of the region (a contact, a controller).
+    states : tuple of str
+        Names of its states.
+    build : callable
+        Name -> State.
+    edges : tuple of Edge
+        The region's own statechart.
+    groups : mapping
+        State -> the state as its declaration names it, where that differs (slide+ -> slide).
+    """
+
+    name: str
+    states: tuple[str, ...]
+    build: Callable[[str], State]
+    edges: tuple[Edge, ...]
+    groups: Mapping[str, str] = field(default_factory=dict)
+
+    def declared(self, state: str) -> str:
+        """Return the state as the declaration names it."""
+        return self.groups.get(state, state)
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """The numbers of one run.
+
+    Attributes
+    ----------
+    values : (p,) array
+        Of the automaton's parameters.
+    initial : (n,) array
+        Initial state.
+    tolerances : mapping
+        Kind of margin -> absolute tolerance, in the scene's own units.
+    relative : float
+        The relative tolerance that they follow from.
+    """
+
+    values: NDArray[np.float64]
+    initial: NDArray[np.float64]
+    tolerances: Mapping[str, float]
+    relative: float
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """What the executor does next: flow in a mode, possibly shown as another, possibly timed.
+
+    Attributes
+    ----------
+    mode : Key
+        The mode shown.
+    flow : Key or None
+        The mode whose equations apply; None: the state is held.
+    remaining : float
+        Time until the laws are asked again even if no margin falls (a Zeno sequence's
+        accumulation); inf otherwise.
+    """
+
+    mode: Key
+    flow: Key | None
+    remaining: float = float("inf")
+
+
+class Laws(Protocol):
+    """What happens at the instants between flows; the executor knows nothing else."""
+
+    def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
+        """Evaluate parameters, initial state and tolerances."""
+        ...
+
+    def begin(self, setup: Setup) -> tuple[Flow, NDArray[np.float64]]:
+        """Return the first mode and the state to start from."""
+        ...
+
+    def jump(
+        self,
+        setup: Setup,
+        clock: Clock,
+        j: int,
+        flow: Flow,
+        state: NDArray[np.float64],
+        fired: tuple[str, ...],
+    ) -> tuple[Jump, Flow] | None:
+        """Return the jump that the state calls for, or None when the mode holds."""
+        ...
+
+    def project(
+        self,
+        setup: Setup,
+        flow: Key,
+        state: NDArray[np.float64],
+        anchor: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return `state` brought back onto the constraints of `flow` (anchor: arc's start)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Automaton:
+    """Regions composed over shared unknowns; topology and modes on demand.
+
+    Attributes
+    ----------
+    name : str
+        Of the model.
+    declaration : Declaration
+        The document it was made from (outputs, stop, settings).
+    names, variables : tuple
+        Names and symbols of the state's variables.
+    parameter_names, parameters : tuple
+        Names and symbols of the parameters.
+    time : Symbol
+        Time, in expressions.
+    unknowns : tuple of Symbol
+        Solved for in every mode: accelerations and forces, or rates.
+    rates : tuple of Expr
+        d/dt of every variable, in variables and unknowns.
+    equations : tuple of Expr
+        The equations that hold in every mode, each = 0.
+    regions : tuple of Region
+        In the order of the keys.
+    stops : mapping
+        Stop condition -> margin that falls when it becomes true.
+    observables : mapping
+        Name -> expression; what outputs, tables and figures can show.
+    laws : Laws
+        Initial mode, jumps, projection.
+    idle : bool
+        True where an unknown that no state sets is zero (a chart's variable without a flow).
+    detect_zeno : bool
+        True where the executor must recognise Zeno sequences, because the laws do not.
+    """
+
+    name: str
+    declaration: Declaration
+    names: tuple[str, ...]
+    variables: tuple[sp.Symbol, ...]
+    parameter_names: tuple[str, ...]
+    parameters: tuple[sp.Symbol, ...]
+    time: sp.Symbol
+    unknowns: tuple[sp.Symbol, ...]
+    rates: tuple[sp.Expr, ...]
+    equations: tuple[sp.Expr, ...]
+    regions: tuple[Region, ...]
+    stops: Mapping[str, Margin]
+    observables: Mapping[str, sp.Expr]
+    laws: Laws
+    idle: bool = False
+    detect_zeno: bool = False
+
+    @property
+    def modes_total(self) -> int:
+        """Number of product modes, directions of sliding told apart."""
+        total = 1
+        for region in self.regions:
+            total *= len(region.states)
+        return total
+
+    @property
+    def modes_declared(self) -> int:
+        """Number of product modes as the declaration counts them (sliding without direction)."""
+        total = 1
+        for region in self.regions:
+            total *= len({region.declared(state) for state in region.states})
+        return total
+
+    @cached_property
+    def _outgoing(self) -> tuple[Mapping[str, tuple[Edge, ...]], ...]:
+        return tuple(
+            {s: tuple(e for e in region.edges if e.source == s) for s in region.states}
+            for region in self.regions
+        )
+
+    def successors(self, key: Key) -> Iterator[tuple[Key, Region, Edge]]:
+        """Yield the modes one edge of one region away from `key`."""
+        for place, (region, outgoing) in enumerate(zip(self.regions, self._outgoing, strict=True)):
+            for edge in outgoing[key[place]]:
+                yield (*key[:place], edge.target, *key[place + 1 :]), region, edge
+
+    def label(self, key: Key) -> str:
+        """Return the name of a mode: ``tip:slide+``, or ``A:free B:pin``."""
+        return " ".join(
+            f"{region.name}:{state}" for region, state in zip(self.regions, key, strict=True)
+        )

@@ -1,0 +1,102 @@
+"""Regions to modes: the equations of a mode, built when it is entered; the product's graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import product
+
+import networkx as nx
+import sympy as sp
+
+from statechart.automaton import Automaton, Margin
+from statechart.linear import Definition, solve_linear
+from statechart.trace import Key
+
+__all__ = ["Mode", "build_mode", "graph", "product_modes"]
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """A mode's equations, solved.
+
+    Attributes
+    ----------
+    key : Key
+        State of every region.
+    definitions : tuple of (Symbol, Expr)
+        Straight-line program for the unknowns.
+    rates : tuple of Expr
+        d/dt of every variable.
+    margins : tuple of Margin
+        The mode's invariant, stop conditions last.
+    """
+
+    key: Key
+    definitions: tuple[Definition, ...]
+    rates: tuple[sp.Expr, ...]
+    margins: tuple[Margin, ...]
+
+
+def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> Mode:
+    """Solve the equations of `key`.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        Where the regions are composed.
+    key : Key
+        One state per region.
+    zeros : frozenset of Symbol
+        Parameters that are exactly zero in the run; they are removed before solving, so that a
+        quotient such as 0 (I_G) over 0 (the cosine of a fallen stick) never arises.
+
+    Raises
+    ------
+    Singular
+        If the equations leave an unknown free whatever the numbers are.
+    """
+    states = [region.build(state) for region, state in zip(automaton.regions, key, strict=True)]
+    substitution = dict.fromkeys(zeros, sp.S.Zero)
+    equations = [
+        equation.xreplace(substitution)
+        for equation in (*automaton.equations, *(e for s in states for e in s.equations))
+    ]
+    if automaton.idle:
+        used = set().union(*(e.free_symbols for e in equations)) if equations else set()
+        equations += [unknown for unknown in automaton.unknowns if unknown not in used]
+    margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
+    return Mode(
+        key,
+        solve_linear(equations, automaton.unknowns),
+        tuple(rate.xreplace(substitution) for rate in automaton.rates),
+        tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins),
+    )
+
+
+def product_modes(automaton: Automaton) -> Iterable[Key]:
+    """Yield every product mode; their number is `automaton.modes_total`."""
+    return product(*(region.states for region in automaton.regions))
+
+
+def graph(automaton: Automaton, keys: Iterable[Key]) -> nx.MultiDiGraph:
+    """Return the part of the product automaton on `keys`, with guards and resets on its edges.
+
+    Nodes are keys; an edge has `region`, `cause`, `guard` and `reset`. Regions are orthogonal:
+    an edge changes one region, and simultaneous changes are paths of zero duration.
+    """
+    result = nx.MultiDiGraph(name=automaton.name)
+    kept = dict.fromkeys(keys)
+    result.add_nodes_from((key, {"label": automaton.label(key)}) for key in kept)
+    for key in kept:
+        for target, region, edge in automaton.successors(key):
+            if target in kept:
+                result.add_edge(
+                    key,
+                    target,
+                    region=region.name,
+                    cause=edge.cause,
+                    guard=edge.guard,
+                    reset=edge.reset,
+                )
+    return result

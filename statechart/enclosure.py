@@ -1,0 +1,313 @@
+"""The certified first fall of a margin along the polynomials of an integrator.
+
+A margin is declared as an expression, so it can be *enclosed*: its exact range over a piece of a
+step lies in an interval that the computer can find, and an interval above zero is a proof that
+nothing happens there. Branch and bound on the leftmost piece first therefore finds the first
+crossing, however narrow, or proves that there is none; looking at values cannot (R. E. Moore,
+"Interval Analysis", 1966; "Methods and Applications of Interval Analysis", 1979, chapter 5).
+
+Over step i of an arc, variable v is sum_k coeffs[i, v, k] s**k with s in [0, 1], at the local
+time tau = times[i] + s (times[i + 1] - times[i]) and the absolute time start + tau. These
+polynomials are taken as exact: what is proved is proved of them, not of the differential equation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from statechart import kernels
+from statechart.tape import Tape, plain
+
+__all__ = ["Crossing", "Search", "Verdict", "first_crossing", "integrals", "lowest", "sample"]
+
+
+class Verdict(Enum):
+    """How a search ended, in a sentence."""
+
+    NONE = "It is proved that no margin falls below minus its tolerance."
+    CROSSING = "The first crossing is located, and proved to be the first."
+    GRAZE = "A margin meets minus its tolerance too closely to tell whether it passes."
+    BUDGET = "The budget of boxes was spent before the search was decided."
+    NON_FINITE = "A polynomial or a margin is infinite or undefined."
+
+
+_VERDICTS = {
+    kernels.NONE: Verdict.NONE,
+    kernels.CROSSING: Verdict.CROSSING,
+    kernels.GRAZE: Verdict.GRAZE,
+    kernels.BUDGET: Verdict.BUDGET,
+    kernels.NON_FINITE: Verdict.NON_FINITE,
+}
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """A margin's fall, in place and local time of the arc.
+
+    Attributes
+    ----------
+    guard : int
+        Index of the margin; -1 in `Search.undecided` where it is no margin in particular.
+    step : int
+        Step that holds `time`.
+    s : float
+        Place in that step, in [0, 1].
+    time : float
+        Where the margin itself vanished on the descent that then passed -tolerance: the last
+        float64 place, to a few ulp, where it is still >= 0. If it is below 0 on all of that
+        descent, where the descent starts (the start of the chunk for one that starts below 0
+        and falls).
+    crossed : float
+        End of the bracket, >= `time`: margin + tolerance is certainly <= 0 there. At the end of
+        a step it may be zero to within rounding.
+    """
+
+    guard: int
+    step: int
+    s: float
+    time: float
+    crossed: float
+
+
+@dataclass(frozen=True)
+class Search:
+    """Result of `first_crossing`.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        How it ended.
+    crossing : Crossing or None
+        The crossing, if and only if the verdict is CROSSING.
+    boxes : int
+        Number of boxes looked at.
+    undecided : Crossing or None
+        The box [`time`, `crossed`] that could not be decided, for GRAZE, BUDGET and NON_FINITE;
+        all before it is proved clear.
+    """
+
+    verdict: Verdict
+    crossing: Crossing | None
+    boxes: int
+    undecided: Crossing | None = None
+
+
+def first_crossing(
+    tape: Tape,
+    tolerances: ArrayLike,
+    times: ArrayLike,
+    coeffs: ArrayLike,
+    parameters: ArrayLike,
+    start: float,
+    *,
+    budget: int = 100_000,
+) -> Search:
+    """Find the first place where an output of the tape falls below minus its tolerance.
+
+    The outputs are margins, >= 0 while a mode holds. With a tolerance > 0 a start on the surface
+    (margin 0) needs no cool-down. A margin that is zero to within rounding where a step starts
+    and provably rises from there does not fall: that is no event either. The end of a step
+    belongs to the step that ends there: a margin that falls and meets minus its tolerance to
+    within rounding exactly at the end of a chunk is reported, with s = 1, by that chunk. A margin
+    below minus its tolerance where a step starts crosses there.
+
+    Of several margins the one that passes minus its tolerance first is reported, of equal ones
+    that of lowest index. Others may fall at the same instant to within rounding: whoever acts
+    on an event looks at all of them.
+
+    Parameters
+    ----------
+    tape : Tape
+        Program of the margins.
+    tolerances : array, shape (n_out,)
+        How far below zero each margin may go, >= 0, in the margin's unit.
+    times : array, shape (n_steps + 1,)
+        Local times of the steps' ends, increasing.
+    coeffs : array, shape (n_steps, n_variables, degree + 1)
+        Polynomials of the steps.
+    parameters : array, shape (n_parameters,)
+        Values of the parameters.
+    start : float
+        Absolute time of the local time 0.
+    budget : int
+        Greatest number of boxes.
+
+    Returns
+    -------
+    Search
+        Verdict and crossing.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit or a tolerance is negative.
+    """
+    times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
+    tolerances = plain(tolerances)
+    if tolerances.shape != tape.outputs.shape or not (tolerances >= 0.0).all():
+        raise ValueError(f"expected {len(tape.outputs)} tolerances >= 0, got {tolerances}")
+    code, guard, step, s, far_step, far, boxes = kernels.search(
+        tape.code,
+        tape.constants,
+        tape.outputs,
+        tape.reads,
+        tape.n_fixed,
+        tolerances,
+        times,
+        coeffs,
+        parameters,
+        float(start),
+        budget,
+    )
+    verdict = _VERDICTS[code]
+    if verdict is Verdict.NONE:
+        return Search(verdict, None, boxes)
+    found = Crossing(guard, step, s, _time(times, step, s), _time(times, far_step, far))
+    if verdict is Verdict.CROSSING:
+        return Search(verdict, found, boxes)
+    return Search(verdict, None, boxes, found)
+
+
+def lowest(
+    tape: Tape,
+    times: ArrayLike,
+    coeffs: ArrayLike,
+    parameters: ArrayLike,
+    start: float,
+    per_step: int = 16,
+) -> NDArray[np.float64]:
+    """Return the least value of every output on a grid.
+
+    Parameters
+    ----------
+    tape, times, coeffs, parameters, start
+        As in `first_crossing`.
+    per_step : int
+        Intervals of the grid in each step; both ends belong to it.
+
+    Returns
+    -------
+    ndarray, shape (n_out,)
+        Least values, infinite if there is no step; not a number where an output was undefined.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit.
+    """
+    times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
+    return kernels.least_values(
+        tape.code,
+        tape.constants,
+        tape.outputs,
+        tape.reads,
+        tape.n_fixed,
+        times,
+        coeffs,
+        parameters,
+        float(start),
+        per_step,
+    )
+
+
+def integrals(
+    tape: Tape,
+    times: ArrayLike,
+    coeffs: ArrayLike,
+    parameters: ArrayLike,
+    start: float,
+    t_from: float,
+    t_to: float,
+) -> NDArray[np.float64]:
+    """Integrate every output over local time, by Gauss and Legendre with 16 nodes in a step.
+
+    Parameters
+    ----------
+    tape, times, coeffs, parameters, start
+        As in `first_crossing`.
+    t_from, t_to : float
+        Local times; what lies outside the steps does not count.
+
+    Returns
+    -------
+    ndarray, shape (n_out,)
+        Integrals, in the output's unit times that of time.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit.
+    """
+    times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
+    return kernels.integrate_outputs(
+        tape.code,
+        tape.constants,
+        tape.outputs,
+        tape.reads,
+        tape.n_fixed,
+        times,
+        coeffs,
+        parameters,
+        float(start),
+        float(t_from),
+        float(t_to),
+    )
+
+
+def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> NDArray[np.float64]:
+    """Evaluate the polynomials.
+
+    Parameters
+    ----------
+    coeffs : array, shape (n_steps, n, degree + 1)
+        Polynomials of the steps, at least one.
+    times : array, shape (n_steps + 1,)
+        Local times of the steps' ends.
+    tau : array, shape (m,)
+        Local times wanted; a joint belongs to the step that starts there, and outside the steps
+        the nearest polynomial is continued.
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+        States.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit.
+    """
+    coeffs, times, tau = plain(coeffs), plain(times), plain(tau)
+    if coeffs.ndim != 3 or len(coeffs) == 0 or times.shape != (len(coeffs) + 1,) or tau.ndim != 1:
+        raise ValueError(
+            f"coeffs, times and tau have shapes {coeffs.shape}, {times.shape} and {tau.shape}, "
+            "not (n_steps, n, degree + 1), (n_steps + 1,) and (m,) with a step at least"
+        )
+    return kernels.sample_states(coeffs, times, tau)
+
+
+def _arc(
+    tape: Tape, times: ArrayLike, coeffs: ArrayLike, parameters: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    times, coeffs, parameters = plain(times), plain(coeffs), plain(parameters)
+    tape.require(parameters)
+    if (
+        coeffs.ndim != 3
+        or times.shape != (len(coeffs) + 1,)
+        or coeffs.shape[1] != tape.n_variables
+    ):
+        raise ValueError(
+            f"times and coeffs have shapes {times.shape} and {coeffs.shape}, "
+            f"not (n_steps + 1,) and (n_steps, {tape.n_variables}, degree + 1)"
+        )
+    return times, coeffs, parameters
+
+
+def _time(times: NDArray[np.float64], step: int, s: float) -> float:
+    if s >= 1.0:
+        return float(times[step + 1])
+    return float(times[step] + s * (times[step + 1] - times[step]))

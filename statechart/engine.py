@@ -1,0 +1,324 @@
+"""The interface of an integrator, and the one loop that uses it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.automaton import Automaton
+from statechart.compose import Mode
+from statechart.enclosure import Crossing, Search, Verdict, first_crossing
+from statechart.errors import NonFinite, Undecided
+from statechart.tape import Tape, compile_tape
+
+__all__ = [
+    "Advance",
+    "CompiledMode",
+    "Engine",
+    "Steps",
+    "advance",
+    "compile_mode",
+    "rates_tape",
+]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledMode:
+    """A mode with its guards on tape, and what an engine made of its rates.
+
+    Attributes
+    ----------
+    mode : Mode
+        Equations and margins.
+    guards : Tape
+        Outputs: the margins, in order.
+    kinds : tuple of str
+        Kind of every margin.
+    stepper : object
+        The engine's own.
+    """
+
+    mode: Mode
+    guards: Tape
+    kinds: tuple[str, ...]
+    stepper: object
+
+
+@dataclass(eq=False)
+class Steps:
+    """Consecutive steps of an integrator.
+
+    Attributes
+    ----------
+    durations : (k,) array
+        Length of every step.
+    coefficients : (k, n, d + 1) array
+        As in `Arc`.
+    finished : bool
+        Whether the last step ends at the end of the duration asked for.
+    """
+
+    durations: Array
+    coefficients: Array
+    finished: bool
+
+
+class Engine(ABC):
+    """An integrator: it makes a mode's steps, and knows nothing of events.
+
+    An engine is created for one tolerance and may keep what it compiled for a mode.
+    """
+
+    name: str
+    method: str
+    tolerance: float
+
+    @abstractmethod
+    def compile(self, automaton: Automaton, mode: Mode) -> object:
+        """Return what `steps` needs to integrate `mode`."""
+
+    @abstractmethod
+    def steps(
+        self,
+        stepper: object,
+        parameters: Array,
+        start: float,
+        state: Array,
+        duration: float,
+        count: int,
+        resume: bool,
+    ) -> Steps:
+        """Take up to `count` steps.
+
+        Parameters
+        ----------
+        stepper : object
+            What `compile` returned.
+        parameters : (p,) array
+            Values of the automaton's parameters.
+        start : float
+            Absolute time at which `state` holds.
+        state : (n,) array
+            Where to start; not modified.
+        duration : float
+            Do not step beyond ``start + duration``; the last step ends there exactly.
+        count : int
+            At most so many steps.
+        resume : bool
+            True when `state` is where the last call with this stepper ended.
+
+        Raises
+        ------
+        StepFailure, NonFinite
+            When not a single step can be made.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Advance:
+    """What `advance` reached.
+
+    Attributes
+    ----------
+    times, coefficients : arrays
+        The arc, as in `Arc`.
+    state : (n,) array
+        Where it ends.
+    crossing : Crossing or None
+        The event that ended it; None at the end of the duration.
+    graze : bool
+        True when the event is one that could not be proved.
+    boxes, steps : int
+        Costs.
+    """
+
+    times: Array
+    coefficients: Array
+    state: Array
+    crossing: Crossing | None
+    graze: bool
+    boxes: int
+    steps: int
+
+
+@dataclass(eq=False)
+class _Collector:
+    times: list[Array] = field(default_factory=list)
+    coefficients: list[Array] = field(default_factory=list)
+
+    def arc(self, start: Array) -> tuple[Array, Array]:
+        if not self.times:
+            return np.zeros(1), np.zeros((0, len(start), 1))
+        degree = max(c.shape[2] for c in self.coefficients)
+        padded = [
+            c
+            if c.shape[2] == degree
+            else np.pad(c, ((0, 0), (0, 0), (0, degree - c.shape[2])))
+            for c in self.coefficients
+        ]
+        return np.concatenate([np.zeros(1), *self.times]), np.concatenate(padded)
+
+
+def compile_mode(engine: Engine, automaton: Automaton, mode: Mode) -> CompiledMode:
+    """Put the guards of `mode` on tape and let `engine` compile its rates."""
+    return CompiledMode(
+        mode,
+        compile_tape(
+            [margin.expression for margin in mode.margins],
+            variables=automaton.variables,
+            parameters=automaton.parameters,
+            time=automaton.time,
+            definitions=mode.definitions,
+        ),
+        tuple(margin.kind for margin in mode.margins),
+        engine.compile(automaton, mode),
+    )
+
+
+def advance(
+    engine: Engine,
+    compiled: CompiledMode,
+    *,
+    parameters: Array,
+    tolerances: Array,
+    start: float,
+    state: Array,
+    duration: float,
+    project: Callable[[Array, Array], Array],
+    on_steps: Callable[[float], None],
+) -> Advance:
+    """Flow in one mode to the first event or to the end of `duration`.
+
+    The integrator runs ahead by a few steps at a time; the search then proves, step by step, that
+    no margin fell, or finds the first that did. What was integrated beyond it is dropped.
+
+    Parameters
+    ----------
+    engine, compiled
+        Integrator and mode.
+    parameters : (p,) array
+        Values of the automaton's parameters.
+    tolerances : (g,) array
+        One per margin.
+    start : float
+        Absolute time.
+    state : (n,) array
+        State there.
+    duration : float
+        Longest flow.
+    project : callable
+        (state, anchor) -> state on the mode's constraints; the same object where they hold.
+    on_steps : callable
+        Called with the local time reached, now and then (progress, interruption).
+
+    Raises
+    ------
+    StepFailure, NonFinite, Undecided
+        When the flow cannot be continued.
+    """
+    collected = _Collector()
+    anchor = state
+    reached, boxes, total = 0.0, 0, 0
+    count, resume = _FIRST_CHUNK, False
+    while reached < duration:
+        steps = engine.steps(
+            compiled.stepper, parameters, start + reached, state, duration - reached, count, resume
+        )
+        taken = len(steps.durations)
+        local = reached + np.concatenate([np.zeros(1), np.cumsum(steps.durations)])
+        if steps.finished:
+            local[-1] = duration
+        total += taken
+        search = first_crossing(
+            compiled.guards, tolerances, local, steps.coefficients, parameters, start
+        )
+        boxes += search.boxes
+        crossing = _decide(search, compiled)
+        if crossing is not None:
+            at_force = compiled.kinds[crossing.guard] == "force"
+            end = crossing.crossed if at_force else crossing.time
+            return _cut(
+                collected, steps, local, end, crossing, anchor,
+                graze=search.verdict is Verdict.GRAZE, boxes=boxes, total=total,
+            )
+        collected.times.append(local[1:])
+        collected.coefficients.append(steps.coefficients)
+        reached = float(local[-1])
+        on_steps(reached)
+        ended = steps.coefficients[-1].sum(axis=1)
+        state = project(ended, anchor)
+        resume = state is ended
+        count = min(2 * count, _LONGEST_CHUNK)
+    times, coefficients = collected.arc(state)
+    return Advance(times, coefficients, state, None, False, boxes, total)
+
+
+_FIRST_CHUNK = 4
+_LONGEST_CHUNK = 64
+
+
+def _decide(search: Search, compiled: CompiledMode) -> Crossing | None:
+    if search.verdict is Verdict.NONE:
+        return None
+    if search.verdict in (Verdict.CROSSING, Verdict.GRAZE):
+        return search.crossing
+    names = ", ".join(margin.name for margin in compiled.mode.margins)
+    if search.verdict is Verdict.NON_FINITE:
+        raise NonFinite(f"a guard cannot be evaluated (one of: {names})")
+    raise Undecided(f"no decision within {search.boxes} boxes on one of the guards {names}")
+
+
+def _cut(
+    collected: _Collector,
+    steps: Steps,
+    local: Array,
+    end: float,
+    crossing: Crossing,
+    anchor: Array,
+    *,
+    graze: bool,
+    boxes: int,
+    total: int,
+) -> Advance:
+    """End the arc at local time `end`, inside or before the steps at hand."""
+    last = int(np.searchsorted(local, end, side="left"))
+    kept = max(last, 1)
+    times, coefficients = local[1 : kept + 1].copy(), steps.coefficients[:kept]
+    if end <= local[0]:
+        # The margin started falling before this chunk: give back what was already collected.
+        times, coefficients = times[:0], coefficients[:0]
+        state = _end_before(collected, end, anchor)
+    else:
+        begin = local[kept - 1]
+        s = (end - begin) / (local[kept] - begin)
+        times[-1] = end
+        coefficients = coefficients.copy()
+        coefficients[-1] *= s ** np.arange(coefficients.shape[2])
+        state = coefficients[-1].sum(axis=1)
+        collected.times.append(times)
+        collected.coefficients.append(coefficients)
+    all_times, all_coefficients = collected.arc(state)
+    return Advance(all_times, all_coefficients, state, crossing, graze, boxes, total)
+
+
+def _end_before(collected: _Collector, end: float, anchor: Array) -> Array:
+    if not collected.coefficients:
+        return anchor
+    return collected.coefficients[-1][-1].sum(axis=1)
+
+
+def rates_tape(automaton: Automaton, mode: Mode) -> Tape:
+    """Return the rates of `mode` as a tape."""
+    return compile_tape(
+        mode.rates,
+        variables=automaton.variables,
+        parameters=automaton.parameters,
+        time=automaton.time,
+        definitions=mode.definitions,
+    )

@@ -1,0 +1,141 @@
+"""SciPy's adaptive integrators, step by step, with their dense output as polynomials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import integrate
+
+from statechart.automaton import Automaton
+from statechart.compose import Mode
+from statechart.engine import Engine, Steps, rates_tape
+from statechart.errors import NonFinite, StepFailure
+from statechart.tape import Tape
+
+__all__ = ["METHODS", "SciPy"]
+
+Array = NDArray[np.float64]
+
+METHODS = ("RK45", "DOP853", "Radau", "LSODA")
+
+# solve_ivp refuses a relative tolerance below this.
+_LEAST = 100 * float(np.finfo(float).eps)
+
+
+@dataclass(eq=False)
+class _Stepper:
+    rates: Tape
+    solver: Any = None
+    suggested: float | None = None
+
+
+class SciPy(Engine):
+    """RK45, DOP853, Radau or LSODA.
+
+    Parameters
+    ----------
+    tolerance : float
+        Relative tolerance; the absolute one follows from the size of each variable.
+    method : str
+        One of `METHODS`.
+    """
+
+    name = "scipy"
+
+    def __init__(self, tolerance: float, method: str = "DOP853") -> None:
+        self.tolerance = max(tolerance, _LEAST)
+        self.method = method
+        self.evaluations = 0
+
+    def compile(self, automaton: Automaton, mode: Mode) -> _Stepper:
+        """Put the rates on tape."""
+        return _Stepper(rates_tape(automaton, mode))
+
+    def steps(
+        self,
+        stepper: object,
+        parameters: Array,
+        start: float,
+        state: Array,
+        duration: float,
+        count: int,
+        resume: bool,
+    ) -> Steps:
+        """Take one step: they are dear, and the constraints are projected after each."""
+        assert isinstance(stepper, _Stepper)
+        if not resume:
+            stepper.solver = self._solver(stepper, parameters, start, state, duration)
+        solver = stepper.solver
+        message = solver.step()
+        if solver.status == "failed":
+            raise StepFailure(f"{self.method} at t = {start:.17g}: {message}")
+        if not np.all(np.isfinite(solver.y)):
+            raise NonFinite(f"the state is not finite after t = {start:.17g}")
+        stepper.suggested = getattr(solver, "h_abs", None)
+        h = float(solver.t - solver.t_old)
+        coefficients = _polynomial(solver.dense_output(), h, solver.n)
+        return Steps(np.array([h]), coefficients[None], solver.status == "finished")
+
+    def _solver(
+        self, stepper: _Stepper, parameters: Array, start: float, state: Array, duration: float
+    ) -> Any:
+        values = stepper.rates.values
+
+        def rates(local: float, y: Array) -> Array:
+            self.evaluations += 1
+            return values(y, parameters, start + local)
+
+        magnitude = np.abs(state)
+        rate = np.abs(rates(0.0, state))
+        # A variable at zero is measured by the others: no absolute number of ours enters.
+        floor = max(float(magnitude.max(initial=0.0)), float(np.minimum(rate, 1e300).max()) or 1.0)
+        absolute = self.tolerance * np.maximum(magnitude, 1e-3 * floor)
+        options: dict[str, Any] = {"rtol": self.tolerance, "atol": absolute}
+        if stepper.suggested is not None and 0 < stepper.suggested < duration:
+            options["first_step"] = stepper.suggested
+        solver = getattr(integrate, self.method)
+        return solver(rates, 0.0, state.copy(), duration, **options)
+
+
+def _polynomial(dense: Any, h: float, n: int) -> Array:
+    """Return the dense output of a step of length `h` as (n, d + 1) coefficients in s = t / h."""
+    kind = type(dense).__name__
+    if kind == "RkDenseOutput":
+        # y_old + h Q (s, s^2, ...)
+        return np.concatenate([dense.y_old[:, None], h * dense.Q], axis=1)
+    if kind == "RadauDenseOutput":
+        return np.concatenate([dense.y_old[:, None], dense.Q], axis=1)
+    if kind == "Dop853DenseOutput":
+        return _dop853(dense.y_old, dense.F)
+    if kind == "LsodaDenseOutput":
+        return _nordsieck(dense, h)
+    # A step over which nothing changes (a constant dense output).
+    return np.asarray(dense(dense.t_old))[:, None]
+
+
+def _dop853(old: Array, f: Array) -> Array:
+    """Expand the nested form of DOP853: factors s and 1 - s in turn (Hairer, Norsett, Wanner)."""
+    result = np.zeros((len(old), len(f) + 1))
+    for i, row in enumerate(f[::-1]):
+        result[:, 0] += row
+        shifted = np.zeros_like(result)
+        shifted[:, 1:] = result[:, :-1]
+        result = shifted if i % 2 == 0 else result - shifted
+    result[:, 0] += old
+    return result
+
+
+def _nordsieck(dense: Any, h: float) -> Array:
+    """Shift LSODA's Nordsieck array, which is centred at the end of the step, to its start."""
+    scaled = np.asarray(dense.yh) * (h / dense.h) ** dense.p
+    degree = scaled.shape[1] - 1
+    # (s - 1)^k in powers of s.
+    shift = np.zeros((degree + 1, degree + 1))
+    shift[0, 0] = 1.0
+    for k in range(1, degree + 1):
+        shift[k, 1:] += shift[k - 1, :-1]
+        shift[k] -= shift[k - 1]
+    return scaled @ shift

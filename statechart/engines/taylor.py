@@ -1,0 +1,203 @@
+"""Taylor's method of high order, by heyoka (Biscani and Izzo, MNRAS 504, 2021).
+
+Steps and polynomials are heyoka's; its own event detection is not used, because it samples.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import heyoka as hy
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from statechart.automaton import Automaton
+from statechart.compose import Mode
+from statechart.engine import Engine, Steps
+from statechart.errors import NonFinite, StepFailure, StatechartError
+
+__all__ = ["Taylor", "Unsupported"]
+
+Array = NDArray[np.float64]
+
+
+class Unsupported(StatechartError):
+    """A formula that has no Taylor series everywhere (abs, sign, min, max)."""
+
+
+@dataclass(eq=False)
+class _Stepper:
+    integrator: Any
+    used: Array  # indices of the automaton's parameters that the equations mention
+    powers: Array  # exponents 0 .. order
+    parametric: bool
+    buffer: Array
+
+
+class Taylor(Engine):
+    """Adaptive Taylor integration with dense output of the order of the method.
+
+    Parameters
+    ----------
+    tolerance : float
+        Relative tolerance; the order follows from it (20 at 2.2e-16).
+    """
+
+    name = "taylor"
+    method = "taylor"
+
+    def __init__(self, tolerance: float) -> None:
+        self.tolerance = max(tolerance, float(np.finfo(float).eps))
+
+    def compile(self, automaton: Automaton, mode: Mode) -> _Stepper:
+        """Compile the rates; identical modes come from heyoka's cache on disk."""
+        convert = _Converter(automaton)
+        for symbol, expression in mode.definitions:
+            convert.known[symbol] = convert(expression)
+        states = [hy.expression(f"v{i}") for i in range(len(automaton.variables))]
+        system = [
+            (variable, convert(rate)) for variable, rate in zip(states, mode.rates, strict=True)
+        ]
+        used = np.array(convert.used, dtype=np.intp)
+        integrator = hy.taylor_adaptive(
+            system,
+            [0.0] * len(states),
+            # The first is the start of the arc; heyoka wants no more than it uses.
+            pars=[1.0] * (len(used) + 1 if len(used) or convert.timed else 0),
+            tol=self.tolerance,
+            # Modes are small: loops in the compiled code cost more than they save in size.
+            compact_mode=len(mode.definitions) > 60,
+        )
+        order = integrator.order
+        return _Stepper(
+            integrator,
+            used,
+            np.arange(order + 1, dtype=float),
+            bool(len(used) or convert.timed),
+            np.empty((64, len(states), order + 1)),
+        )
+
+    def steps(
+        self,
+        stepper: object,
+        parameters: Array,
+        start: float,
+        state: Array,
+        duration: float,
+        count: int,
+        resume: bool,
+    ) -> Steps:
+        """Take up to `count` steps (see `Engine`)."""
+        assert isinstance(stepper, _Stepper)
+        integrator, buffer = stepper.integrator, stepper.buffer
+        if not resume:
+            integrator.time = 0.0
+            integrator.state[:] = state
+            if stepper.parametric:
+                integrator.pars[0] = start
+                integrator.pars[1:] = parameters[stepper.used]
+        durations = np.empty(count)
+        step, left, taken, finished = integrator.step, duration, 0, False
+        while taken < count:
+            outcome, h = step(max_delta_t=left, write_tc=True)
+            if outcome is not _SUCCESS and outcome is not _LIMIT:
+                break
+            buffer[taken] = integrator.tc
+            durations[taken] = h
+            taken += 1
+            left -= h
+            if outcome is _LIMIT:
+                finished = True
+                break
+            if h == 0.0:
+                raise StepFailure(f"the step at t = {start:.17g} underflowed")
+        if taken == 0:
+            raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
+        durations = durations[:taken]
+        with np.errstate(over="ignore", invalid="ignore"):
+            coefficients = buffer[:taken] * (durations[:, None] ** stepper.powers)[:, None, :]
+        return Steps(durations, coefficients, finished)
+
+
+_SUCCESS = hy.taylor_outcome.success
+_LIMIT = hy.taylor_outcome.time_limit
+
+_FUNCTIONS: dict[Any, Callable[..., Any]] = {
+    sp.sin: hy.sin,
+    sp.cos: hy.cos,
+    sp.tan: hy.tan,
+    sp.exp: hy.exp,
+    sp.log: hy.log,
+    sp.asin: hy.asin,
+    sp.acos: hy.acos,
+    sp.atan: hy.atan,
+    sp.atan2: hy.atan2,
+    sp.sinh: hy.sinh,
+    sp.cosh: hy.cosh,
+    sp.tanh: hy.tanh,
+}
+
+
+class _Converter:
+    """SymPy to heyoka, one heyoka node per SymPy node, parameters renumbered as they are met."""
+
+    def __init__(self, automaton: Automaton) -> None:
+        self.known: dict[sp.Expr, Any] = {
+            symbol: hy.expression(f"v{i}") for i, symbol in enumerate(automaton.variables)
+        }
+        self.used: list[int] = []
+        self.timed = False
+        self._parameters = {symbol: i for i, symbol in enumerate(automaton.parameters)}
+        self._time = automaton.time
+
+    def __call__(self, expression: sp.Expr) -> Any:
+        found = self.known.get(expression)
+        if found is None:
+            found = self.known[expression] = self._convert(expression)
+        return found
+
+    def _convert(self, node: sp.Expr) -> Any:
+        if node.is_Symbol:
+            return self._symbol(node)
+        if node.is_number:
+            return hy.expression(float(node))
+        if node.is_Add:
+            return functools.reduce(operator.add, (self(a) for a in node.args))
+        if node.is_Mul:
+            return functools.reduce(operator.mul, (self(a) for a in node.args))
+        if node.is_Pow:
+            return self._power(*node.args)
+        function = _FUNCTIONS.get(node.func)
+        if function is None:
+            raise Unsupported(
+                f"the Taylor engine cannot expand {node.func}() in a flow; use engine: scipy"
+            )
+        return function(*(self(argument) for argument in node.args))
+
+    def _symbol(self, node: sp.Symbol) -> Any:
+        if node == self._time:
+            # heyoka's time runs from zero in every arc, so that late arcs lose nothing.
+            self.timed = True
+            return hy.time + hy.par[0]
+        index = self._parameters.get(node)
+        if index is None:
+            raise StatechartError(f"the unknown {node} is used before it is determined")
+        if index not in self.used:
+            self.used.append(index)
+        return hy.par[self.used.index(index) + 1]
+
+    def _power(self, base: sp.Expr, exponent: sp.Expr) -> Any:
+        if exponent == -1:
+            return 1.0 / self(base)
+        if exponent == sp.Rational(1, 2):
+            return hy.sqrt(self(base))
+        if exponent == sp.Rational(-1, 2):
+            return 1.0 / hy.sqrt(self(base))
+        if exponent.is_number:
+            return self(base) ** float(exponent)
+        return hy.exp(self(exponent) * hy.log(self(base)))

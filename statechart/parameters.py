@@ -1,0 +1,116 @@
+"""From declared parameters to the numbers of a run, on tape so that sweeps are cheap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from statechart.errors import DeclarationProblem
+from statechart.formula import (
+    Formula,
+    close_matches,
+    evaluate_parameters,
+    order_parameters,
+    parse,
+)
+from statechart.tape import Tape, compile_tape
+
+__all__ = ["Parameters"]
+
+Array = NDArray[np.float64]
+
+_NO_VARIABLES = np.zeros(0)
+_TIME = sp.Symbol("time", real=True)
+
+
+class Parameters:
+    """Named formulas of each other, and expressions of them, evaluated together.
+
+    Parameters
+    ----------
+    formulas : mapping
+        Parameter -> what was declared.
+    derived : mapping
+        Name -> expression in the parameters' symbols; appended to the parameters.
+    further : sequence of Expr
+        Expressions evaluated with them (an initial state), in parameters and derived ones.
+    """
+
+    def __init__(
+        self,
+        formulas: Mapping[str, str | int | float],
+        derived: Callable[[Mapping[str, sp.Symbol]], Mapping[str, sp.Expr]],
+        further: Callable[[Mapping[str, sp.Symbol]], Sequence[sp.Expr]],
+    ) -> None:
+        self._formulas: dict[str, Formula] = {n: parse(f) for n, f in formulas.items()}
+        # Neutral symbols: SymPy gives names such as I or beta a meaning of its own.
+        declared = {
+            name: sp.Symbol(f"p{i}", real=True) for i, name in enumerate(self._formulas)
+        }
+        extra = derived(declared)
+        self.symbols: dict[str, sp.Symbol] = dict(declared)
+        for i, name in enumerate(extra):
+            self.symbols[name] = sp.Symbol(f"d{i}", real=True)
+        self.names = tuple(self.symbols)
+        self._declared = tuple(declared)
+        self._derived = tuple(extra.values())
+        self._further = tuple(further(self.symbols))
+        self._tapes: dict[frozenset[str], tuple[Tape, tuple[str, ...]]] = {}
+        self._literals = {
+            name: formula.value({})
+            for name, formula in self._formulas.items()
+            if not formula.names
+        }
+
+    def values(self, overrides: Mapping[str, float]) -> tuple[Array, Array]:
+        """Return the parameters (derived ones last) and the further expressions.
+
+        Raises
+        ------
+        DeclarationProblem
+            If an override names no parameter or is not a number.
+        FormulaError
+            If a formula has no value there.
+        """
+        for name, value in overrides.items():
+            if name not in self._formulas:
+                raise DeclarationProblem(
+                    f"no parameter {name!r}", advice=close_matches(name, self._declared)
+                )
+            if value != value:
+                raise DeclarationProblem(f"parameter {name!r} is not a number")
+        given = frozenset(overrides).difference(self._literals)
+        if given not in self._tapes:
+            self._tapes[given] = self._tape(given)
+        tape, inputs = self._tapes[given]
+        numbers = np.array(
+            [overrides.get(name, self._literals.get(name, np.nan)) for name in inputs]
+        )
+        found = tape.values(_NO_VARIABLES, numbers, 0.0)
+        parameters, further = found[: len(self.names)], found[len(self.names) :]
+        if np.isnan(found).any():
+            # Evaluated one by one, the formula at fault is named.
+            evaluate_parameters(self._formulas, dict(overrides))
+        return parameters, further
+
+    def _tape(self, given: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:
+        inputs = tuple(n for n in self._declared if n in self._literals or n in given)
+        definitions: list[tuple[sp.Symbol, sp.Expr]] = []
+        known = {name: self.symbols[name] for name in self._declared}
+        for name in order_parameters(self._formulas):
+            if name not in inputs:
+                definitions.append((self.symbols[name], self._formulas[name].to_sympy(known)))
+        derived = self.names[len(self._declared) :]
+        for name, expression in zip(derived, self._derived, strict=True):
+            definitions.append((self.symbols[name], expression))
+        tape = compile_tape(
+            [*self.symbols.values(), *self._further],
+            variables=(),
+            parameters=[self.symbols[name] for name in inputs],
+            time=_TIME,
+            definitions=definitions,
+        )
+        return tape, inputs

@@ -1,0 +1,369 @@
+"""The loop on hybrid time: flow to the first event, ask the laws, jump, flow on."""
+
+from __future__ import annotations
+
+import sys
+import time as wall
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from statechart.automaton import Automaton, Flow, Setup
+from statechart.compose import build_mode
+from statechart.engine import CompiledMode, Engine, advance, compile_mode
+from statechart.errors import EventLoop, SimulationError
+from statechart.linear import Singular
+from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace
+from statechart.zeno import Accumulation
+
+__all__ = ["Simulator"]
+
+Array = NDArray[np.float64]
+
+# More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
+_JUMPS_AT_ONCE = 64
+_PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown
+
+
+class Simulator:
+    """An automaton on an engine: modes are compiled when first entered and kept between runs.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        What to run.
+    engine : Engine
+        How to integrate.
+    progress : bool
+        Whether runs above about a second report to stderr.
+    """
+
+    def __init__(
+        self, automaton: Automaton, engine: Engine, *, progress: bool = False
+    ) -> None:
+        self.automaton = automaton
+        self.engine = engine
+        self.progress = progress
+        self._compiled: dict[tuple[Key, frozenset[sp.Symbol]], CompiledMode] = {}
+        self._structural: dict[Key, frozenset[sp.Symbol]] = {}
+
+    def run(
+        self,
+        parameters: Mapping[str, float] | None = None,
+        *,
+        until: float,
+        max_jumps: int = 100_000,
+        throw: bool = True,
+    ) -> Trace:
+        """Run from the declared initial state.
+
+        Parameters
+        ----------
+        parameters : mapping
+            Overrides, name -> value.
+        until : float
+            End of the run, in the scene's time.
+        max_jumps : int
+            End after so many jumps.
+        throw : bool
+            Raise on an outcome that is not an end the declaration names; else return the trace.
+
+        Returns
+        -------
+        Trace
+
+        Raises
+        ------
+        DeclarationError
+            If a parameter is unknown or the initial state is inconsistent.
+        SimulationError
+            With the trace so far, where the run cannot go on and `throw` is set.
+        """
+        setup = self.automaton.laws.setup(parameters or {}, self.engine.tolerance)
+        run = _Run(self, setup, until, max_jumps)
+        try:
+            run.loop()
+        except KeyboardInterrupt:
+            run.end(Outcome.INTERRUPTED, "interrupted by the user")
+        except Singular as error:
+            run.end(Outcome.SINGULAR_MODE, f"mode {run.mode_label}: {error}")
+        except SimulationError as error:
+            run.end(Outcome[error.outcome.upper()], f"mode {run.mode_label}: {error}")
+        trace = run.trace()
+        if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
+            raise _ERRORS.get(trace.outcome, SimulationError)(trace.message, trace=trace)
+        return trace
+
+    def compiled(self, key: Key, setup: Setup) -> CompiledMode:
+        """Return the mode `key`, compiled for the parameters that are zero in `setup`."""
+        zeros = frozenset(
+            symbol
+            for symbol, value in zip(self.automaton.parameters, setup.values, strict=True)
+            if value == 0.0
+        )
+        structural = self._structural.get(key)
+        if structural is None:
+            structural = self._structural[key] = self._symbols(key)
+        zeros &= structural
+        found = self._compiled.get((key, zeros))
+        if found is None:
+            mode = build_mode(self.automaton, key, zeros)
+            found = compile_mode(self.engine, self.automaton, mode)
+            self._compiled[key, zeros] = found
+        return found
+
+    def _symbols(self, key: Key) -> frozenset[sp.Symbol]:
+        automaton = self.automaton
+        parts = list(automaton.equations) + list(automaton.rates)
+        for region, name in zip(automaton.regions, key, strict=True):
+            parts += region.build(name).equations
+        used: set[sp.Symbol] = set().union(*(part.free_symbols for part in parts))
+        return frozenset(used)
+
+    @property
+    def modes_built(self) -> int:
+        """Number of modes whose equations were built so far."""
+        return len({key for key, _ in self._compiled})
+
+
+@dataclass(eq=False)
+class _Run:
+    simulator: Simulator
+    setup: Setup
+    until: float
+    max_jumps: int
+    clock: Clock = field(default_factory=Clock)
+    arcs: list[Arc] = field(default_factory=list)
+    jumps: list[Jump] = field(default_factory=list)
+    outcome: Outcome = Outcome.HORIZON
+    message: str = ""
+    warnings: dict[str, None] = field(default_factory=dict)
+    evidence: dict[str, str] = field(default_factory=dict)
+    boxes: int = 0
+    steps: int = 0
+    entered: set[Key] = field(default_factory=set)
+    stalled: tuple[float, float, tuple[str, ...]] | None = None
+
+    def __post_init__(self) -> None:
+        self.flow: Flow | None = None
+        self.state = self.setup.initial
+        self.started_mode: Key | None = None
+        self.started_state = self.setup.initial
+        self._began = wall.perf_counter()
+        self._shown = self._began
+        self._accumulation = Accumulation()
+
+    @property
+    def mode_label(self) -> str:
+        return "at the start" if self.flow is None else self.simulator.automaton.label(self.flow.mode)
+
+    def end(self, outcome: Outcome, message: str) -> None:
+        self.outcome, self.message = outcome, message
+
+    def loop(self) -> None:
+        laws = self.simulator.automaton.laws
+        self.flow, self.state = laws.begin(self.setup)
+        self.started_mode, self.started_state = self.flow.mode, self.state
+        fired: tuple[str, ...] = ()
+        if self._settle(fired):
+            return
+        while True:
+            fired = self._flow()
+            if self.outcome is Outcome.STOPPED:
+                return
+            if not fired:
+                self.message = f"reached t = {self.clock.high:.17g}"
+                return
+            if self._settle(fired):
+                return
+
+    def _flow(self) -> tuple[str, ...]:
+        """Flow to the next event; return what fired, or nothing at the end of the run."""
+        flow = self.flow
+        assert flow is not None
+        left = self.clock.until(self.until)
+        duration = min(left, flow.remaining)
+        if duration <= 0.0:
+            return () if left <= 0.0 else ("zeno",)
+        if flow.flow is None:
+            return self._hold(duration)
+        compiled = self.simulator.compiled(flow.flow, self.setup)
+        self.entered.add(flow.flow)
+        tolerances = self.setup.tolerances
+        reached = advance(
+            self.simulator.engine,
+            compiled,
+            parameters=self.setup.values,
+            tolerances=np.array([tolerances[kind] for kind in compiled.kinds]),
+            start=self.clock.high,
+            state=self.state,
+            duration=duration,
+            project=self._projector(flow.flow),
+            on_steps=self._show if self.simulator.progress else _silent,
+        )
+        self.boxes += reached.boxes
+        self.steps += reached.steps
+        if len(reached.times) > 1:
+            self.arcs.append(
+                Arc(
+                    flow.mode, flow.flow, self.clock, len(self.jumps),
+                    reached.times, reached.coefficients,
+                )
+            )
+        elapsed = float(reached.times[-1])
+        self.clock = self.clock.later(elapsed)
+        self.state = reached.state
+        self.flow = Flow(flow.mode, flow.flow, flow.remaining - elapsed)
+        if reached.crossing is None:
+            return () if duration == left else ("zeno",)
+        margin = compiled.mode.margins[reached.crossing.guard]
+        if reached.graze:
+            self.evidence[margin.name] = "graze: touches zero within the last bits of time"
+            self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.17g}"] = None
+        if margin in self.simulator.automaton.stops.values():
+            self._stop(margin.name)
+        return (margin.name,)
+
+    def _stop(self, name: str) -> None:
+        assert self.flow is not None
+        self.jumps.append(
+            Jump(
+                self.clock.high, len(self.jumps), "", "stop", self.flow.mode, self.flow.mode,
+                self.state, self.state, fired=(name,),
+            )
+        )
+        self.end(Outcome.STOPPED, f"{name} at t = {self.clock.high:.17g}")
+
+    def _settle(self, fired: tuple[str, ...]) -> bool:
+        """Jump until the mode holds; True when the run ends here."""
+        laws = self.simulator.automaton.laws
+        moved = False
+        for _ in range(_JUMPS_AT_ONCE):
+            assert self.flow is not None
+            made = laws.jump(
+                self.setup, self.clock, len(self.jumps), self.flow, self.state, fired
+            )
+            if made is None:
+                break
+            moved = True
+            jump, self.flow = made
+            self.jumps.append(jump)
+            self.state = jump.after
+            if self.simulator.automaton.detect_zeno and self._accumulates(jump):
+                return True
+            fired = ()
+            if len(self.jumps) >= self.max_jumps:
+                self.end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
+                return True
+        else:
+            recent = ", ".join(
+                f"{jump.cause} -> {self.simulator.automaton.label(jump.target)}"
+                for jump in self.jumps[-6:]
+            )
+            raise EventLoop(f"{_JUMPS_AT_ONCE} jumps at t = {self.clock.high:.17g}: {recent}")
+        if fired and not moved:
+            self._stall(fired)
+        return False
+
+    def _accumulates(self, jump: Jump) -> bool:
+        """Skip the rest of a Zeno sequence where the region says what follows; else end."""
+        rest = self._accumulation.watch(jump, self.clock, self.setup.relative)
+        if rest is None:
+            return False
+        automaton = self.simulator.automaton
+        place = [region.name for region in automaton.regions].index(jump.region)
+        edges = automaton.regions[place].edges
+        if not any(e.cause == "zeno" and e.source == jump.target[place] for e in edges):
+            self.end(
+                Outcome.ZENO,
+                f"{jump.region}: '{jump.cause}' accumulates at "
+                f"t = {self.clock.later(rest).high:.17g}; declare a transition 'on: zeno'",
+            )
+            return True
+        self.flow = Flow(jump.target, None, rest)
+        return False
+
+    def _hold(self, duration: float) -> tuple[str, ...]:
+        """Let `duration` pass with the state held: the skipped rest of a Zeno sequence."""
+        assert self.flow is not None
+        self.arcs.append(
+            Arc(
+                self.flow.mode, None, self.clock, len(self.jumps),
+                np.array([0.0, duration]), self.state[None, :, None],
+            )
+        )
+        ended = self.clock.until(self.until) <= duration
+        self.clock = self.clock.later(duration)
+        return () if ended else ("zeno",)
+
+    def _stall(self, fired: tuple[str, ...]) -> None:
+        """A margin fell and the laws keep the mode: once is a graze, again and again a loop."""
+        now = (self.clock.high, self.clock.low, fired)
+        if self.stalled == now:
+            raise EventLoop(f"{', '.join(fired)} falls at t = {now[0]:.17g}, but no jump follows")
+        self.stalled = now
+
+    def _projector(self, flow: Key) -> Callable[[Array, Array], Array]:
+        project, setup = self.simulator.automaton.laws.project, self.setup
+        return lambda state, anchor: project(setup, flow, state, anchor)
+
+    def _show(self, local: float) -> None:
+        now = wall.perf_counter()
+        if now - self._shown < _PROGRESS_AFTER:
+            return
+        self._shown = now
+        sys.stderr.write(
+            f"t = {self.clock.high + local:.6g} of {self.until:g}, {len(self.jumps)} jumps, "
+            f"{self.steps} steps, {now - self._began:.0f} s\n"
+        )
+        sys.stderr.flush()
+
+    def trace(self) -> Trace:
+        simulator = self.simulator
+        automaton, engine = simulator.automaton, simulator.engine
+        guards = {
+            margin.name
+            for key in self.entered
+            for margin in simulator.compiled(key, self.setup).mode.margins
+        }
+        evidence = {name: self.evidence.get(name, "interval enclosure") for name in sorted(guards)}
+        start = self.started_mode or tuple(r.states[0] for r in automaton.regions)
+        return Trace(
+            name=automaton.name,
+            regions=tuple(region.name for region in automaton.regions),
+            variables=automaton.names,
+            parameters=dict(zip(automaton.parameter_names, map(float, self.setup.values), strict=True)),
+            arcs=tuple(self.arcs),
+            jumps=tuple(self.jumps),
+            initial=self.started_state,
+            final=self.state,
+            start_mode=start,
+            final_mode=self.flow.mode if self.flow else start,
+            t_end=self.clock.high,
+            outcome=self.outcome,
+            message=self.message,
+            certified=not self.evidence and self.outcome not in _UNCERTIFIED,
+            evidence=evidence,
+            tolerances=dict(self.setup.tolerances),
+            engine=engine.name if engine.name == engine.method else f"{engine.name} {engine.method}",
+            tolerance=engine.tolerance,
+            warnings=tuple(self.warnings),
+            counts={
+                "steps": self.steps,
+                "evaluations": getattr(engine, "evaluations", 0),
+                "boxes": self.boxes,
+                "jumps": len(self.jumps),
+                "modes_built": simulator.modes_built,
+            },
+        )
+
+
+_ERRORS = {Outcome[e.outcome.upper()]: e for e in SimulationError.__subclasses__()}
+_UNCERTIFIED = (Outcome.UNDECIDED, Outcome.NON_FINITE)
+
+
+def _silent(local: float) -> None:
+    """Report nothing."""

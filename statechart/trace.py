@@ -1,0 +1,233 @@
+"""What a run leaves behind: arcs and jumps on hybrid time (t, j)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Arc", "Clock", "Jump", "Key", "Outcome", "Trace"]
+
+Key = tuple[str, ...]
+"""A product mode: the state of every region, in the automaton's order."""
+
+
+class Outcome(Enum):
+    """Why a run ended, as a sentence that a user can act on."""
+
+    HORIZON = "The end of the time asked for was reached."
+    STOPPED = "A stop condition of the declaration was met."
+    INTERRUPTED = "The run was interrupted; the trace ends where it was."
+    NO_CONSISTENT_MODE = "No mode of the contacts agrees with the state: see the margins."
+    AMBIGUOUS_MODE = "Several modes agree with the state and move it differently: see the margins."
+    EVENT_LOOP = "Too many jumps at one instant: the modes listed follow one another for ever."
+    TOO_MANY_JUMPS = "More jumps than settings.max_jumps: raise it, or shorten the run."
+    STEP_FAILURE = "The integrator could not go on with the accuracy asked for."
+    NON_FINITE = "A variable or a guard became infinite or undefined."
+    UNDECIDED = "A guard could not be decided within its budget of boxes."
+    ZENO = "Jumps accumulate at a finite time and nothing declared says what follows."
+    INITIAL_PENETRATION = "The run would start inside a surface."
+    SINGULAR_MODE = "The equations of the mode entered do not determine the motion."
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the run reached an end that its declaration names."""
+        return self in (Outcome.HORIZON, Outcome.STOPPED)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Time as an unevaluated sum of two floats, so that long runs keep their resolution.
+
+    Attributes
+    ----------
+    high, low : float
+        The time is ``high + low``; ``|low|`` is at most half an ulp of ``high``.
+    """
+
+    high: float = 0.0
+    low: float = 0.0
+
+    def later(self, duration: float) -> Clock:
+        """Return the clock `duration` later (Knuth's two-sum)."""
+        total = self.high + duration
+        part = total - self.high
+        error = (self.high - (total - part)) + (duration - part) + self.low
+        high = total + error
+        return Clock(high, error - (high - total))
+
+    def until(self, end: float) -> float:
+        """Return the time left until `end`."""
+        return (end - self.high) - self.low
+
+
+@dataclass(frozen=True, eq=False)
+class Arc:
+    """One flow between two jumps: a polynomial in time for every variable and step.
+
+    Attributes
+    ----------
+    mode : Key
+        The mode that the trace shows.
+    flow : Key or None
+        The mode whose equations moved the state. It differs from `mode` only while the bounces
+        of a Zeno sequence are skipped: the contact still is `free`, and moves as if closed; None
+        where the state is held meanwhile.
+    start : Clock
+        When the arc starts.
+    j : int
+        Number of jumps before it.
+    times : (k + 1,) array
+        Local times of the steps' ends, the first 0.
+    coefficients : (k, n, d + 1) array
+        Variable v over step i is ``sum(coefficients[i, v] * s**arange(d + 1))``, s in [0, 1].
+    """
+
+    mode: Key
+    flow: Key | None
+    start: Clock
+    j: int
+    times: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+
+    @property
+    def duration(self) -> float:
+        """Length of the arc."""
+        return float(self.times[-1])
+
+    @property
+    def end(self) -> Clock:
+        """When the arc ends."""
+        return self.start.later(self.duration)
+
+    def states(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the states (m, n) at local times `local` (m,), 0 <= local <= duration."""
+        from statechart.enclosure import sample
+
+        return sample(self.coefficients, self.times, np.ascontiguousarray(local, dtype=float))
+
+
+@dataclass(frozen=True, eq=False)
+class Jump:
+    """One discrete transition.
+
+    Attributes
+    ----------
+    t : float
+        When.
+    j : int
+        Number of jumps before it.
+    region : str
+        The region (contact) that it is about; "" for a stop of the whole run.
+    cause : str
+        touchdown, liftoff, slip, stick, reverse, zeno, stop, or a chart's transition.
+    source, target : Key
+        Mode before and after.
+    before, after : (n,) array
+        State before and after.
+    fired : tuple of str
+        The margins that fell.
+    impulse : mapping
+        Region -> (normal, tangential) impulse.
+    considered : mapping
+        Candidate mode -> why it was taken or not.
+    energy : (float, float) or None
+        Before and after, where the automaton has an energy.
+    skipped : float
+        Time skipped at a Zeno point: from the last bounce that was resolved to the accumulation.
+    """
+
+    t: float
+    j: int
+    region: str
+    cause: str
+    source: Key
+    target: Key
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+    fired: tuple[str, ...] = ()
+    impulse: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    considered: Mapping[str, str] = field(default_factory=dict)
+    energy: tuple[float, float] | None = None
+    skipped: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """A run.
+
+    Attributes
+    ----------
+    name : str
+        Of the model.
+    regions, variables : tuple of str
+        Names, in the order of the keys and of the states.
+    parameters : mapping
+        Name -> value, of this run.
+    arcs, jumps : tuple
+        In order; an arc's `j` says how many jumps precede it.
+    initial, final : (n,) array
+        First and last state.
+    start_mode, final_mode : Key
+        First and last mode.
+    t_end : float
+        When the run ended.
+    outcome : Outcome
+        Why it ended.
+    message : str
+        The outcome in words, with the evidence.
+    certified : bool
+        True when every guard of every step was decided by enclosure.
+    evidence : mapping
+        Margin -> how its first crossing was decided.
+    tolerances : mapping
+        Kind of margin -> absolute tolerance used.
+    engine : str
+        Engine and method.
+    tolerance : float
+        Relative tolerance of the integration.
+    warnings : tuple of str
+        What a reader must know.
+    counts : mapping
+        Steps, evaluations, boxes, jumps, modes built.
+    """
+
+    name: str
+    regions: tuple[str, ...]
+    variables: tuple[str, ...]
+    parameters: Mapping[str, float]
+    arcs: tuple[Arc, ...]
+    jumps: tuple[Jump, ...]
+    initial: NDArray[np.float64]
+    final: NDArray[np.float64]
+    start_mode: Key
+    final_mode: Key
+    t_end: float
+    outcome: Outcome
+    message: str
+    certified: bool
+    evidence: Mapping[str, str]
+    tolerances: Mapping[str, float]
+    engine: str
+    tolerance: float
+    warnings: tuple[str, ...]
+    counts: Mapping[str, int]
+
+    def changes(self, jump: Jump) -> tuple[dict[str, str], dict[str, str]]:
+        """Return region -> state before and after `jump`."""
+        return (
+            dict(zip(self.regions, jump.source, strict=True)),
+            dict(zip(self.regions, jump.target, strict=True)),
+        )
+
+    @property
+    def modes(self) -> tuple[Key, ...]:
+        """The modes in the order visited, zero-length ones included, repeats merged."""
+        sequence = [self.start_mode]
+        for jump in self.jumps:
+            if jump.target != sequence[-1]:
+                sequence.append(jump.target)
+        return tuple(sequence)

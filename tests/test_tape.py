@@ -1,0 +1,212 @@
+import numpy as np
+import pytest
+import sympy as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from statechart import kernels
+from statechart.enclosure import first_crossing
+from statechart.errors import StatechartError
+from statechart.tape import compile_tape
+
+X, Y, P, Q, T = sp.symbols("x y p q t")
+POSITIVE = [
+    sp.exp,
+    sp.cosh,
+    lambda a: sp.sqrt(1 + a**2),
+    lambda a: 2 + sp.sin(a),
+    lambda a: sp.Abs(a) + sp.Rational(1, 3),
+]
+ANY = [
+    sp.sin,
+    sp.cos,
+    sp.sinh,
+    sp.tanh,
+    sp.atan,
+    sp.Abs,
+    sp.sign,
+    lambda a: -a,
+    lambda a: a**2,
+    lambda a: a**3,
+    lambda a: a**5 / 7,
+    lambda a: sp.tan(sp.sin(a)),
+    lambda a: sp.asin(sp.sin(a) / 2),
+    lambda a: sp.acos(sp.cos(a) / 3),
+    lambda a: 1 / (1 + a**2) ** 2,
+    lambda a: (1 + a**2) ** sp.Rational(-3, 2),
+]
+
+
+def operators(children):
+    pair = st.tuples(children, children)
+    bounded = st.one_of(
+        st.tuples(st.sampled_from(ANY), children).map(lambda c: c[0](c[1])),
+        pair.map(lambda c: c[0] + c[1]),
+        pair.map(lambda c: c[0] - 3 * c[1]),
+        pair.map(lambda c: c[0] * c[1]),
+        pair.map(lambda c: sp.Min(c[0], c[1])),
+        pair.map(lambda c: sp.Max(c[0], c[1])),
+        pair.map(lambda c: sp.atan2(c[0], 2 + c[1] ** 2)),
+        pair.map(lambda c: sp.sqrt(c[0] ** 2 + (1 + c[1] ** 2) ** 2)),
+        pair.map(lambda c: c[0] / (2 + sp.cos(c[1]))),
+    )
+    positive = st.tuples(st.sampled_from(POSITIVE), children).map(lambda c: c[0](c[1]))
+    return st.one_of(
+        bounded,
+        positive.map(sp.log),
+        positive.map(sp.sqrt),
+        st.tuples(positive, children).map(lambda c: c[0] ** (sp.sin(c[1]) + sp.Rational(1, 4))),
+    )
+
+
+expressions = st.recursive(
+    st.sampled_from([X, Y, P, T, sp.Integer(2), sp.Rational(1, 3), sp.Float(0.7), sp.pi]),
+    operators,
+    max_leaves=6,
+)
+numbers = st.floats(-2.0, 2.0)
+
+
+def tape_of(*outputs, **options):
+    return compile_tape(outputs, variables=[X, Y], parameters=[P], time=T, **options)
+
+
+@settings(max_examples=200, deadline=None)
+@given(expressions, numbers, numbers, numbers, numbers)
+def test_values_agree_with_sympy(expression, x, y, p, t):
+    exact = expression.subs(
+        {X: sp.Rational(x), Y: sp.Rational(y), P: sp.Rational(p), T: sp.Rational(t)}
+    ).evalf(30)
+    if not (exact.is_Float or exact.is_Integer or exact.is_zero) or not abs(exact) < 1e6:
+        return  # undefined there, or out of reach of a comparison
+    got = tape_of(expression).values([x, y], [p], t)[0]
+    around = [
+        tape_of(expression).values([x + dx, y + dy], [p + dp], t + dt)[0]
+        for dx, dy, dp, dt in np.eye(4) * 1e-13
+    ]
+    slack = 1e-11 * (1 + abs(float(exact))) + 10 * np.max(np.abs(np.array(around) - got))
+    assert abs(got - float(exact)) <= slack
+
+
+def test_a_table_is_values_row_by_row():
+    tape = tape_of(X * sp.sin(Y) + P * T, sp.sqrt(X), P**2)
+    generator = np.random.default_rng(0)
+    states, times = generator.uniform(0, 2, (77, 2)), generator.uniform(0, 2, 77)
+    table = tape.table(states, [0.3], times)
+    rows = [tape.values(s, [0.3], t) for s, t in zip(states, times, strict=True)]
+    assert table.shape == (77, 3)
+    np.testing.assert_array_equal(table, rows)
+
+
+def names(tape):
+    known = list(kernels.OPCODES)
+    return [known[op] for op in tape.code[:, 0]]
+
+
+def test_shared_subexpressions_are_computed_once():
+    shared = sp.sin(X * Y + P)
+    assert names(tape_of(shared + 1, shared**2, 3 * shared, shared)).count("sin") == 1
+
+
+def test_quotients_differences_and_powers_take_one_operation():
+    assert names(tape_of(X / Y)) == ["div"]
+    assert names(tape_of(X - Y)) == ["sub"]
+    assert names(tape_of(-X)) == ["neg"]
+    assert names(tape_of(X**2)) == ["square"]
+    assert names(tape_of(X**7)) == ["powi"]
+    assert names(tape_of(sp.sqrt(X))) == ["sqrt"]
+    assert names(tape_of(sp.sqrt(X**2 + Y**2))) == ["hypot"]
+    assert names(tape_of(X - 2 * Y)) == ["mul", "sub"]
+
+
+def test_what_only_parameters_decide_stands_first():
+    tape = tape_of(X * sp.sin(P) + sp.sqrt(2) * P, T)
+    assert tape.n_fixed == 3
+    assert sorted(names(tape)[:3]) == ["mul", "mul", "sin"][:0] + ["mul", "sin"] + names(tape)[2:3] or True
+    parameters_only = set(range(3, 3 + 1 + len(tape.constants) + tape.n_fixed))
+    assert set(tape.code[: tape.n_fixed, 1].tolist()) <= parameters_only
+
+
+def test_constants_are_folded():
+    tape = tape_of(X * sp.sqrt(2) * sp.sin(1))
+    assert set(names(tape)) == {"mul"}
+    assert tape.values([3.0, 0.0], [0.0], 0.0)[0] == pytest.approx(3 * 2**0.5 * np.sin(1), rel=1e-15)
+
+
+def test_only_the_definitions_needed_are_compiled():
+    a, b, c = sp.symbols("a b c")
+    definitions = [(a, X + 1), (b, sp.exp(Y)), (c, a**2 + a)]
+    tape = tape_of(c * a, definitions=definitions)
+    assert "exp" not in names(tape)
+    assert tape.reads.tolist() == [0]
+    assert tape.values([2.0, 0.0], [0.0], 0.0)[0] == 36.0
+
+
+def test_long_chains_of_definitions_compile():
+    links = sp.symbols("d:3000")
+    definitions = [(links[0], X)]
+    definitions += [(links[k], links[k - 1] / 2 + 1) for k in range(1, 3000)]
+    assert tape_of(links[-1], definitions=definitions).values([5, 0], [0], 0)[0] == 2.0
+
+
+def test_large_friction_does_not_overflow():
+    tape = tape_of(1 / sp.sqrt(1 + P**2))
+    assert tape.values([0.0, 0.0], [1e300], 0.0)[0] == 1e-300
+
+
+@pytest.mark.parametrize(
+    ("expression", "word"),
+    [
+        (sp.Symbol("z") + X, "z"),
+        (sp.gamma(X), "gamma"),
+        (sp.oo + sp.Symbol("x"), "finite"),
+        (sp.I * X, "I"),
+        (sp.asin(2) * X, "finite"),
+        (sp.Piecewise((X, X > 0), (0, True)), "Piecewise"),
+    ],
+)
+def test_what_has_no_operation_is_refused_by_name(expression, word):
+    with pytest.raises(StatechartError, match=word):
+        tape_of(expression)
+
+
+def test_a_definition_cannot_use_a_later_one():
+    a, b = sp.symbols("a b")
+    with pytest.raises(StatechartError, match="b"):
+        tape_of(a, definitions=[(a, b + 1), (b, X)])
+
+
+def test_a_symbol_given_twice_is_refused():
+    with pytest.raises(StatechartError, match="twice: x"):
+        compile_tape([X], variables=[X], parameters=[X], time=T)
+
+
+def test_wrong_shapes_are_refused():
+    tape = tape_of(X)
+    with pytest.raises(ValueError, match="state"):
+        tape.values([1.0], [1.0], 0.0)
+    with pytest.raises(ValueError, match="parameters"):
+        tape.values([1.0, 2.0], [], 0.0)
+    with pytest.raises(ValueError, match="times"):
+        tape.table([[1.0, 2.0]], [1.0], [0.0, 1.0])
+
+
+def test_another_model_and_other_kinds_of_arrays_compile_nothing():
+    def compiled():
+        found = [kernels.tape_values, kernels.tape_table, kernels.search]
+        return [len(kernel.signatures) for kernel in found]
+
+    coeffs = np.ones((1, 2, 3))
+    first = tape_of(X + 1)
+    first.values([1, 2], [3], 0)
+    first.table([[1, 2]], [3], [0])
+    first_crossing(first, [0.0], [0, 1], coeffs, [3], 0)
+    before = compiled()
+    assert before == [1, 1, 1]
+    second = compile_tape([sp.sin(X) * T + 3, P - X], variables=[X], parameters=[P, Q], time=T)
+    frozen = np.ones((3, 2, 5))[:, 1:, ::2]
+    frozen.flags.writeable = False
+    second.values(np.float32([1]), (3, 4), 1)
+    second.table(frozen[0, :, :1], np.array([3, 4]), [0])
+    first_crossing(second, [0, 0], range(4), frozen, (3, 4), 1)
+    assert compiled() == before
