@@ -10,7 +10,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from contacts.mechanics import Mechanics
-from statechart.errors import SimulationError
+from statechart.errors import SingularMode
 from statechart.tape import Tape, compile_tape
 
 __all__ = ["PerContact", "Snapshot", "SnapshotTape", "solve_kkt"]
@@ -176,7 +176,7 @@ def solve_kkt(
     residual = np.abs(right_scaled - scaled @ x)
     size = np.abs(scaled) @ np.abs(x) + np.abs(right_scaled)
     if (residual > _RESIDUAL * size).any():
-        raise SimulationError(
+        raise SingularMode(
             "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
         )
     x = x * column_scale

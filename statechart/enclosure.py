@@ -295,11 +295,7 @@ def _arc(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     times, coeffs, parameters = plain(times), plain(coeffs), plain(parameters)
     tape.require(parameters)
-    if (
-        coeffs.ndim != 3
-        or times.shape != (len(coeffs) + 1,)
-        or coeffs.shape[1] != tape.n_variables
-    ):
+    if coeffs.ndim != 3 or times.shape != (len(coeffs) + 1,) or coeffs.shape[1] != tape.n_variables:
         raise ValueError(
             f"times and coeffs have shapes {times.shape} and {coeffs.shape}, "
             f"not (n_steps + 1,) and (n_steps, {tape.n_variables}, degree + 1)"

@@ -12,6 +12,7 @@
         InitialPenetration    the run would start inside a surface
         StepFailure           the integrator cannot meet its tolerance
         NonFinite             the state became infinite or undefined
+        SingularMode          the equations of a mode do not determine the motion
         Undecided             a guard could be neither found nor excluded within the search's budget
 
 `DeclarationProblem` stands outside the tree: it is what a validator of a pydantic model raises to
@@ -36,6 +37,7 @@ __all__ = [
     "NonFinite",
     "Position",
     "SimulationError",
+    "SingularMode",
     "StatechartError",
     "StepFailure",
     "Undecided",
@@ -215,6 +217,12 @@ class InitialPenetration(SimulationError):
     """The run would start inside a surface."""
 
     outcome = "INITIAL_PENETRATION"
+
+
+class SingularMode(SimulationError):
+    """The equations of a mode do not determine the motion."""
+
+    outcome = "SINGULAR_MODE"
 
 
 class StepFailure(SimulationError):

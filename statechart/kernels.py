@@ -277,7 +277,9 @@ def least_values(
     places = np.empty(per_step + 1)
     for j in range(per_step + 1):
         places[j] = j / per_step
-    result = np.full(outputs.shape[0], INF)
+    result = np.empty(outputs.shape[0])
+    for i in range(outputs.shape[0]):
+        result[i] = INF
     for step in range(coeffs.shape[0]):
         _run_along(along, step, places, per_step + 1, regs)
         for i in range(outputs.shape[0]):
@@ -624,9 +626,7 @@ def _polar(
 
 
 @njit(cache=True, error_model="numpy")
-def _power_jet(
-    x: Floats, y: Floats, order: int
-) -> tuple[float, float, float, float, float, float]:
+def _power_jet(x: Floats, y: Floats, order: int) -> tuple[float, float, float, float, float, float]:
     """Jets of x**y = exp(y log x), x > 0; the value from its corners, where its extremes are."""
     if not x[0] > 0.0:
         return -INF, INF, -INF, INF, -INF, INF
@@ -656,9 +656,7 @@ def _power_jet(
 
 
 @njit(cache=True, error_model="numpy")
-def _extreme(
-    op: int, u: Floats, v: Floats
-) -> tuple[float, float, float, float, float, float]:
+def _extreme(op: int, u: Floats, v: Floats) -> tuple[float, float, float, float, float, float]:
     """Jets of min(u, v) and max(u, v): one of them, or the hull with a second derivative lost."""
     if u[1] <= v[0]:
         w = u if op == MIN else v
@@ -861,7 +859,8 @@ def _judge(
     w = max(b - m, m - a)
     _enclose(along, step, bounds, m, 0.0, 1, jets)
     for i in range(outputs.shape[0]):
-        work[i, 0:4] = jets[outputs[i], 0:4]
+        for c in range(4):
+            work[i, c] = jets[outputs[i], c]
     _enclose(along, step, bounds, m, w, 2, jets)
     for i in range(outputs.shape[0]):
         box, row = jets[outputs[i]], work[i]
@@ -875,9 +874,7 @@ def _judge(
 
 
 @njit(cache=True, error_model="numpy")
-def _margin(
-    along: Along, step: int, place: Floats, output: int, s: float, regs: Floats
-) -> float:
+def _margin(along: Along, step: int, place: Floats, output: int, s: float, regs: Floats) -> float:
     place[0] = s
     _run_along(along, step, place, 1, regs)
     return regs[output, 0]
@@ -1050,7 +1047,8 @@ def search(
         left_known = False
         top = 1
         lefts[0], rights[0] = 0.0, 1.0
-        marks[0, :] = 1
+        for i in range(n_out):
+            marks[0, i] = 1
         while top > 0:
             top -= 1
             a, b = lefts[top], rights[top]
@@ -1092,10 +1090,8 @@ def search(
                     here = far = 0.0
                 elif work[i, 7] < 0.0:
                     guard = outputs[i : i + 1]
-                    aside[0] = work[i]
-                    falls, end = _falls(
-                        along, guard, tolerance, step, a, b, bounds, jets, aside
-                    )
+                    aside[0, 7] = work[i, 7]
+                    falls, end = _falls(along, guard, tolerance, step, a, b, bounds, jets, aside)
                     if falls == 0:
                         state[i] = 0
                         continue
@@ -1128,14 +1124,13 @@ def search(
                 continue
             if improved and sure < b:
                 lefts[top], rights[top] = a, max(sure, a)
-                marks[top, :] = state
                 top += 1
             else:
                 lefts[top], rights[top] = m, b
                 lefts[top + 1], rights[top + 1] = a, m
-                marks[top, :] = state
-                marks[top + 1, :] = state
                 top += 2
+            for i in range(n_out):
+                marks[max(top - 2, 0), i] = marks[top - 1, i] = state[i]
         if found >= 0:
             event_step, event = _descent(
                 along, outputs[found : found + 1], step, found_left, root, bounds, place, regs,

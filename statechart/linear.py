@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import networkx as nx
 import sympy as sp
 
-from statechart.errors import StatechartError
+from statechart.errors import SingularMode
 
 __all__ = ["Definition", "Singular", "solve_linear"]
 
@@ -23,7 +23,7 @@ Definition = tuple[sp.Symbol, sp.Expr]
 _CRAMER_LIMIT = 6
 
 
-class Singular(StatechartError):
+class Singular(SingularMode):
     """The equations do not determine every unknown, whatever the numbers are.
 
     Parameters

@@ -15,7 +15,6 @@ from statechart.automaton import Automaton, Flow, Setup
 from statechart.compose import build_mode
 from statechart.engine import CompiledMode, Engine, advance, compile_mode
 from statechart.errors import EventLoop, SimulationError
-from statechart.linear import Singular
 from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace
 from statechart.zeno import Accumulation
 
@@ -88,10 +87,8 @@ class Simulator:
             run.loop()
         except KeyboardInterrupt:
             run.end(Outcome.INTERRUPTED, "interrupted by the user")
-        except Singular as error:
-            run.end(Outcome.SINGULAR_MODE, f"mode {run.mode_label}: {error}")
         except SimulationError as error:
-            run.end(Outcome[error.outcome.upper()], f"mode {run.mode_label}: {error}")
+            run.end(Outcome[error.outcome], f"mode {run.mode_label}: {error}")
         trace = run.trace()
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise _ERRORS.get(trace.outcome, SimulationError)(trace.message, trace=trace)
@@ -361,7 +358,7 @@ class _Run:
         )
 
 
-_ERRORS = {Outcome[e.outcome.upper()]: e for e in SimulationError.__subclasses__()}
+_ERRORS = {Outcome[e.outcome]: e for e in SimulationError.__subclasses__()}
 _UNCERTIFIED = (Outcome.UNDECIDED, Outcome.NON_FINITE)
 
 

@@ -346,9 +346,7 @@ class _Writer:
         code = np.array([[op, 1, 2 if binary else right]], dtype=np.int32)
         nothing = np.empty(0)
         outputs = np.array([3], dtype=np.int32)
-        return float(
-            tape_values(code, np.array(constants), outputs, 0, nothing, nothing, 0.0)[0]
-        )
+        return float(tape_values(code, np.array(constants), outputs, 0, nothing, nothing, 0.0)[0])
 
     def finish(self, outputs: list[int], n_variables: int, n_parameters: int) -> Tape:
         """Number the registers, the operations on parameters and constants first."""

@@ -9,7 +9,7 @@ from statechart.enclosure import first_crossing
 from statechart.errors import StatechartError
 from statechart.tape import compile_tape
 
-X, Y, P, Q, T = sp.symbols("x y p q t")
+X, Y, P, Q, T = sp.symbols("x y p q t", real=True)
 POSITIVE = [
     sp.exp,
     sp.cosh,
@@ -121,8 +121,8 @@ def test_quotients_differences_and_powers_take_one_operation():
 
 def test_what_only_parameters_decide_stands_first():
     tape = tape_of(X * sp.sin(P) + sp.sqrt(2) * P, T)
-    assert tape.n_fixed == 3
-    assert sorted(names(tape)[:3]) == ["mul", "mul", "sin"][:0] + ["mul", "sin"] + names(tape)[2:3] or True
+    assert tape.n_fixed == 2
+    assert sorted(names(tape)[:2]) == ["mul", "sin"]
     parameters_only = set(range(3, 3 + 1 + len(tape.constants) + tape.n_fixed))
     assert set(tape.code[: tape.n_fixed, 1].tolist()) <= parameters_only
 
@@ -130,7 +130,9 @@ def test_what_only_parameters_decide_stands_first():
 def test_constants_are_folded():
     tape = tape_of(X * sp.sqrt(2) * sp.sin(1))
     assert set(names(tape)) == {"mul"}
-    assert tape.values([3.0, 0.0], [0.0], 0.0)[0] == pytest.approx(3 * 2**0.5 * np.sin(1), rel=1e-15)
+    assert tape.values([3.0, 0.0], [0.0], 0.0)[0] == pytest.approx(
+        3 * 2**0.5 * np.sin(1), rel=1e-15
+    )
 
 
 def test_only_the_definitions_needed_are_compiled():
@@ -143,7 +145,7 @@ def test_only_the_definitions_needed_are_compiled():
 
 
 def test_long_chains_of_definitions_compile():
-    links = sp.symbols("d:3000")
+    links = sp.symbols("d:3000", real=True)
     definitions = [(links[0], X)]
     definitions += [(links[k], links[k - 1] / 2 + 1) for k in range(1, 3000)]
     assert tape_of(links[-1], definitions=definitions).values([5, 0], [0], 0)[0] == 2.0
@@ -159,7 +161,7 @@ def test_large_friction_does_not_overflow():
     [
         (sp.Symbol("z") + X, "z"),
         (sp.gamma(X), "gamma"),
-        (sp.oo + sp.Symbol("x"), "finite"),
+        (sp.oo * X, "finite"),
         (sp.I * X, "I"),
         (sp.asin(2) * X, "finite"),
         (sp.Piecewise((X, X > 0), (0, True)), "Piecewise"),

@@ -105,13 +105,14 @@ class Taylor(Engine):
         step, left, taken, finished = integrator.step, duration, 0, False
         while taken < count:
             outcome, h = step(max_delta_t=left, write_tc=True)
-            if outcome is not _SUCCESS and outcome is not _LIMIT:
+            limited = outcome == _LIMIT
+            if not limited and outcome != _SUCCESS:
                 break
             buffer[taken] = integrator.tc
             durations[taken] = h
             taken += 1
             left -= h
-            if outcome is _LIMIT:
+            if limited:
                 finished = True
                 break
             if h == 0.0:
