@@ -8,21 +8,30 @@ several), and judged by its own inequalities.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SOLVED, solve_modes
 from contacts.scales import Scales
-from contacts.snapshot import PerContact, Snapshot, solve_kkt
+from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import AmbiguousMode, NoConsistentMode
 
 __all__ = ["Candidate", "Choice", "ContactLaw", "candidates", "choose"]
 
 Array = NDArray[np.float64]
 
+_CODES = {
+    "free": FREE,
+    "pin": PIN,
+    "slide": SLIDE,
+    "slide+": SLIDE_PLUS,
+    "slide-": SLIDE_MINUS,
+}
 _SIGN = {"slide+": 1.0, "slide-": -1.0, "slide": 0.0}
 # Two motions are the same when their accelerations agree to this.
 _SAME_MOTION = 1e-9
@@ -54,6 +63,10 @@ class ContactLaw:
     impact: str
 
 
+Undetermined = tuple[tuple[str, ...], str]
+"""States per contact, and why they determine no motion."""
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """One assignment of modes to the contacts, solved.
@@ -67,15 +80,50 @@ class Candidate:
         V and H per contact.
     violation : float
         The largest inequality it breaks, in units of the scales; <= 0: none.
-    reason : str
-        Which one, or "" where consistent.
+    broken : (str, str, float)
+        Contact, words with a place for a number, number: that inequality.
     """
 
     states: tuple[str, ...]
     accelerations: Array
     forces: Array
     violation: float
-    reason: str
+    broken: tuple[str, str, float]
+
+    @property
+    def reason(self) -> str:
+        """The inequality it is judged by, in words."""
+        contact, words, number = self.broken
+        return f"{contact}: " + words.format(number)
+
+
+class Considered(Mapping[str, str]):
+    """Every mode tried and why it was taken or not; put into words when first read."""
+
+    def __init__(
+        self,
+        laws: Sequence[ContactLaw],
+        tried: Sequence[Candidate | Undetermined],
+        taken: Candidate,
+        tie: float,
+    ) -> None:
+        self._parts = laws, tried, taken, tie
+
+    @cached_property
+    def _words(self) -> dict[str, str]:
+        laws, tried, taken, tie = self._parts
+        return {
+            _label(laws, c): "taken" if c is taken else _verdict(c, tie) for c in tried
+        }
+
+    def __getitem__(self, label: str) -> str:
+        return self._words[label]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._words)
+
+    def __len__(self) -> int:
+        return len(self._words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +150,7 @@ def candidates(
     options: Sequence[Sequence[str]],
     scales: Scales,
     still: Sequence[bool],
-) -> list[Candidate | tuple[tuple[str, ...], str]]:
+) -> list[Candidate | Undetermined]:
     """Solve every combination of `options` (states per contact).
 
     Parameters
@@ -123,23 +171,29 @@ def candidates(
     list
         A `Candidate`, or (states, reason) where the combination determines no motion.
     """
-    found: list[Candidate | tuple[tuple[str, ...], str]] = []
-    for states in product(*options):
-        solved = _solve(snapshot, laws, states)
-        if solved is None:
+    combinations = list(product(*options))
+    codes = np.array([[_CODES[state] for state in states] for states in combinations])
+    cones = np.array([(law.cone_n, law.cone_t) for law in laws])
+    status, accelerations, forces = solve_modes(
+        snapshot.mass, snapshot.forces, snapshot.jacobians, snapshot.biases, cones, codes
+    )
+    found: list[Candidate | Undetermined] = []
+    for k, states in enumerate(combinations):
+        if status[k] != SOLVED:
             found.append((states, "its equations do not determine the motion"))
             continue
-        accelerations, forces = solved
-        violation, reason = -math.inf, ""
+        violation, broken = -math.inf, ("", "no inequality", 0.0)
         for contact, law, state, force, at_rest, tried in zip(
-            snapshot.contacts, laws, states, forces, still, options, strict=True
+            snapshot.contacts, laws, states, forces[k].tolist(), still, options, strict=True
         ):
             if len(tried) == 1 and state == "free":
                 continue
-            for amount, words in _judge(contact, law, state, accelerations, force, at_rest, scales):
+            for amount, words, number in _judge(
+                contact, law, state, accelerations[k], force, at_rest, scales
+            ):
                 if amount > violation:
-                    violation, reason = amount, f"{law.name}: {words}"
-        found.append(Candidate(states, accelerations, forces, violation, reason))
+                    violation, broken = amount, (law.name, words, number)
+        found.append(Candidate(states, accelerations[k], forces[k], violation, broken))
     return found
 
 
@@ -177,22 +231,17 @@ def choose(
     tried = candidates(snapshot, laws, options, scales, still)
     solved = [c for c in tried if isinstance(c, Candidate)]
     consistent = [c for c in solved if c.violation <= tie]
-    considered = {_label(laws, c): _verdict(c, tie) for c in tried}
     if not consistent:
+        considered = {_label(laws, c): _verdict(c, tie) for c in tried}
         raise NoConsistentMode(
             "no mode of the contacts agrees with the state; "
             + "; ".join(f"{label}: {why}" for label, why in considered.items())
         )
     taken = min(consistent, key=lambda c: (c.violation > 0.0, _openness(c)))
-    others = [
-        c
-        for c in consistent
-        if np.abs(c.accelerations - taken.accelerations).max()
-        > _SAME_MOTION * max(scales.acceleration, float(np.abs(taken.accelerations).max()))
-        and c.violation <= 0.0
-    ]
+    exact = [c for c in consistent if c.violation <= 0.0] if taken.violation <= 0.0 else [taken]
+    others = [c for c in exact if c is not taken and not _same_motion(c, taken, scales)]
     warning = ""
-    if others and taken.violation <= 0.0:
+    if others:
         labels = ", ".join(_label(laws, c) for c in [taken, *others])
         opened = [c for c in [taken, *others] if any(
             state == "free" and touching for state, touching in zip(c.states, closed, strict=True)
@@ -202,8 +251,13 @@ def choose(
         # Painleve's indeterminate case: contact could also hold, at a force without cause.
         taken = min(opened, key=_openness)
         warning = f"indeterminate: {labels} all agree with the state; {_label(laws, taken)} taken"
-    considered[_label(laws, taken)] = "taken"
-    return Choice(taken, considered, warning)
+    return Choice(taken, Considered(laws, tried, taken, tie), warning)
+
+
+def _same_motion(one: Candidate, other: Candidate, scales: Scales) -> bool:
+    size = max(scales.acceleration, float(np.abs(other.accelerations).max()))
+    difference = np.abs(one.accelerations - other.accelerations).max()
+    return bool(difference <= _SAME_MOTION * size)
 
 
 def _options(
@@ -229,71 +283,44 @@ def _openness(candidate: Candidate) -> tuple[int, int, str]:
     )
 
 
-def _solve(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], states: Sequence[str]
-) -> tuple[Array, Array] | None:
-    """Solve a mode numerically; the same equations as the symbolic mode's."""
-    n = len(snapshot.forces)
-    closed = [i for i, state in enumerate(states) if state != "free"]
-    size = 2 * len(closed)
-    rows, constants = np.zeros((size, n + size)), np.zeros(size)
-    columns = np.zeros((n, size))
-    for place, i in enumerate(closed):
-        contact, law, state = snapshot.contacts[i], laws[i], states[i]
-        at = 2 * place
-        columns[:, at : at + 2] = contact.jacobian.T
-        rows[at, :n], constants[at] = contact.jacobian[0], -contact.bias_n
-        if state == "pin":
-            rows[at + 1, :n], constants[at + 1] = contact.jacobian[1], -contact.bias_t
-        else:
-            rows[at + 1, n + at] = _SIGN[state] * law.cone_t
-            rows[at + 1, n + at + 1] = law.cone_n
-    solved = solve_kkt(snapshot.mass, snapshot.forces, rows, columns, constants)
-    if solved is None:
-        return None
-    forces = np.zeros((len(states), 2))
-    forces[closed] = solved[1].reshape(-1, 2)
-    return solved[0], forces
-
-
 def _judge(
     contact: PerContact,
     law: ContactLaw,
     state: str,
     accelerations: Array,
-    force: Array,
+    force: Sequence[float],
     at_rest: bool,
     scales: Scales,
-) -> list[tuple[float, str]]:
-    """Return (violation, words) of every inequality of a contact's mode."""
-    V, H = float(force[0]), float(force[1])
+) -> list[tuple[float, str, float]]:
+    """Return (violation, words, number) of every inequality of a contact's mode."""
+    V, H = force
     n, t = law.cone_n, law.cone_t
     if state == "free":
         apart = float(contact.jacobian[0] @ accelerations) + contact.bias_n
-        return [(-apart / scales.acceleration, f"it would accelerate into the surface ({apart:.3g})")]
+        return [(-apart / scales.acceleration, "it would accelerate at {:.3g} into the surface", apart)]
     if state == "pin":
-        found = [(-V / scales.force, f"V = {V:.3g} < 0")]
+        found = [(-V / scales.force, "V = {:.3g} < 0", V)]
         if n > 0.0:
-            outside = n * abs(H) - t * V
-            found.append((outside / scales.force, f"|H| = {abs(H):.3g} > mu V"))
+            outside = (n * abs(H) - t * V) / scales.force
+            found.append((outside, "|H| = {:.6g} > mu V", abs(H)))
         return found
     sign = _SIGN[state]
     edge = n * V - sign * t * H
-    found = [(-edge / scales.force, f"V = {V:.3g} < 0")]
+    found = [(-edge / scales.force, "V = {:.3g} < 0", V)]
     if sign and at_rest:
         along = sign * (float(contact.jacobian[1] @ accelerations) + contact.bias_t)
-        found.append((-along / scales.acceleration, f"slip would accelerate against it ({along:.3g})"))
+        found.append((-along / scales.acceleration, "slip would accelerate at {:.3g} against it", along))
     return found
 
 
 def _label(
-    laws: Sequence[ContactLaw], candidate: Candidate | tuple[tuple[str, ...], str]
+    laws: Sequence[ContactLaw], candidate: Candidate | Undetermined
 ) -> str:
     states = candidate.states if isinstance(candidate, Candidate) else candidate[0]
     return " ".join(f"{law.name}:{state}" for law, state in zip(laws, states, strict=True))
 
 
-def _verdict(candidate: Candidate | tuple[tuple[str, ...], str], tie: float) -> str:
+def _verdict(candidate: Candidate | Undetermined, tie: float) -> str:
     if not isinstance(candidate, Candidate):
         return candidate[1]
     if candidate.violation <= 0.0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from contacts.impact import impact
 from contacts.mechanics import Mechanics
 from contacts.regions import states
 from contacts.scales import Scales, ScaleTape
-from contacts.scene import Scene
+from contacts.scene import Contact, Scene
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
 from statechart.automaton import Flow, Setup
 from statechart.errors import DeclarationProblem, NoConsistentMode
@@ -122,8 +122,9 @@ class SceneLaws:
         symbols = list(parameters.symbols.values())
         self._tape = SnapshotTape(mechanics, symbols)
         self._scales = ScaleTape(mechanics, symbols)
+        self._names = tuple(scene.contacts)
         self._contacts = tuple(
-            (name, contact, states(contact)) for name, contact in scene.contacts.items()
+            self._reader(name, contact) for name, contact in scene.contacts.items()
         )
         self._physical: set[tuple[tuple[str, float], ...]] = set()
 
@@ -136,16 +137,7 @@ class SceneLaws:
             self._physical.add(key)
         if not np.isfinite(initial).all():
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
-        contacts = tuple(
-            ContactLaw(
-                name,
-                region_states,
-                *self._cone(name, values),
-                self._value(f"{name}.restitution", values, 0.0),
-                contact.impact,
-            )
-            for name, contact, region_states in self._contacts
-        )
+        contacts = tuple(read(values) for read in self._contacts)
         scales = self._scales.at(values, initial)
         tolerances = {
             "gap": max(3.0 * relative, _ROUNDING) * scales.length,
@@ -293,7 +285,7 @@ class SceneLaws:
                 landed = self._tape.at(setup.values, after, clock.high)
             touching = [i == place for i in range(len(closed))]
             choice = self._choose(setup, landed, touching)
-            considered = dict(choice.considered)
+            considered = choice.considered
             following = choice.taken.states
             after = self._landed(setup, following, landed, after)
             # While bounces are skipped the contact is still free, and moves as if closed.
@@ -399,9 +391,8 @@ class SceneLaws:
         return state + np.concatenate([shift[0], change[0]])
 
     def _check_declared(self, choice: Choice, touching: list[bool]) -> None:
-        names = [name for name, _, _ in self._contacts]
         for name, declared in self._scene.modes.items():
-            place = names.index(name)
+            place = self._names.index(name)
             found = choice.taken.states[place]
             if declared not in (found, found.rstrip("+-")):
                 why = next(
@@ -420,7 +411,7 @@ class SceneLaws:
 
     def _cause(self, source: Key, target: Key, skipping: bool) -> tuple[str, str]:
         """Return (region, cause) of the first contact that changes."""
-        for (name, _, _), before, after in zip(self._contacts, source, target, strict=True):
+        for name, before, after in zip(self._names, source, target, strict=True):
             if before == after:
                 continue
             if before == "free":
@@ -430,19 +421,23 @@ class SceneLaws:
             if after == "pin":
                 return name, "stick"
             return name, "slip" if before == "pin" else "reverse"
-        return self._contacts[0][0], "zeno"
+        return self._names[0], "zeno"
 
-    def _cone(self, name: str, values: Array) -> tuple[float, float]:
-        contact = self._scene.contacts[name]
-        if contact.friction is None:
-            return 0.0, 1.0
-        if contact.frictionless:
-            return 1.0, 0.0
-        return (
-            self._value(f"{name}.cone_n", values, 0.0),
-            self._value(f"{name}.cone_t", values, 0.0),
-        )
+    def _reader(self, name: str, contact: Contact) -> Callable[[Array], ContactLaw]:
+        """Return what reads a contact's coefficients off the values of a run."""
+        region_states = states(contact)
+        n, t, e = (self._places.get(f"{name}.{k}") for k in ("cone_n", "cone_t", "restitution"))
+        # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `cones`.
+        fixed = (1.0, 0.0) if contact.frictionless else (0.0, 1.0)
 
-    def _value(self, name: str, values: Array, default: float) -> float:
-        place = self._places.get(name)
-        return default if place is None else float(values[place])
+        def read(values: Array) -> ContactLaw:
+            return ContactLaw(
+                name,
+                region_states,
+                fixed[0] if n is None else float(values[n]),
+                fixed[1] if t is None else float(values[t]),
+                0.0 if e is None else float(values[e]),
+                contact.impact,
+            )
+
+        return read

@@ -9,6 +9,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from contacts.kernels import INEXACT, SINGULAR, saddle
 from contacts.mechanics import Mechanics
 from statechart.errors import SingularMode
 from statechart.tape import Tape, compile_tape
@@ -18,8 +19,6 @@ __all__ = ["PerContact", "Snapshot", "SnapshotTape", "solve_kkt"]
 Array = NDArray[np.float64]
 
 _PER_CONTACT = 9
-# A solution whose residual stays above this, relative to its terms, is refused.
-_RESIDUAL = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +69,9 @@ class Snapshot:
         Kinetic plus gravity's; power of the applied forces.
     contacts : tuple of PerContact
         In the order of the declaration.
+    jacobians : (c, 2, n) array
+    biases : (c, 2) array
+        Of all contacts.
     """
 
     mass: Array
@@ -78,6 +80,8 @@ class Snapshot:
     energy: float
     power: float
     contacts: tuple[PerContact, ...]
+    jacobians: Array
+    biases: Array
 
 
 class SnapshotTape:
@@ -114,19 +118,21 @@ class SnapshotTape:
         """Return the numbers at `state` (2 n,)."""
         n = self.size
         numbers = self.tape.values(state, values, time)
-        contacts = []
         at = n * n + n + 2
-        for _ in range(self.count):
-            jacobian = numbers[at + _PER_CONTACT : at + _PER_CONTACT + 2 * n].reshape(2, n)
-            contacts.append(PerContact(*numbers[at : at + _PER_CONTACT].tolist(), jacobian))
-            at += _PER_CONTACT + 2 * n
+        table = numbers[at:].reshape(self.count, _PER_CONTACT + 2 * n)
+        jacobians = table[:, _PER_CONTACT:].copy().reshape(self.count, 2, n)
         return Snapshot(
             numbers[: n * n].reshape(n, n),
             numbers[n * n : n * n + n],
             state[n:],
             float(numbers[n * n + n]),
             float(numbers[n * n + n + 1]),
-            tuple(contacts),
+            tuple(
+                PerContact(*row, jacobian)
+                for row, jacobian in zip(table[:, :_PER_CONTACT].tolist(), jacobians, strict=True)
+            ),
+            jacobians,
+            table[:, _PER_CONTACT - 2 : _PER_CONTACT].copy(),
         )
 
 
@@ -152,37 +158,18 @@ def solve_kkt(
     -------
     (a, f) or None
         None where the system is singular: the mode does not determine the motion.
+
+    Raises
+    ------
+    SingularMode
+        If the solution cannot be trusted to 1e-8.
     """
-    n, m = len(right), len(constants)
-    matrix = np.zeros((n + m, n + m))
-    matrix[:n, :n] = mass
-    matrix[:n, n:] = -columns
-    matrix[n:] = rows
-    b = np.concatenate([right, constants])
-    # Equilibrated by powers of two (exact), columns first: masses may span many decades.
-    column_scale = _powers_of_two(np.abs(matrix).max(axis=0))
-    scaled = matrix * column_scale
-    row_scale = _powers_of_two(np.abs(scaled).max(axis=1))
-    scaled = scaled * row_scale[:, None]
-    right_scaled = b * row_scale
-    try:
-        x = np.linalg.solve(scaled, right_scaled)
-        for _ in range(2):
-            x += np.linalg.solve(scaled, right_scaled - scaled @ x)
-    except np.linalg.LinAlgError:
+    status, x = saddle(mass, right, rows, np.ascontiguousarray(columns), constants)
+    if status == SINGULAR:
         return None
-    if not np.isfinite(x).all():
-        return None
-    residual = np.abs(right_scaled - scaled @ x)
-    size = np.abs(scaled) @ np.abs(x) + np.abs(right_scaled)
-    if (residual > _RESIDUAL * size).any():
+    if status == INEXACT:
         raise SingularMode(
             "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
         )
-    x = x * column_scale
+    n = len(right)
     return x[:n], x[n:]
-
-
-def _powers_of_two(sizes: Array) -> Array:
-    sizes = np.where((sizes > 0) & np.isfinite(sizes), sizes, 1.0)
-    return np.exp2(-np.round(np.log2(sizes)))

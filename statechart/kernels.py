@@ -48,13 +48,12 @@ ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
 NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21)
 SINH, COSH, TANH, ABS, SIGN = range(21, 26)
 
-OPCODES: dict[str, int] = {
-    name: index
-    for index, name in enumerate(
-        "add sub mul div min max atan2 hypot pow neg square powi sqrt exp log sin cos tan asin "
-        "acos atan sinh cosh tanh abs sign".split()
-    )
-}
+_NAMES = (
+    ("add", "sub", "mul", "div", "min", "max", "atan2", "hypot", "pow")
+    + ("neg", "square", "powi", "sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan")
+    + ("sinh", "cosh", "tanh", "abs", "sign")
+)
+OPCODES: dict[str, int] = {name: index for index, name in enumerate(_NAMES)}
 
 NONE, CROSSING, GRAZE, BUDGET, NON_FINITE = range(5)
 
@@ -162,7 +161,7 @@ def _run(code: Ints, first: int, last: int, base: int, regs: Floats, count: int)
 def _registers(
     code: Ints, constants: Floats, n_fixed: int, parameters: Floats, n_variables: int, width: int
 ) -> Floats:
-    """Registers with parameters, constants and all that depends on these alone filled in."""
+    """Return registers with parameters, constants and what depends on these alone filled in."""
     n_parameters = parameters.shape[0]
     base = n_variables + 1 + n_parameters + constants.shape[0]
     regs = np.empty((base + code.shape[0], width))
@@ -367,7 +366,7 @@ def _hull4(p: float, q: float, r: float, s: float) -> Interval:
     total = p + q + r + s
     if total != total:
         return -INF, INF
-    low, high = min(min(p, q), min(r, s)), max(max(p, q), max(r, s))
+    low, high = min(p, q, r, s), max(p, q, r, s)
     return low - abs(low) * EPS - TINY, high + abs(high) * EPS + TINY
 
 
@@ -459,7 +458,7 @@ def _hyperbolic_cosine(low: float, high: float) -> Interval:
 
 @njit(cache=True, error_model="numpy")
 def _whole(bounds: Interval) -> Interval:
-    """The interval, or the whole line where a bound was lost."""
+    """Return the interval, or the whole line where a bound was lost."""
     if bounds[0] <= bounds[1]:
         return bounds
     return -INF, INF
@@ -476,7 +475,7 @@ def _unary(
     f: Interval = (-INF, INF)
     d: Interval = (-INF, INF)
     e: Interval = (-INF, INF)
-    if op == SIN or op == COS:
+    if op in (SIN, COS):
         f = _wave(low, high, op == SIN)
         if order > 0:
             d = _wave(low, high, op == COS)
@@ -536,7 +535,7 @@ def _unary(
             d = _div(1.0, 1.0, p[0], p[1])
             p = _square(d[0], d[1])
             e = _mul(-2.0 * high, -2.0 * low, p[0], p[1])
-    elif op == ASIN or op == ACOS:
+    elif op in (ASIN, ACOS):
         if low >= -1.0 and high <= 1.0:
             if op == ASIN:
                 f = _wide(math.asin(low), math.asin(high), LIBM)
@@ -591,7 +590,7 @@ def _polar(
         # Away from the cut the angle is monotone along every edge: its extremes are at corners.
         p, q = math.atan2(y[0], x[0]), math.atan2(y[0], x[1])
         r, s = math.atan2(y[1], x[0]), math.atan2(y[1], x[1])
-        f = _wide(min(min(p, q), min(r, s)), max(max(p, q), max(r, s)), LIBM)
+        f = _wide(min(p, q, r, s), max(p, q, r, s), LIBM)
     else:
         return -LIBM - math.pi, math.pi + LIBM, -INF, INF, -INF, INF
     if order > 0:
@@ -631,7 +630,7 @@ def _power_jet(x: Floats, y: Floats, order: int) -> tuple[float, float, float, f
     if not x[0] > 0.0:
         return -INF, INF, -INF, INF, -INF, INF
     p, q, r, s = x[0] ** y[0], x[0] ** y[1], x[1] ** y[0], x[1] ** y[1]
-    f = _wide(min(min(p, q), min(r, s)), max(max(p, q), max(r, s)), LIBM)
+    f = _wide(min(p, q, r, s), max(p, q, r, s), LIBM)
     f = (max(0.0, f[0]), f[1])
     d: Interval = (-INF, INF)
     e: Interval = (-INF, INF)
@@ -715,7 +714,7 @@ def _jets(code: Ints, first: int, last: int, base: int, jets: Floats, order: int
                         q0, q1 = _mul(f0, f1, v[4], v[5])
                         p0, p1 = _add(p0, p1, -q1, -q0)
                         e0, e1 = _div(p0, p1, v[0], v[1])
-            elif op == MIN or op == MAX:
+            elif op in (MIN, MAX):
                 f0, f1, d0, d1, e0, e1 = _extreme(op, u, v)
             elif op == POW:
                 f0, f1, d0, d1, e0, e1 = _power_jet(u, v, order)
@@ -901,7 +900,7 @@ def _root(
     b, fb = left, shift + _margin(along, step, place, output, left, regs)
     if not fb > 0.0:
         return left
-    if not fa <= 0.0:
+    if not fa < 0.0:
         return right
     c, fc, t = a, fa, 0.5
     for _ in range(200):
@@ -1037,7 +1036,10 @@ def search(
     lefts, rights = np.empty(64), np.empty(64)  # boxes still to see, the leftmost on top
     marks = np.empty((64, n_out), dtype=np.uint8)  # the guards that are undecided in them
     state = np.empty(n_out, dtype=np.uint8)
-    at_left = np.empty(n_out)
+    at_left = np.empty((n_out, 2))
+    for i in range(n_out):
+        if not tolerances[i] >= 0.0:
+            raise ValueError("the tolerances of margins are numbers >= 0")
     boxes = 0
     for step in range(coeffs.shape[0]):
         finite = _prepare(coeffs, step, reads, bounds) and abs(start) < INF
@@ -1073,16 +1075,17 @@ def search(
                 left_known = True
                 _enclose(along, step, bounds, 0.0, 0.0, 0, jets)
                 for i in range(n_out):
-                    at_left[i] = jets[outputs[i], 1]
+                    at_left[i, 0], at_left[i, 1] = jets[outputs[i], 0], jets[outputs[i], 1]
             unclear, improved = 0, False
             for i in range(n_out):
                 if state[i] == 0:
                     continue
                 tolerance = tolerances[i]
+                below = a == 0.0 and at_left[i, 1] + tolerance < 0.0
                 # It rises: positive up to a, as the boxes before are clear; or zero there to
                 # within rounding, and leaving.
-                below = a == 0.0 and at_left[i] + tolerance < 0.0
-                if not below and (work[i, 4] + tolerance > 0.0 or work[i, 6] > 0.0):
+                rises = work[i, 6] > 0.0 and (a > 0.0 or at_left[i, 0] > -INF)
+                if not below and (work[i, 4] + tolerance > 0.0 or rises):
                     state[i] = 0
                     continue
                 here, far = INF, INF
@@ -1102,14 +1105,18 @@ def search(
                         rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
                         far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
                 if here == INF and b - a <= NARROW:
+                    # A jump, say: positive at a, and negative at b or, where that is the place of
+                    # the jump to within rounding, a little beyond.
                     bounded = work[i, 4] > -INF and work[i, 5] < INF
-                    _enclose(along, step, bounds, b, 0.0, 0, jets)
-                    if bounded and jets[outputs[i], 1] + tolerance < 0.0:
-                        here, far = a, b
-                    elif found < 0:
-                        return (GRAZE if bounded else NON_FINITE), i, step, a, step, b, boxes
-                    else:  # a tie with the crossing found, to within rounding
-                        state[i] = 0
+                    for end in (b, min(1.0, b + 4.0 * NARROW)):
+                        _enclose(along, step, bounds, end, 0.0, 0, jets)
+                        if here == INF and bounded and jets[outputs[i], 1] + tolerance < 0.0:
+                            here, far = a, end
+                    if here == INF:
+                        if found < 0 or b < root - 4.0 * NARROW:
+                            verdict = GRAZE if bounded else NON_FINITE
+                            return verdict, i, step, a, step, b, boxes
+                        state[i] = 0  # a tie with the crossing found, to within rounding
                         continue
                 if here < INF:
                     state[i] = 0

@@ -257,7 +257,8 @@ class _Writer:
         )
 
     def _sum(self, node: sp.Expr) -> int:
-        plus, minus = [], []
+        plus: list[sp.Expr] = []
+        minus: list[sp.Expr] = []
         for term in node.args:
             (minus if term.could_extract_minus_sign() and _negative(term) else plus).append(term)
         if not plus:
@@ -349,7 +350,7 @@ class _Writer:
         return float(tape_values(code, np.array(constants), outputs, 0, nothing, nothing, 0.0)[0])
 
     def finish(self, outputs: list[int], n_variables: int, n_parameters: int) -> Tape:
-        """Number the registers, the operations on parameters and constants first."""
+        """Give registers their numbers, operations on parameters and constants first."""
         n_inputs = len(self.inputs)
         fixed: dict[int, bool] = {k: k > n_variables for k in range(n_inputs)}
         for place, (op, left, right) in enumerate(self.operations, start=n_inputs):
