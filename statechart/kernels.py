@@ -48,12 +48,10 @@ ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
 NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21)
 SINH, COSH, TANH, ABS, SIGN = range(21, 26)
 
-_NAMES = (
-    ("add", "sub", "mul", "div", "min", "max", "atan2", "hypot", "pow")
-    + ("neg", "square", "powi", "sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan")
-    + ("sinh", "cosh", "tanh", "abs", "sign")
-)
-OPCODES: dict[str, int] = {name: index for index, name in enumerate(_NAMES)}
+_BINARY = ("add", "sub", "mul", "div", "min", "max", "atan2", "hypot", "pow")
+_USUAL = ("neg", "square", "powi", "sqrt", "exp", "log", "sin", "cos", "tan")
+_OTHERS = ("asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "sign")
+OPCODES: dict[str, int] = {name: index for index, name in enumerate([*_BINARY, *_USUAL, *_OTHERS])}
 
 NONE, CROSSING, GRAZE, BUDGET, NON_FINITE = range(5)
 
