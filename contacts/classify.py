@@ -238,8 +238,9 @@ def choose(
             + "; ".join(f"{label}: {why}" for label, why in considered.items())
         )
     taken = min(consistent, key=lambda c: (c.violation > 0.0, _openness(c)))
-    exact = [c for c in consistent if c.violation <= 0.0] if taken.violation <= 0.0 else [taken]
-    others = [c for c in exact if c is not taken and not _same_motion(c, taken, scales)]
+    # On the edge of its inequalities (a massless body that needs no force) a mode is no rival.
+    sure = [c for c in consistent if c.violation < -tie] if taken.violation < -tie else []
+    others = [c for c in sure if c is not taken and not _same_motion(c, taken, scales)]
     warning = ""
     if others:
         labels = ", ".join(_label(laws, c) for c in [taken, *others])

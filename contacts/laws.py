@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 # Force margins may fall below zero by this much of the force scale before a mode is left: the
 # size of rounding in a solved mode, with room; entering asks for half of it (hysteresis).
 _FORCE_BAND = 1e-12
+# A moment of inertia below this part of mass times arm squared cannot be told from zero: the
+# forces that turn the body are then differences of terms that many times larger.
+_POINT_MASS = 1e-12
 # Positions and speeds carry rounding of this size relative to the scene.
 _ROUNDING = 1e-13
 # Constraints are projected once they are off by this part of their tolerance.
@@ -52,9 +55,9 @@ class SceneSetup(Setup):
         Rebounds slower than this are summed instead of simulated.
     """
 
-    scales: Scales
-    contacts: tuple[ContactLaw, ...]
-    capture: float
+    scales: Scales = Scales(1.0, 1.0, 1.0, 1.0)
+    contacts: tuple[ContactLaw, ...] = ()
+    capture: float = 0.0
 
 
 def cones(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, tuple[sp.Expr, sp.Expr]]:
@@ -85,6 +88,9 @@ def scene_parameters(scene: Scene) -> Parameters:
                 result[f"{name}.cone_t"] = 1 / sp.sqrt(1 + (1 / mu) ** 2)
             if contact.restitution is not None:
                 result[f"{name}.restitution"] = parse(contact.restitution).to_sympy(known)
+        for name, body in scene.bodies.items():
+            if body.inertia is not None:
+                result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
         return result
 
     def initial(known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
@@ -97,7 +103,17 @@ def scene_parameters(scene: Scene) -> Parameters:
             for name in body.coordinates:
                 positions.append(parse(body.start.get(name, 0)).to_sympy(known))  # type: ignore[call-overload]
                 rates.append(parse(body.start.get(f"d{name}", 0)).to_sympy(known))  # type: ignore[call-overload]
-        return [*positions, *rates]
+        return [*positions, *rates, *(lever(name, known) for name in scene.bodies)]
+
+    def lever(name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
+        """Return mass times the longest arm squared of the body's contact points."""
+        arms = [
+            sp.Add(*(parse(text).to_sympy(known) ** 2 for text in contact.point.at))
+            for contact in scene.contacts.values()
+            if contact.point.body == name
+        ]
+        mass = parse(scene.bodies[name].mass).to_sympy(known)
+        return mass * (sp.Max(*arms) if arms else sp.S.Zero)
 
     return Parameters(scene.parameters, derived, initial)
 
@@ -126,11 +142,14 @@ class SceneLaws:
         self._contacts = tuple(
             self._reader(name, contact) for name, contact in scene.contacts.items()
         )
+        self._inertias = [(name, self._places.get(f"{name}.inertia")) for name in scene.bodies]
         self._physical: set[tuple[tuple[str, float], ...]] = set()
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
         """Evaluate parameters, initial state, scales and tolerances."""
-        values, initial = self._parameters.values(overrides)
+        values, further = self._parameters.values(overrides)
+        values, warnings = self._point_masses(values, further[-len(self._inertias) :])
+        initial = further[: -len(self._inertias)]
         key = tuple(sorted(overrides.items()))
         if overrides and key not in self._physical:
             self._scene.check_numbers(self._scene.values(overrides))
@@ -150,6 +169,7 @@ class SceneLaws:
             initial,
             tolerances,
             relative,
+            warnings,
             scales,
             contacts,
             math.sqrt(max(relative, _ROUNDING)) * scales.speed,
@@ -186,7 +206,7 @@ class SceneLaws:
         snapshot = self._tape.at(setup.values, state, 0.0)
         choice = self._choose(setup, snapshot, touching)
         self._check_declared(choice, touching)
-        return Flow(choice.taken.states, choice.taken.states), state
+        return Flow(choice.taken.states, choice.taken.states, warning=choice.warning), state
 
     def jump(
         self,
@@ -228,7 +248,7 @@ class SceneLaws:
             considered=choice.considered,
             energy=(snapshot.energy, self._tape.at(setup.values, after, clock.high).energy),
         )
-        return jump, Flow(target, target)
+        return jump, Flow(target, target, warning=choice.warning)
 
     def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> Array:
         """Return `state` on the constraints of `flow`; the same object while they hold."""
@@ -422,6 +442,19 @@ class SceneLaws:
                 return name, "stick"
             return name, "slip" if before == "pin" else "reverse"
         return self._names[0], "zeno"
+
+    def _point_masses(self, values: Array, levers: Array) -> tuple[Array, tuple[str, ...]]:
+        """Set to zero the moments of inertia that cannot be told from it."""
+        warnings = []
+        for (name, place), lever in zip(self._inertias, levers, strict=True):
+            if place is not None and 0.0 < values[place] < _POINT_MASS * lever:
+                warnings.append(
+                    f"the inertia of {name!r}, {values[place]:g}, is below {_POINT_MASS:g} of its "
+                    "mass times arm squared: computed as a point mass"
+                )
+                values = values.copy()
+                values[place] = 0.0
+        return values, tuple(warnings)
 
     def _reader(self, name: str, contact: Contact) -> Callable[[Array], ContactLaw]:
         """Return what reads a contact's coefficients off the values of a run."""

@@ -62,7 +62,7 @@ class Mechanics:
     scene : Scene
         As declared.
     parameters : mapping
-        Parameter -> symbol.
+        Parameter -> symbol, the bodies' moments of inertia (``stick.inertia``) among them.
     cones : mapping
         Contact -> (cone_n, cone_t).
     """
@@ -210,7 +210,7 @@ class Mechanics:
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         for name, body in self.scene.bodies.items():
             (x, y), angle = self.body_frame(name)
-            for weight, position in self._weights(body, x, y, angle):
+            for weight, position in self._weights(name, body, x, y, angle):
                 gradient = [sp.diff(position, q) for q in self.q]
                 moving = [i for i, g in enumerate(gradient) if g != 0]
                 drift = self.rate(self.rate(position)).xreplace(at_rest)
@@ -221,12 +221,12 @@ class Mechanics:
         return matrix, tuple(bias)
 
     def _weights(
-        self, body: Body, x: sp.Expr, y: sp.Expr, angle: sp.Expr
+        self, name: str, body: Body, x: sp.Expr, y: sp.Expr, angle: sp.Expr
     ) -> list[tuple[sp.Expr, sp.Expr]]:
         mass = self._formula(body.mass)
         weights = [(mass, x), (mass, y)]
         if body.inertia is not None:
-            weights.append((self._formula(body.inertia), angle))
+            weights.append((self._parameters[f"{name}.inertia"], angle))
         return weights
 
     @cached_property

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from statechart.declaration import Declaration
 
 __all__ = [
+    "HELD",
     "Automaton",
     "Edge",
     "Flow",
@@ -34,6 +35,9 @@ __all__ = [
 ]
 
 Kind = Literal["plain", "gap", "speed", "force"]
+
+HELD = ""
+"""In the key of a flow: a region whose state contributes nothing, so that what it moves rests."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +70,14 @@ class State:
     equations : tuple of Expr
         Each = 0, linear in the automaton's unknowns.
     margins : tuple of Margin
-        The state's invariant.
+        What an event of the state is the fall of.
+    invariants : tuple of Margin
+        What its declaration asserts besides; for checks of a trace, no run looks at them.
     """
 
     equations: tuple[sp.Expr, ...] = ()
     margins: tuple[Margin, ...] = ()
+    invariants: tuple[Margin, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,9 @@ class Edge:
         States of the region.
     guard, reset : str
         What fires it and what it does; "" where nothing is changed.
+    on_zeno : bool
+        True where no guard fires it but the accumulation of jumps out of `source`, and the
+        executor has to find that (`Automaton.detect_zeno`).
     """
 
     cause: str
@@ -92,6 +102,7 @@ class Edge:
     target: str
     guard: str
     reset: str = ""
+    on_zeno: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +148,15 @@ class Setup:
         Kind of margin -> absolute tolerance, in the scene's own units.
     relative : float
         The relative tolerance that they follow from.
+    warnings : tuple of str
+        What a reader must know of these numbers.
     """
 
     values: NDArray[np.float64]
     initial: NDArray[np.float64]
     tolerances: Mapping[str, float]
     relative: float
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,16 +167,27 @@ class Flow:
     ----------
     mode : Key
         The mode shown.
-    flow : Key or None
-        The mode whose equations apply; None: the state is held.
+    flow : Key
+        The mode whose equations apply; `HELD` in the place of a region that is held.
     remaining : float
         Time until the laws are asked again even if no margin falls (a Zeno sequence's
         accumulation); inf otherwise.
+    held : mapping
+        Region -> when its Zeno sequence, whose rest is skipped, comes to its end.
+    tolerances : mapping
+        Margin -> its tolerance in this flow, where that of its kind is not the one.
+    sizes : (n,) array or None
+        How large the terms are that each variable was summed from; its rounding is relative to
+        them. Kept by the executor, None before the first flow.
     """
 
     mode: Key
-    flow: Key | None
+    flow: Key
     remaining: float = float("inf")
+    warning: str = ""
+    held: Mapping[str, Clock] = field(default_factory=dict)
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    sizes: NDArray[np.float64] | None = None
 
 
 class Laws(Protocol):
