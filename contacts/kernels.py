@@ -81,13 +81,16 @@ def _solve(matrix: Array, right: Array) -> tuple[int, Array]:
             for c in range(size):
                 total -= scaled[i, c] * x[c]
             residual[i] = total
+    terms = np.abs(b)
     for i in range(size):
-        terms = abs(b[i])
         for c in range(size):
-            terms += abs(scaled[i, c] * x[c])
+            terms[i] += abs(scaled[i, c] * x[c])
         if not math.isfinite(x[i]):
             return SINGULAR, b
-        if abs(residual[i]) > _RESIDUAL * terms:
+    # A row whose own terms all vanish (V = 0 at mu = inf) is compared with the rounding of others.
+    rounding = 1e-14 * terms.max()
+    for i in range(size):
+        if abs(residual[i]) > _RESIDUAL * terms[i] + rounding:
             return INEXACT, b
     return SOLVED, x * column_scale
 

@@ -46,7 +46,7 @@ def automaton(scene: Scene) -> Automaton:
         regions=regions,
         stops=stops,
         observables=observables,
-        laws=SceneLaws(scene, mechanics, parameters),
+        laws=SceneLaws(scene, mechanics, parameters, stops),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import sympy as sp
@@ -17,10 +17,11 @@ from contacts.regions import states
 from contacts.scales import Scales, ScaleTape
 from contacts.scene import Contact, Scene
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
-from statechart.automaton import Flow, Setup
+from statechart.automaton import Flow, Margin, Setup
 from statechart.errors import DeclarationProblem, NoConsistentMode
 from statechart.formula import parse
 from statechart.parameters import Parameters
+from statechart.tape import compile_tape
 from statechart.trace import Clock, Jump, Key
 
 __all__ = ["SceneLaws", "SceneSetup", "cones", "scene_parameters"]
@@ -53,11 +54,14 @@ class SceneSetup(Setup):
         With this run's coefficients.
     capture : float
         Rebounds slower than this are summed instead of simulated.
+    stops : mapping
+        Stop condition -> how near zero its margin counts as met; from its value at the start.
     """
 
     scales: Scales = Scales(1.0, 1.0, 1.0, 1.0)
     contacts: tuple[ContactLaw, ...] = ()
     capture: float = 0.0
+    stops: Mapping[str, float] = field(default_factory=dict)
 
 
 def cones(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, tuple[sp.Expr, sp.Expr]]:
@@ -129,9 +133,17 @@ class SceneLaws:
         Its equations.
     parameters : Parameters
         From `scene_parameters`.
+    stops : mapping
+        Stop condition -> margin.
     """
 
-    def __init__(self, scene: Scene, mechanics: Mechanics, parameters: Parameters) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        mechanics: Mechanics,
+        parameters: Parameters,
+        stops: Mapping[str, Margin],
+    ) -> None:
         self._scene = scene
         self._parameters = parameters
         self._places = {name: i for i, name in enumerate(parameters.names)}
@@ -141,6 +153,14 @@ class SceneLaws:
         self._names = tuple(scene.contacts)
         self._contacts = tuple(
             self._reader(name, contact) for name, contact in scene.contacts.items()
+        )
+        self._stops = tuple(stops)
+        self._stop_tape = compile_tape(
+            [margin.expression for margin in stops.values()],
+            variables=(*mechanics.q, *mechanics.v),
+            parameters=symbols,
+            time=mechanics.time,
+            definitions=[(force, sp.S.Zero) for pair in mechanics.forces.values() for force in pair],
         )
         self._inertias = [(name, self._places.get(f"{name}.inertia")) for name in scene.bodies]
         self._physical: set[tuple[tuple[str, float], ...]] = set()
@@ -158,6 +178,7 @@ class SceneLaws:
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         contacts = tuple(read(values) for read in self._contacts)
         scales = self._scales.at(values, initial)
+        margins = self._stop_tape.values(initial, values, 0.0).tolist()
         tolerances = {
             "gap": max(3.0 * relative, _ROUNDING) * scales.length,
             "speed": max(10.0 * relative, 10.0 * _ROUNDING) * scales.speed,
@@ -170,9 +191,11 @@ class SceneLaws:
             tolerances,
             relative,
             warnings,
+            64.0 * scales.length / scales.speed,
             scales,
             contacts,
             math.sqrt(max(relative, _ROUNDING)) * scales.speed,
+            {name: _ROUNDING * abs(v) for name, v in zip(self._stops, margins, strict=True)},
         )
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
@@ -206,7 +229,7 @@ class SceneLaws:
         snapshot = self._tape.at(setup.values, state, 0.0)
         choice = self._choose(setup, snapshot, touching)
         self._check_declared(choice, touching)
-        return Flow(choice.taken.states, choice.taken.states, warning=choice.warning), state
+        return self._flow(setup, choice.taken.states, warning=choice.warning), state
 
     def jump(
         self,
@@ -248,7 +271,7 @@ class SceneLaws:
             considered=choice.considered,
             energy=(snapshot.energy, self._tape.at(setup.values, after, clock.high).energy),
         )
-        return jump, Flow(target, target, warning=choice.warning)
+        return jump, self._flow(setup, target, warning=choice.warning)
 
     def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> Array:
         """Return `state` on the constraints of `flow`; the same object while they hold."""
@@ -330,8 +353,8 @@ class SceneLaws:
             skipped=rest or 0.0,
         )
         if following is None:
-            return jump, Flow(target, target)
-        return jump, Flow(target, following, math.inf if rest is None else rest)
+            return jump, self._flow(setup, target)
+        return jump, self._flow(setup, target, following, rest)
 
     def _rest_of_bounces(
         self, setup: SceneSetup, landed: Snapshot, place: int, rebound: float
@@ -409,6 +432,17 @@ class SceneLaws:
         if shift is None or change is None:
             return state
         return state + np.concatenate([shift[0], change[0]])
+
+    def _flow(
+        self,
+        setup: SceneSetup,
+        mode: Key,
+        flow: Key | None = None,
+        rest: float | None = None,
+        warning: str = "",
+    ) -> Flow:
+        remaining = math.inf if rest is None else rest
+        return Flow(mode, flow or mode, remaining, warning, tolerances=setup.stops)
 
     def _check_declared(self, choice: Choice, touching: list[bool]) -> None:
         for name, declared in self._scene.modes.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,6 +190,7 @@ def advance(
     start: float,
     state: Array,
     duration: float,
+    horizon: float,
     project: Callable[[Array, Array], Array],
     on_steps: Callable[[float], None],
 ) -> Advance:
@@ -212,6 +213,10 @@ def advance(
         State there.
     duration : float
         Longest flow.
+    horizon : float
+        How far to look ahead at first; grows as the flow goes on. Where a flow is a polynomial
+        (free flight) one step could span all of `duration`, and an event soon after its start
+        would be lost in that step's rounding.
     project : callable
         (state, anchor) -> state on the mode's constraints; the same object where they hold.
     on_steps : callable
@@ -227,25 +232,30 @@ def advance(
     reached, boxes, total = 0.0, 0, 0
     count, resume = _FIRST_CHUNK, False
     while reached < duration:
+        end = min(reached + horizon, duration)
         steps = engine.steps(
-            compiled.stepper, parameters, start + reached, state, duration - reached, count, resume
+            compiled.stepper, parameters, start + reached, state, end - reached, count, resume
         )
-        taken = len(steps.durations)
-        local = reached + np.concatenate([np.zeros(1), np.cumsum(steps.durations)])
+        local = np.empty(len(steps.durations) + 1)
+        local[0] = reached
+        np.cumsum(steps.durations, out=local[1:])
+        local[1:] += reached
         if steps.finished:
-            local[-1] = duration
-        total += taken
+            local[-1] = end
+            horizon *= _GROWTH
+        total += len(steps.durations)
         search = first_crossing(
             compiled.guards, tolerances, local, steps.coefficients, parameters, start
         )
         boxes += search.boxes
-        crossing = _decide(search, compiled)
+        crossing = _decide(search, compiled, tolerances, steps, parameters, start + reached)
         if crossing is not None:
-            at_force = compiled.kinds[crossing.guard] == "force"
-            end = crossing.crossed if at_force else crossing.time
+            graze = search.verdict is not Verdict.CROSSING
+            late = graze or compiled.kinds[crossing.guard] == "force"
+            end = crossing.crossed if late else crossing.time
             return _cut(
                 collected, steps, local, end, crossing, anchor,
-                graze=search.verdict is Verdict.GRAZE, boxes=boxes, total=total,
+                graze=graze, boxes=boxes, total=total,
             )
         collected.times.append(local[1:])
         collected.coefficients.append(steps.coefficients)
@@ -253,7 +263,7 @@ def advance(
         on_steps(reached)
         ended = steps.coefficients[-1].sum(axis=1)
         state = project(ended, anchor)
-        resume = state is ended
+        resume = state is ended and not steps.finished
         count = min(2 * count, _LONGEST_CHUNK)
     times, coefficients = collected.arc(state)
     return Advance(times, coefficients, state, None, False, boxes, total)
@@ -261,17 +271,43 @@ def advance(
 
 _FIRST_CHUNK = 4
 _LONGEST_CHUNK = 64
+_GROWTH = 16.0
 
 
-def _decide(search: Search, compiled: CompiledMode) -> Crossing | None:
+def _decide(
+    search: Search,
+    compiled: CompiledMode,
+    tolerances: Array,
+    steps: Steps,
+    parameters: Array,
+    time: float,
+) -> Crossing | None:
     if search.verdict is Verdict.NONE:
         return None
-    if search.verdict in (Verdict.CROSSING, Verdict.GRAZE):
+    if search.verdict is Verdict.CROSSING:
         return search.crossing
-    names = ", ".join(margin.name for margin in compiled.mode.margins)
-    if search.verdict is Verdict.NON_FINITE:
-        raise NonFinite(f"a guard cannot be evaluated (one of: {names})")
-    raise Undecided(f"no decision within {search.boxes} boxes on one of the guards {names}")
+    where = search.undecided
+    assert where is not None
+    if search.verdict is Verdict.GRAZE:
+        return where
+    names = [margin.name for margin in compiled.mode.margins]
+    if search.verdict is Verdict.BUDGET:
+        raise Undecided(
+            f"no decision within {search.boxes} boxes on one of the guards {', '.join(names)}"
+        )
+    # An end of the run may lie where the equations end too: the cosine under a force vanishes as
+    # the stick lies flat. A margin that is zero there to within its tolerance has been reached.
+    state = (steps.coefficients[where.step] * where.s ** _powers(steps)).sum(axis=1)
+    margins = compiled.guards.values(state, parameters, time)
+    for guard, (value, tolerance) in enumerate(zip(margins, tolerances, strict=True)):
+        if compiled.kinds[guard] == "plain" and abs(value) <= tolerance:
+            return replace(where, guard=guard, crossed=where.time)
+    name = names[where.guard] if where.guard >= 0 else "one of " + ", ".join(names)
+    raise NonFinite(f"the guard {name} cannot be evaluated near t = {time:.17g}")
+
+
+def _powers(steps: Steps) -> Array:
+    return np.arange(steps.coefficients.shape[2], dtype=float)
 
 
 def _cut(
@@ -299,7 +335,7 @@ def _cut(
         s = (end - begin) / (local[kept] - begin)
         times[-1] = end
         coefficients = coefficients.copy()
-        coefficients[-1] *= s ** np.arange(coefficients.shape[2])
+        coefficients[-1] *= s ** _powers(steps)
         state = coefficients[-1].sum(axis=1)
         collected.times.append(times)
         collected.coefficients.append(coefficients)

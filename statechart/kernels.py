@@ -750,29 +750,19 @@ def _jets(code: Ints, first: int, last: int, base: int, jets: Floats, order: int
 
 @njit(cache=True, error_model="numpy")
 def _prepare(coeffs: Floats, step: int, reads: Ints, bounds: Floats) -> bool:
-    """Bounds of rounding and of the third derivative over a step; False if it is not finite.
-
-    Horner's rule passes coefficient k through 2 k + 1 roundings (Higham, "Accuracy and Stability
-    of Numerical Algorithms", 2002, 5.1), its derivatives through 2 k + 2 and 2 k + 4; the factors
-    below are twice that.
-    """
+    """Bound the third derivative over a step; False if the step is not finite."""
     finite = True
     for r in range(reads.shape[0]):
         v = reads[r]
         if v == coeffs.shape[1]:
             continue
-        s0 = s1 = s2 = s3 = 0.0
+        total = third = 0.0
         for k in range(coeffs.shape[2]):
             size = abs(coeffs[step, v, k])
-            s0 += size
-            s1 += k * size
-            s2 += k * (k - 1) * size
-            s3 += k * (k - 1) * (k - 2) * size
-        bounds[v, 0] = EPS * (s0 + 2.0 * s1) + TINY
-        bounds[v, 1] = EPS * (4.0 * s1 + 2.0 * s2) + TINY
-        bounds[v, 2] = EPS * (8.0 * s2 + 2.0 * s3) + TINY
-        bounds[v, 3] = s3 * (1.0 + 128.0 * EPS)
-        if not s0 < INF:
+            total += size
+            third += k * (k - 1) * (k - 2) * size
+        bounds[v] = third * (1.0 + 128.0 * EPS)
+        if not total < INF:
             finite = False
     return finite
 
@@ -785,6 +775,9 @@ def _enclose(
 
     A polynomial p is enclosed by p(m) +- w |p'(m)| +- w^2/2 |p''(m)| +- w^3/6 B with B the bound
     of its third derivative, and its derivatives likewise: three sums instead of a whole shift.
+    Horner's rule passes coefficient k through 2 k + 1 roundings (Higham, "Accuracy and Stability
+    of Numerical Algorithms", 2002, 5.1), its derivatives through 2 k + 2 and 2 k + 4; the sums of
+    absolute values are taken at m, so that they are small near the start of a long step.
     """
     code, n_fixed, reads, times, coeffs, start = along
     for r in range(reads.shape[0]):
@@ -799,20 +792,27 @@ def _enclose(
             row[2], row[3] = _wide(span, span, EPS)
             row[4], row[5] = 0.0, 0.0
             continue
-        p0 = p1 = p2 = 0.0
+        p0 = p1 = p2 = q0 = q1 = q2 = 0.0
         for k in range(coeffs.shape[2] - 1, -1, -1):
             p2 = p2 * m + p1
             p1 = p1 * m + p0
             p0 = p0 * m + coeffs[step, v, k]
+            q2 = q2 * m + q1
+            q1 = q1 * m + q0
+            q0 = q0 * m + abs(coeffs[step, v, k])
         p2 *= 2.0
-        b3, grow = bounds[v, 3], 1.0 + 8.0 * EPS
-        d1, d2 = abs(p1) + bounds[v, 1], abs(p2) + bounds[v, 2]
-        radius = grow * (bounds[v, 0] + w * (d1 + w * (0.5 * d2 + w * b3 / 6.0)))
+        q2 *= 2.0
+        r0 = EPS * (q0 + 2.0 * m * q1) + TINY
+        r1 = EPS * (4.0 * q1 + 2.0 * m * q2) + TINY
+        r2 = EPS * (8.0 + 2.0 * coeffs.shape[2]) * q2 + TINY
+        b3, grow = bounds[v], 1.0 + 64.0 * EPS
+        d1, d2 = abs(p1) + r1, abs(p2) + r2
+        radius = grow * (r0 + w * (d1 + w * (0.5 * d2 + w * b3 / 6.0)))
         row[0], row[1] = _whole(_wide(p0 - radius, p0 + radius, EPS))
         if order > 0:
-            radius = grow * (bounds[v, 1] + w * (d2 + w * 0.5 * b3))
+            radius = grow * (r1 + w * (d2 + w * 0.5 * b3))
             row[2], row[3] = _whole(_wide(p1 - radius, p1 + radius, EPS))
-            radius = grow * (bounds[v, 2] + w * b3)
+            radius = grow * (r2 + w * b3)
             row[4], row[5] = _whole(_wide(p2 - radius, p2 + radius, EPS))
     _jets(code, n_fixed, code.shape[0], jets.shape[0] - code.shape[0], jets, order)
 
@@ -1029,7 +1029,7 @@ def search(
         if not abs(regs[r, 0]) < INF:
             jets[r, 0], jets[r, 1] = -INF, INF
     _jets(code, 0, n_fixed, base, jets, 2)
-    bounds, work, place = np.zeros((n, 4)), np.empty((n_out, 8)), np.empty(1)
+    bounds, work, place = np.zeros(n), np.empty((n_out, 8)), np.empty(1)
     aside = np.empty((1, 8))
     lefts, rights = np.empty(64), np.empty(64)  # boxes still to see, the leftmost on top
     marks = np.empty((64, n_out), dtype=np.uint8)  # the guards that are undecided in them

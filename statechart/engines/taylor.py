@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,9 +56,7 @@ class Taylor(Engine):
 
     def compile(self, automaton: Automaton, mode: Mode) -> _Stepper:
         """Compile the rates; identical modes come from heyoka's cache on disk."""
-        convert = _Converter(automaton)
-        for symbol, expression in mode.definitions:
-            convert.known[symbol] = convert(expression)
+        convert = _Converter(automaton, dict(mode.definitions))
         states = [hy.expression(f"v{i}") for i in range(len(automaton.variables))]
         system = [
             (variable, convert(rate)) for variable, rate in zip(states, mode.rates, strict=True)
@@ -147,7 +145,10 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 class _Converter:
     """SymPy to heyoka, one heyoka node per SymPy node, parameters renumbered as they are met."""
 
-    def __init__(self, automaton: Automaton) -> None:
+    def __init__(
+        self, automaton: Automaton, definitions: Mapping[sp.Symbol, sp.Expr]
+    ) -> None:
+        self._definitions = definitions
         self.known: dict[sp.Expr, Any] = {
             symbol: hy.expression(f"v{i}") for i, symbol in enumerate(automaton.variables)
         }
@@ -185,6 +186,9 @@ class _Converter:
             # heyoka's time runs from zero in every arc, so that late arcs lose nothing.
             self.timed = True
             return hy.time + hy.par[0]
+        if node in self._definitions:
+            # Only those that the rates need: heyoka wants no parameter that it does not use.
+            return self(self._definitions[node])
         index = self._parameters.get(node)
         if index is None:
             raise StatechartError(f"the unknown {node} is used before it is determined")
