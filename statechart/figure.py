@@ -1,0 +1,339 @@
+"""A run as one picture: states, forces with their cones, modes and events against time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.automaton import Automaton
+from statechart.errors import StatechartError
+from statechart.files import write_atomic
+from statechart.observe import Observer, Samples
+from statechart.trace import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["figure", "render"]
+
+Array = NDArray[np.float64]
+
+# Okabe and Ito (2008): told apart by everybody, colour-blind or not.
+_LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+# Modes keep their colours from picture to picture; others take the next of the rest.
+_MODES = {
+    "free": "#A6D8F5",
+    "slide+": "#F3C14B",
+    "slide-": "#E88A4A",
+    "slide": "#F3C14B",
+    "pin": "#6CC4A4",
+}
+_REST = ("#A6D8F5", "#F3C14B", "#6CC4A4", "#E0A9C6", "#E88A4A", "#8FB8DE", "#D9D38A", "#BDBDBD")
+_INK, _GRID = "#333333", "#E6E6E6"
+_MOST_LINES = 6
+_MOST_PANELS = 4
+# Relative to the largest value: below this a curve is the rounding of zero.
+_NOTHING = 1e-9
+_MOST_LABELLED, _MOST_MARKED = 24, 400
+_STYLE = {
+    "font.family": "sans-serif",
+    "font.size": 9.0,
+    "axes.linewidth": 0.7,
+    "axes.edgecolor": _INK,
+    "axes.labelcolor": _INK,
+    "xtick.color": _INK,
+    "ytick.color": _INK,
+    "text.color": _INK,
+    "lines.linewidth": 1.5,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "svg.hashsalt": "statechart",
+}
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """Columns that share an axis; cone: the column and the factor that make its edges."""
+
+    title: str
+    names: tuple[str, ...]
+    cone: tuple[str, float] | None = None
+
+
+def figure(observer: Observer, trace: Trace, path: Path | str | None = None) -> Figure:
+    """Draw a run.
+
+    Panels, where there is something to show: the variables that others are the rates of, those
+    rates, gaps, and per contact the forces ``X.V`` and ``X.H`` with the edges of the cone
+    ``+-X.friction * X.V``; below, a band of modes for every region. Lines and labels mark events,
+    diamonds modes of zero duration.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of the simulator that made the run.
+    trace : Trace
+        The run.
+    path : Path or str, optional
+        Where to write it, too; svg, png or pdf by its suffix.
+
+    Raises
+    ------
+    StatechartError
+        If the suffix is none of these or the file cannot be written.
+    """
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    samples = observer.sample(trace, per_step=_per_step(trace))
+    panels = _panels(observer.automaton, trace, samples)
+    bands = len(trace.regions)
+    heights = [1.6 if i == 0 else 1.3 for i in range(len(panels))] + [0.26 * bands]
+    with rc_context(_STYLE):
+        result = Figure(figsize=(7.2, 0.9 + 1.12 * sum(heights)), layout="constrained")
+        axes = result.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[
+            :, 0
+        ]
+        for ax, panel in zip(axes, panels, strict=False):
+            _draw_panel(ax, panel, samples)
+        _draw_bands(axes[-1], observer.automaton, trace)
+        _draw_events(list(axes), trace)
+        result.align_ylabels(axes)
+        result.suptitle(trace.name, x=0.01, ha="left", fontsize=10, fontweight="bold")
+    if path is not None:
+        path = Path(path)
+        kind = path.suffix.lower().lstrip(".")
+        if kind not in ("svg", "png", "pdf"):
+            raise StatechartError(f"a figure is svg, png or pdf, not {path.suffix or path.name!r}")
+        try:
+            write_atomic(path, render(result, kind))
+        except OSError as error:
+            raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
+    return result
+
+
+def render(drawing: Figure, kind: str) -> bytes:
+    """Return a figure as a file's content: `kind` svg, png or pdf; the same each time."""
+    from matplotlib import rc_context
+
+    stream = BytesIO()
+    dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    with rc_context(_STYLE):
+        drawing.savefig(stream, format=kind, dpi=150, metadata=dated.get(kind))
+    return stream.getvalue()
+
+
+def _per_step(trace: Trace) -> int:
+    """Enough points for a smooth curve, few for a run of many steps."""
+    steps = sum(len(arc.coefficients) for arc in trace.arcs)
+    return int(np.clip(4000 // max(steps, 1), 4, 64))
+
+
+def _panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[_Panel]:
+    # A variable whose rate is another variable is a position, the other its speed.
+    places = {symbol: k for k, symbol in enumerate(automaton.variables)}
+    speeds = {places[rate] for rate in automaton.rates if rate in places}
+    groups: dict[str, list[str]] = {"position": [], "velocity": []}
+    for k, name in enumerate(automaton.names):
+        groups["velocity" if k in speeds else "position"].append(name)
+    if not speeds:
+        groups = {"variables": groups["position"]}
+    panels = [_Panel(title, tuple(names)) for title, names in groups.items() if names]
+    columns = samples.columns
+    scale = max((_largest(columns[name]) for name in automaton.names), default=0.0)
+    gaps, forces = [], []
+    for region in trace.regions:
+        gap = columns.get(f"{region}.gap")
+        # On the ground all the time, or the height that is drawn already: nothing to see.
+        if gap is not None and _largest(gap) > _NOTHING * scale:
+            drawn = (_largest(gap - columns[name]) for name in automaton.names)
+            if min(drawn, default=np.inf) > _NOTHING * scale:
+                gaps.append(f"{region}.gap")
+        normal, tangential = f"{region}.V", f"{region}.H"
+        if normal in columns and tangential in columns and _largest(columns[normal]) > 0.0:
+            friction = trace.parameters.get(f"{region}.friction", 0.0)
+            cone = (normal, friction) if 0.0 < friction < np.inf else None
+            forces.append(_Panel("force", (normal, tangential), cone))
+    forces = forces[: _MOST_PANELS - len(panels)]
+    if gaps and len(panels) + len(forces) < _MOST_PANELS:
+        panels.append(_Panel("gap", tuple(gaps)))
+    return panels + forces
+
+
+def _largest(values: Array) -> float:
+    return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+
+
+def _draw_panel(ax: Axes, panel: _Panel, samples: Samples) -> None:
+    # Broken at jumps, which take no time: a vertical line would be no part of the motion.
+    breaks = np.flatnonzero(np.diff(samples.j)) + 1
+    t = np.insert(samples.t, breaks, np.nan)
+    ax.axhline(0.0, color=_INK, linewidth=0.6, zorder=1)
+    values = {name: samples.columns[name] for name in panel.names}
+    for name, colour in zip(panel.names[:_MOST_LINES], _LINES, strict=False):
+        ax.plot(t, np.insert(values[name], breaks, np.nan), color=colour, label=name, zorder=3)
+    if len(panel.names) > _MOST_LINES:
+        ax.plot([], [], " ", label=f"and {len(panel.names) - _MOST_LINES} more")
+    low, high = _limits(list(values.values())[:_MOST_LINES])
+    if panel.cone is not None:
+        name, friction = panel.cone
+        edge = np.insert(friction * values[name], breaks, np.nan)
+        ax.fill_between(t, -edge, edge, color="#000000", alpha=0.06, linewidth=0.0, zorder=0)
+        for sign in (1.0, -1.0):
+            label = "\u00b1\u03bcV, the cone" if sign > 0 else None
+            ax.plot(
+                t, sign * edge, color="#777777", linewidth=0.9, linestyle=(0, (4, 2)), label=label
+            )
+        # A cone much wider than the force is cut off: the force is what is looked at.
+        reach = min(_largest(edge), 2.0 * max(abs(low), abs(high)))
+        low, high = min(low, -1.08 * reach), max(high, 1.08 * reach)
+    ax.set_ylim(low, high)
+    ax.set_ylabel(panel.title)
+    ax.grid(visible=True, color=_GRID, linewidth=0.6)
+    ax.set_axisbelow(True)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.6)
+
+
+def _limits(curves: Sequence[Array]) -> tuple[float, float]:
+    finite = np.concatenate([np.zeros(1), *(c[np.isfinite(c)] for c in curves)])
+    low, high = float(finite.min()), float(finite.max())
+    margin = 0.08 * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def _draw_bands(ax: Axes, automaton: Automaton, trace: Trace) -> None:
+    """Draw one row per region, the first on top, its states as coloured stretches of time."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    span = trace.t_end or 1.0
+    rows = len(trace.regions)
+    unnamed: dict[str, Patch | Line2D] = {}
+    for row, region in enumerate(automaton.regions):
+        y = rows - 1 - row
+        colours = _colours(region.states)
+        for state, stretches in _stretches(trace, row).items():
+            ax.broken_barh(
+                [(start, end - start) for start, end in stretches],
+                (y + 0.1, 0.8),
+                facecolors=colours[state],
+                edgecolor="white",
+                linewidth=0.4 if len(stretches) < _MOST_LABELLED else 0.0,
+            )
+            wide = [pair for pair in stretches if (pair[1] - pair[0]) / span > _room(state)]
+            for start, end in wide[:_MOST_LABELLED]:
+                ax.text((start + end) / 2, y + 0.5, state, ha="center", va="center", fontsize=8)
+            if not wide:
+                unnamed[state] = Patch(facecolor=colours[state], label=state)
+        for state, times in _instants(trace, row).items():
+            unnamed[f"{state} for no time"] = ax.plot(
+                times,
+                np.full(len(times), y + 0.5),
+                "D",
+                markersize=4.5,
+                clip_on=False,
+                color=colours[state],
+                markeredgecolor=_INK,
+                markeredgewidth=0.7,
+                label=f"{state} for no time",
+            )[0]
+    ax.set_ylim(0, rows)
+    ax.set_yticks([rows - 0.5 - row for row in range(rows)], trace.regions)
+    ax.tick_params(axis="y", length=0)
+    for side in ("top", "right", "left"):
+        ax.spines[side].set_visible(False)
+    ax.set_xlim(0.0, span)
+    ax.set_xlabel("time")
+    if unnamed:
+        ax.legend(
+            handles=list(unnamed.values()),
+            loc="center left",
+            bbox_to_anchor=(1.0, 0.5),
+            handlelength=1.0,
+        )
+
+
+def _room(text: str) -> float:
+    """Return the width of a label as a part of the axis."""
+    return 0.0125 * (len(text) + 1)
+
+
+def _colours(states: Sequence[str]) -> Mapping[str, str]:
+    rest = iter(_REST * (len(states) // len(_REST) + 1))
+    return {state: _MODES.get(state) or next(rest) for state in states}
+
+
+def _stretches(trace: Trace, row: int) -> dict[str, list[tuple[float, float]]]:
+    """Return state -> times that the region spends in it, adjoining ones joined."""
+    result: dict[str, list[tuple[float, float]]] = {}
+    last = ""
+    for arc in trace.arcs:
+        state, start, end = arc.mode[row], arc.start.high, arc.end.high
+        stretches = result.setdefault(state, [])
+        if state == last:
+            stretches[-1] = (stretches[-1][0], end)
+        else:
+            stretches.append((start, end))
+        last = state
+    return result
+
+
+def _instants(trace: Trace, row: int) -> dict[str, list[float]]:
+    """Return state -> times at which the region passed through it in no time."""
+    flowed = {arc.j for arc in trace.arcs}
+    result: dict[str, list[float]] = {}
+    for jump, following in zip(trace.jumps, trace.jumps[1:], strict=False):
+        state = jump.target[row]
+        if jump.j + 1 not in flowed and state not in (jump.source[row], following.target[row]):
+            result.setdefault(state, []).append(jump.t)
+    return result
+
+
+def _draw_events(axes: Sequence[Axes], trace: Trace) -> None:
+    times = [jump.t for jump in trace.jumps]
+    if not 0 < len(times) <= _MOST_MARKED:
+        return
+    faint = 0.8 if len(times) <= _MOST_LABELLED else 0.3
+    for ax in axes:
+        ax.vlines(
+            times,
+            0.0,
+            1.0,
+            transform=ax.get_xaxis_transform(),
+            color=_INK,
+            alpha=faint,
+            linewidth=0.6,
+            linestyle=(0, (1, 2)),
+            zorder=2,
+        )
+    if len(times) > _MOST_LABELLED:
+        return
+    # Labels on two levels over the first panel; what has no room on them is left out.
+    span, free = trace.t_end or 1.0, [-1.0] * 2
+    top = axes[0].get_xaxis_transform()
+    for jump in trace.jumps:
+        place, width = jump.t / span, _room(jump.cause)
+        left = place if place + width <= 1.0 else place - width
+        level = next((k for k, end in enumerate(free) if left >= end), None)
+        if level is None:
+            continue
+        free[level] = left + width
+        axes[0].text(
+            jump.t,
+            1.02 + 0.1 * level,
+            jump.cause,
+            transform=top,
+            fontsize=8,
+            color=_INK,
+            ha="left" if left == place else "right",
+            va="bottom",
+        )

@@ -1,0 +1,518 @@
+"""Formulas evaluated along a run: samples, values at jumps, integrals, extremes.
+
+A formula over an automaton's observables may use what a mode solves for (contact forces, say);
+it is then compiled once for every mode that it is evaluated in. An observer outlives the runs of
+its simulator, so that the next run finds its programs ready.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import sympy as sp
+from numpy.typing import ArrayLike, NDArray
+
+from statechart.automaton import Automaton, Setup
+from statechart.compose import Mode, build_mode
+from statechart.enclosure import integrals
+from statechart.errors import StatechartError
+from statechart.formula import parse
+from statechart.linear import Singular
+from statechart.simulate import Simulator
+from statechart.tape import Tape, compile_tape
+from statechart.trace import Arc, Jump, Key, Trace
+
+__all__ = ["FormulaLike", "Observer", "Samples"]
+
+Array = NDArray[np.float64]
+
+FormulaLike: TypeAlias = "str | int | float | sp.Expr"
+"""Text over the observables' names, or an expression in the automaton's own symbols."""
+
+# Grid on which extremes are looked for, per step of the integrator, before they are refined.
+_GRID = 16
+# Each round divides the bracket by 8; after 9 it is 1e-8 of a step, where a smooth extreme
+# differs from its neighbourhood by 1e-16.
+_ROUNDS, _DIVISIONS = 9, 16
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Values along a run, one row a point of hybrid time.
+
+    Attributes
+    ----------
+    t : (m,) array
+        Time, in order.
+    j : (m,) array of int
+        Number of jumps before the point.
+    mode : (m,) array of int
+        Place in `modes` of the mode that holds.
+    modes : tuple of Key
+        The modes that occur.
+    columns : mapping of str to (m,) array
+        Formula -> values; not a number where it is undefined.
+    """
+
+    t: Array
+    j: NDArray[np.int64]
+    mode: NDArray[np.intp]
+    modes: tuple[Key, ...]
+    columns: Mapping[str, Array]
+
+
+_Where = tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Active:
+    """What is integrated in one mode: places among the formulas, and whether it is solved for."""
+
+    places: list[int]
+    expressions: tuple[sp.Expr, ...]
+    needed: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Rows to evaluate at: (m,) times, (m, n) states; ends[k]: where the rows of flow k end."""
+
+    times: Array
+    states: Array
+    flows: Sequence[Key | None]
+    ends: Sequence[int]
+
+
+class Observer:
+    """Evaluates formulas along the traces of a simulator.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Whose runs are looked at; what is compiled for one run serves all later ones.
+
+    Notes
+    -----
+    A formula over what a mode solves for has no value (not a number) where the state is held
+    while the rest of a Zeno sequence is skipped, and in a mode of zero duration whose equations
+    are singular.
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.simulator = simulator
+        self._expressions: dict[str | int | float, sp.Expr] = {}
+        self._unknowns = frozenset(simulator.automaton.unknowns)
+        self._needs: dict[tuple[sp.Expr, ...], bool] = {}
+        self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None], Tape] = {}
+        self._actives: dict[tuple[Key, tuple[_Where, ...], tuple[sp.Expr, ...]], _Active] = {}
+        self._passed: dict[tuple[Key, frozenset[sp.Symbol]], Mode | None] = {}
+
+    @property
+    def automaton(self) -> Automaton:
+        """The automaton whose observables formulas are over."""
+        return self.simulator.automaton
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The observables that change along a run: variables first, no parameter, no time."""
+        automaton = self.automaton
+        constant = {automaton.time, *automaton.parameters}
+        others = [
+            name
+            for name, expression in automaton.observables.items()
+            if expression not in constant and name not in automaton.names
+        ]
+        return (*automaton.names, *others)
+
+    def expression(self, formula: FormulaLike) -> sp.Expr:
+        """Return a formula in the automaton's symbols.
+
+        Raises
+        ------
+        FormulaError
+            If it cannot be read, or uses a name that is no observable.
+        """
+        if isinstance(formula, sp.Expr):
+            return formula
+        if formula not in self._expressions:
+            self._expressions[formula] = parse(formula).to_sympy(self.automaton.observables)
+        return self._expressions[formula]
+
+    def sample(
+        self,
+        trace: Trace,
+        formulas: Sequence[str] | None = None,
+        *,
+        per_step: int = 8,
+        times: ArrayLike | None = None,
+    ) -> Samples:
+        """Evaluate along a run.
+
+        Parameters
+        ----------
+        trace : Trace
+            The run.
+        formulas : sequence of str, optional
+            What to evaluate; `names` by default.
+        per_step : int
+            Intervals in every step of the integrator; both ends of an arc are sampled, so a jump
+            shows as two rows of one time.
+        times : (m,) array, optional
+            Sample here instead; at the instant of a jump, after it.
+
+        Raises
+        ------
+        FormulaError
+            If a formula cannot be evaluated.
+        ValueError
+            If the times are outside the run or not in order.
+        """
+        formulas = self.names if formulas is None else tuple(formulas)
+        expressions = tuple(self.expression(formula) for formula in formulas)
+        if times is None:
+            arcs, local = list(trace.arcs), [_subdivided(arc, per_step) for arc in trace.arcs]
+        else:
+            arcs, local = _places(trace, np.asarray(times, dtype=float))
+        if arcs:
+            points = _along(arcs, local)
+            counts = [len(tau) for tau in local]
+            held, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
+        else:  # nothing flowed: the run is its last state
+            rows = 1 if times is None else np.size(times)
+            flow = self._flow(trace, len(trace.jumps), trace.final_mode, ends=False)
+            points = _Points(
+                np.full(rows, trace.t_end), np.tile(trace.final, (rows, 1)), (flow,), (rows,)
+            )
+            counts, held, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
+        modes = tuple(dict.fromkeys(held))
+        table = self._table(trace, expressions, points)
+        return Samples(
+            points.times,
+            np.repeat(np.array(jumped, dtype=np.int64), counts),
+            np.repeat(np.array([modes.index(key) for key in held], dtype=np.intp), counts),
+            modes,
+            {name: table[:, k] for k, name in enumerate(formulas)},
+        )
+
+    def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
+        """Return the values (f,) of formulas at the start, before any jump."""
+        flow = self._flow(trace, 0, trace.start_mode, ends=False)
+        points = _Points(np.zeros(1), trace.initial[None], (flow,), (1,))
+        return self._table(trace, self._all(formulas), points)[0]
+
+    def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
+        """Return the values (f,) of formulas at the end, after all jumps."""
+        flow = self._flow(trace, len(trace.jumps), trace.final_mode, ends=False)
+        points = _Points(np.array([trace.t_end]), trace.final[None], (flow,), (1,))
+        return self._table(trace, self._all(formulas), points)[0]
+
+    def at(
+        self,
+        trace: Trace,
+        formulas: Sequence[FormulaLike],
+        jumps: Sequence[Jump],
+        *,
+        before: bool = False,
+    ) -> Array:
+        """Return the values (m, f) of formulas at jumps.
+
+        Parameters
+        ----------
+        trace : Trace
+            The run.
+        formulas : sequence of FormulaLike
+            What to evaluate.
+        jumps : sequence of Jump
+            Some of the run's.
+        before : bool
+            The state just before each jump, in the mode left; else just after it, in the mode
+            entered.
+        """
+        size = len(trace.variables)
+        return self._table(
+            trace,
+            self._all(formulas),
+            _Points(
+                np.array([jump.t for jump in jumps]),
+                np.array([jump.before if before else jump.after for jump in jumps]).reshape(
+                    -1, size
+                ),
+                [
+                    self._flow(trace, jump.j, jump.source, ends=True)
+                    if before
+                    else self._flow(trace, jump.j + 1, jump.target, ends=False)
+                    for jump in jumps
+                ],
+                range(1, len(jumps) + 1),
+            ),
+        )
+
+    def integrals(
+        self,
+        trace: Trace,
+        formulas: Sequence[FormulaLike],
+        during: Sequence[Mapping[str, str]] | None = None,
+    ) -> Array:
+        """Return the integrals (f,) of formulas over time.
+
+        Parameters
+        ----------
+        trace : Trace
+            The run.
+        formulas : sequence of FormulaLike
+            What to integrate.
+        during : sequence of mappings, optional
+            One per formula: region -> state, as the automaton or as the declaration names it
+            (`slide` is `slide+` and `slide-`); only arcs in all these states count. All of the
+            run by default.
+        """
+        expressions = self._all(formulas)
+        where = tuple([tuple(d.items()) for d in during]) if during else ((),) * len(expressions)
+        values, modes = _parameters(trace), None
+        total = np.zeros(len(expressions))
+        for arc in trace.arcs:
+            active = self._actives.get((arc.mode, where, expressions))
+            if active is None:
+                active = self._active(arc.mode, where, expressions)
+            if not active.places:
+                continue
+            mode = None
+            if active.needed:
+                modes = modes or self._modes(trace)
+                mode = modes(arc.flow)
+                if mode is None:
+                    raise StatechartError(
+                        f"nothing is solved for while the state is held, "
+                        f"t = {arc.start.high:.17g} to {arc.end.high:.17g}: "
+                        "integrate what depends on the state alone"
+                    )
+            total[active.places] += integrals(
+                self._tape(active.expressions, mode),
+                arc.times,
+                arc.coefficients,
+                values,
+                arc.start.high,
+                0.0,
+                arc.duration,
+            )
+        return total
+
+    def extremes(self, trace: Trace, formula: FormulaLike) -> tuple[float, float]:
+        """Return the least and the greatest value of a formula over all arcs.
+
+        A smooth extreme is right to rounding if it is at least a sixteenth of a step wide. Places
+        where the formula is undefined do not count; both are not a number if it is everywhere.
+        """
+        expressions = (self.expression(formula),)
+        if not trace.arcs:
+            ends = self.initial(trace, expressions)[0], self.final(trace, expressions)[0]
+            return float(min(ends)), float(max(ends))
+        local = [_subdivided(arc, _GRID) for arc in trace.arcs]
+        values = self._table(trace, expressions, _along(trace.arcs, local))[:, 0]
+        least = self._least(trace, expressions, local, values, 1.0)
+        return least, -self._least(trace, expressions, local, -values, -1.0)
+
+    def _least(
+        self,
+        trace: Trace,
+        expressions: tuple[sp.Expr, ...],
+        local: list[Array],
+        values: Array,
+        sign: float,
+    ) -> float:
+        """Return the least of ``sign * expression``, from its values on the grid `local`."""
+        if np.isnan(values).all():
+            return float("nan")
+        best = float(np.nanmin(values))
+        first = 0
+        for arc, tau in zip(trace.arcs, local, strict=True):
+            v = values[first : first + len(tau)]
+            first += len(tau)
+            # Between grid points a smooth function is below them by at most about its second
+            # difference; only points that may hide a lower value are refined.
+            with np.errstate(invalid="ignore"):
+                bend = np.abs(np.diff(v, 2)) if len(v) > 2 else np.abs(v[:1] - v[-1:])
+                bend = np.concatenate([bend[:1], bend, bend[-1:]])[: len(v)]
+                low = v - bend < best
+            low[1:] &= v[1:] <= v[:-1]
+            low[:-1] &= v[:-1] <= v[1:]
+            for i in np.flatnonzero(low).tolist():
+                left, right = float(tau[max(i - 1, 0)]), float(tau[min(i + 1, len(tau) - 1)])
+                best = min(best, self._refined(trace, expressions, arc, left, right, sign))
+        return best
+
+    def _refined(
+        self,
+        trace: Trace,
+        expressions: tuple[sp.Expr, ...],
+        arc: Arc,
+        left: float,
+        right: float,
+        sign: float,
+    ) -> float:
+        best = float("inf")
+        for _ in range(_ROUNDS):
+            tau = np.linspace(left, right, _DIVISIONS + 1)
+            v = sign * self._table(trace, expressions, _along((arc,), [tau]))[:, 0]
+            if np.isnan(v).all():
+                break
+            i = int(np.nanargmin(v))
+            best = min(best, float(v[i]))
+            left, right = float(tau[max(i - 1, 0)]), float(tau[min(i + 1, _DIVISIONS)])
+        return best
+
+    def _all(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
+        return tuple([self.expression(formula) for formula in formulas])
+
+    def _active(
+        self, key: Key, where: tuple[_Where, ...], expressions: tuple[sp.Expr, ...]
+    ) -> _Active:
+        """Find what is integrated in the mode `key`."""
+        states = {
+            region.name: (state, region.declared(state))
+            for region, state in zip(self.automaton.regions, key, strict=True)
+        }
+        places = [
+            i
+            for i, wanted in enumerate(where)
+            if all(state in states[region] for region, state in wanted)
+        ]
+        chosen = tuple([expressions[i] for i in places])
+        active = _Active(places, chosen, self._needed(chosen))
+        self._actives[key, where, expressions] = active
+        return active
+
+    def _flow(self, trace: Trace, j: int, mode: Key, *, ends: bool) -> Key | None:
+        """Return the mode whose equations hold after `j` jumps, in the mode shown as `mode`.
+
+        `ends`: at the end of that time, else at its start.
+        """
+        arcs = trace.arcs
+        place = bisect_right(arcs, j, key=_jumps) - 1 if ends else bisect_left(arcs, j, key=_jumps)
+        if 0 <= place < len(arcs) and arcs[place].j == j and arcs[place].mode == mode:
+            return arcs[place].flow
+        # A stop, for one, changes nothing: the arc before it goes on.
+        if j > 0 and trace.jumps[j - 1].source == trace.jumps[j - 1].target == mode:
+            return self._flow(trace, j - 1, mode, ends=True)
+        return mode
+
+    def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: _Points) -> Array:
+        """Return the values (m, f) of expressions, one call of a kernel per flow."""
+        values = _parameters(trace)
+        if not self._needed(expressions):
+            return self._tape(expressions, None).table(points.states, values, points.times)
+        result = np.full((len(points.times), len(expressions)), np.nan)
+        rows: dict[Key | None, list[NDArray[np.intp]]] = {}
+        start = 0
+        for flow, end in zip(points.flows, points.ends, strict=True):
+            rows.setdefault(flow, []).append(np.arange(start, end))
+            start = end
+        modes = self._modes(trace)
+        for flow, parts in rows.items():
+            mode = modes(flow)
+            columns = [
+                i for i, e in enumerate(expressions) if mode is not None or not self._needed((e,))
+            ]
+            if columns:
+                index = np.concatenate(parts)
+                tape = self._tape(tuple([expressions[i] for i in columns]), mode)
+                found = tape.table(points.states[index], values, points.times[index])
+                result[np.ix_(index, np.array(columns))] = found
+        return result
+
+    def _needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
+        """Tell whether the expressions use what a mode solves for."""
+        found = self._needs.get(expressions)
+        if found is None:
+            found = any(self._unknowns & e.free_symbols for e in expressions)
+            self._needs[expressions] = found
+        return found
+
+    def _tape(self, expressions: tuple[sp.Expr, ...], mode: Mode | None) -> Tape:
+        """Return the program for expressions in a mode, or in any that they do not depend on."""
+        key = (expressions, mode)
+        tape = self._tapes.get(key)
+        if tape is None:
+            automaton = self.automaton
+            tape = self._tapes[key] = compile_tape(
+                expressions,
+                variables=automaton.variables,
+                parameters=automaton.parameters,
+                time=automaton.time,
+                definitions=mode.definitions if mode else (),
+            )
+        return tape
+
+    def _modes(self, trace: Trace) -> Callable[[Key | None], Mode | None]:
+        """Return the look-up flow -> solved mode; None where there is nothing to solve."""
+        values = _parameters(trace)
+        setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
+        flowed = {arc.flow for arc in trace.arcs}
+
+        def look_up(flow: Key | None) -> Mode | None:
+            if flow is None:
+                return None
+            if flow in flowed:
+                return self.simulator.compiled(flow, setup).mode
+            # Passed through in no time: no integrator is compiled for it.
+            zeros = frozenset(
+                s for s, v in zip(self.automaton.parameters, values, strict=True) if v == 0.0
+            )
+            if (flow, zeros) not in self._passed:
+                try:
+                    mode = build_mode(self.automaton, flow, zeros)
+                except Singular:
+                    mode = None
+                self._passed[flow, zeros] = mode
+            return self._passed[flow, zeros]
+
+        return look_up
+
+
+def _parameters(trace: Trace) -> Array:
+    return np.fromiter(trace.parameters.values(), float, len(trace.parameters))
+
+
+def _jumps(arc: Arc) -> int:
+    return arc.j
+
+
+def _subdivided(arc: Arc, per_step: int) -> Array:
+    """Return local times: `per_step` intervals in every step, both ends of the arc included."""
+    ends = arc.times
+    inner = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(per_step) / per_step)
+    return np.append(inner.ravel(), ends[-1])
+
+
+def _along(arcs: Sequence[Arc], local: Sequence[Array]) -> _Points:
+    """Return the points of arcs at local times, one array of them an arc."""
+    pairs = list(zip(arcs, local, strict=True))
+    return _Points(
+        np.concatenate([arc.start.high + (arc.start.low + tau) for arc, tau in pairs]),
+        np.concatenate([arc.states(tau) for arc, tau in pairs]),
+        [arc.flow for arc in arcs],
+        np.cumsum([len(tau) for tau in local]).tolist(),
+    )
+
+
+def _places(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
+    """Return the arcs that hold absolute `times`, and the local times in each."""
+    if times.ndim != 1 or not (np.diff(times) >= 0.0).all():
+        raise ValueError("times must be one row of numbers in ascending order")
+    if len(times) and not (times[0] >= 0.0 and times[-1] <= trace.t_end):
+        raise ValueError(f"times must lie in the run, 0 to {trace.t_end:.17g}")
+    if not trace.arcs:
+        return [], []
+    starts = [arc.start.high for arc in trace.arcs]
+    owner = np.maximum(np.searchsorted(starts, times, side="right") - 1, 0)
+    arcs, local = [], []
+    for place in np.unique(owner):
+        arc = trace.arcs[place]
+        tau = (times[owner == place] - arc.start.high) - arc.start.low
+        arcs.append(arc)
+        local.append(np.clip(tau, 0.0, arc.duration))
+    return arcs, local

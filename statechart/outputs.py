@@ -1,0 +1,106 @@
+"""The outputs that a model declares, computed from a trace."""
+
+from __future__ import annotations
+
+from statechart.declaration import Count, Event, Integral, Maximum, Minimum, Value
+from statechart.observe import Observer
+from statechart.trace import Jump, Trace
+
+__all__ = ["Outputs", "Result", "outputs"]
+
+Result = float | int | list[float] | None
+"""A number; a list for a value at `each` event; None where the event never happened."""
+
+
+class Outputs:
+    """The declared outputs of a model, made ready once for many runs.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of the simulator that makes the runs.
+    """
+
+    def __init__(self, observer: Observer) -> None:
+        self.observer = observer
+        declared = observer.automaton.declaration.outputs
+        self._names = tuple(declared)
+        self._at: list[tuple[str, Value, str, Event]] = []
+        self._counts: list[tuple[str, Event]] = []
+        self._extremes: list[tuple[str, str | int | float, int]] = []
+        # Taken together: one call of a kernel, not one each.
+        self._start: dict[str, str | int | float] = {}
+        self._end: dict[str, str | int | float] = {}
+        self._integrals: dict[str, Integral] = {}
+        for name, output in declared.items():
+            match output:
+                case Value():
+                    moment = output.moment
+                    if moment.event is not None:
+                        self._at.append((name, output, moment.when, moment.event))
+                    else:
+                        values = self._end if moment.when == "end" else self._start
+                        values[name] = output.value
+                case Integral():
+                    self._integrals[name] = output
+                case Count():
+                    self._counts.append((name, output.event))
+                case Minimum():
+                    self._extremes.append((name, output.minimum, 0))
+                case Maximum():
+                    self._extremes.append((name, output.maximum, 1))
+
+    def of(self, trace: Trace) -> dict[str, Result]:
+        """Return the outputs of a run, in the order of the declaration.
+
+        A value at an event that never happened is None, the count of it 0, the list empty.
+
+        Raises
+        ------
+        FormulaError, StatechartError
+            If a formula cannot be evaluated.
+        """
+        observer = self.observer
+        found: dict[str, Result] = {}
+        for name, output, when, event in self._at:
+            found[name] = self._at_jumps(trace, output, when, event)
+        for name, event in self._counts:
+            found[name] = len(_jumps(trace, event))
+        for name, formula, which in self._extremes:
+            found[name] = observer.extremes(trace, formula)[which]
+        if self._start:
+            values = observer.initial(trace, list(self._start.values())).tolist()
+            found |= zip(self._start, values, strict=True)
+        if self._end:
+            values = observer.final(trace, list(self._end.values())).tolist()
+            found |= zip(self._end, values, strict=True)
+        if self._integrals:
+            declared = self._integrals.values()
+            totals = observer.integrals(
+                trace, [o.integral for o in declared], [o.during for o in declared]
+            )
+            found |= zip(self._integrals, totals.tolist(), strict=True)
+        return {name: found[name] for name in self._names}
+
+    def _at_jumps(
+        self, trace: Trace, output: Value, when: str, event: Event
+    ) -> float | list[float] | None:
+        jumps = _jumps(trace, event)
+        if when != "each":
+            jumps = jumps[:1] if when == "first" else jumps[-1:]
+        if not jumps:
+            return [] if when == "each" else None
+        table = self.observer.at(trace, [output.value], jumps, before=output.before)
+        values: list[float] = table[:, 0].tolist()
+        return values if when == "each" else values[0]
+
+
+def outputs(observer: Observer, trace: Trace) -> dict[str, Result]:
+    """Return the declared outputs of one run; see `Outputs.of`."""
+    return Outputs(observer).of(trace)
+
+
+def _jumps(trace: Trace, event: Event) -> list[Jump]:
+    """Return the jumps of a cause: of its region, or of any."""
+    region, cause = event.region, event.cause
+    return [j for j in trace.jumps if j.cause == cause and region in (None, j.region)]

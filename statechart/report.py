@@ -1,0 +1,137 @@
+"""A run as one plain object: what `statechart run --json` prints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from statechart.automaton import Setup
+from statechart.enclosure import lowest
+from statechart.observe import Observer
+from statechart.outputs import outputs
+from statechart.trace import Jump, Key, Trace
+
+__all__ = ["json_safe", "margins", "report"]
+
+
+def report(
+    observer: Observer,
+    trace: Trace,
+    *,
+    error_estimate: float | None = None,
+    timings: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """Return a run as an object of dicts, lists, strings and numbers.
+
+    Infinite and undefined numbers are the strings ``"inf"``, ``"-inf"`` and ``"nan"``, since
+    strict JSON has no others; `float` reads all three, and ``json.dumps(..., allow_nan=False)``
+    never fails. Finite floats keep all their digits.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of the simulator that made the run.
+    trace : Trace
+        The run.
+    error_estimate : float, optional
+        Of the final state, where an accuracy was asked for.
+    timings : mapping of str to float, optional
+        What took how many seconds.
+
+    Returns
+    -------
+    dict
+        `model`, `outcome`, `message`, `t_end`, `engine`, `certified`, `evidence`,
+        `error_estimate`, `modes_total` (directions of sliding told apart), `modes_declared`
+        (as users count), `modes_built`, `modes` (in the order visited), `events`, `final`,
+        `outputs`, `margins`, `warnings`, `counts`, `timings`, `parameters`, `tolerances`.
+    """
+    automaton = observer.automaton
+    result = {
+        "model": trace.name,
+        "outcome": trace.outcome.name,
+        "message": trace.message,
+        "t_end": trace.t_end,
+        "engine": trace.engine,
+        "tolerance": trace.tolerance,
+        "certified": trace.certified,
+        "evidence": trace.evidence,
+        "error_estimate": error_estimate,
+        "modes_total": automaton.modes_total,
+        "modes_declared": automaton.modes_declared,
+        "modes_built": trace.counts.get("modes_built", 0),
+        "modes": [dict(zip(trace.regions, key, strict=True)) for key in trace.modes],
+        "events": [_event(trace, jump) for jump in trace.jumps],
+        "final": dict(zip(trace.variables, trace.final.tolist(), strict=True)),
+        "outputs": outputs(observer, trace),
+        "margins": margins(observer, trace),
+        "warnings": trace.warnings,
+        "counts": trace.counts,
+        "timings": timings or {},
+        "parameters": trace.parameters,
+        "tolerances": trace.tolerances,
+    }
+    safe: dict[str, Any] = json_safe(result)
+    return safe
+
+
+def margins(observer: Observer, trace: Trace) -> dict[str, float]:
+    """Return the least value seen of every margin, on a grid of 16 places in every step.
+
+    A margin counts in the modes whose invariant it belongs to. Where an event ended an arc, its
+    margin is about zero, or below it by less than its tolerance.
+    """
+    values = np.array(list(trace.parameters.values()))
+    setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
+    least: dict[str, float] = {}
+    for arc in trace.arcs:
+        if arc.flow is None:
+            continue
+        compiled = observer.simulator.compiled(arc.flow, setup)
+        found = lowest(compiled.guards, arc.times, arc.coefficients, values, arc.start.high)
+        for margin, value in zip(compiled.mode.margins, found.tolist(), strict=True):
+            before = least.get(margin.name, math.inf)
+            # Once undefined, always undefined: NaN compares false.
+            least[margin.name] = before if before <= value or before != before else value
+    return dict(sorted(least.items()))
+
+
+def json_safe(value: Any) -> Any:
+    """Return `value` with tuples as lists, keys as text, and non-finite floats as text."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(float(value))
+    if isinstance(value, Mapping):
+        return {str(key): json_safe(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_safe(item) for item in value]
+    return value
+
+
+def _event(trace: Trace, jump: Jump) -> dict[str, Any]:
+    names = trace.variables
+    event: dict[str, Any] = {
+        "t": jump.t,
+        "j": jump.j,
+        "contact": jump.region or None,
+        "cause": jump.cause,
+        "from": _states(trace, jump.source),
+        "to": _states(trace, jump.target),
+        "state": dict(zip(names, jump.after.tolist(), strict=True)),
+        "state_before": dict(zip(names, jump.before.tolist(), strict=True)),
+        "impulse": {
+            region: {"normal": normal, "tangential": tangential}
+            for region, (normal, tangential) in jump.impulse.items()
+        },
+        "fired": jump.fired,
+        "considered": jump.considered,
+        "energy": jump.energy,
+        "skipped": jump.skipped,
+    }
+    return event
+
+
+def _states(trace: Trace, key: Key) -> dict[str, str]:
+    return dict(zip(trace.regions, key, strict=True))

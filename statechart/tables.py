@@ -1,0 +1,256 @@
+"""Runs as tables and data sets, in memory and on disk."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from statechart.errors import StatechartError
+from statechart.files import write_atomic
+from statechart.observe import Observer, Samples
+from statechart.trace import Trace
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+__all__ = ["events_table", "samples_table", "save", "to_xarray", "write_run"]
+
+# Names of the coordinates and dimensions, and those that the file format keeps for itself.
+_TAKEN = frozenset({"t", "j", "mode", "sample", "event"}) | frozenset(
+    {"byte", "char", "short", "ushort", "int", "uint", "int64", "uint64", "float", "real"}
+    | {"double", "bool", "string"}
+)
+
+
+def samples_table(observer: Observer, trace: Trace, *, per_step: int = 8) -> pd.DataFrame:
+    """Return a run as a table: t, j, mode, then every variable and observable.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of the simulator that made the run.
+    trace : Trace
+        The run.
+    per_step : int
+        Rows in every step of the integrator; both ends of an arc have one, so a jump shows as
+        two rows of one time.
+    """
+    import pandas as pd
+
+    samples = observer.sample(trace, per_step=per_step)
+    names = _columns(samples.columns)
+    return pd.DataFrame(
+        {
+            "t": samples.t,
+            "j": samples.j,
+            "mode": pd.Categorical.from_codes(samples.mode, _labels(observer, samples)),
+            **{names[name]: values for name, values in samples.columns.items()},
+        }
+    )
+
+
+def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
+    """Return the jumps of a run as a table, one row each.
+
+    Columns: t, j, region, cause, source, target, skipped, then `X.normal` and `X.tangential`
+    (impulses) of every region X that had one, `energy before` and `energy after` where there is
+    an energy, and the state: `X before` and `X` of every variable X.
+    """
+    import pandas as pd
+
+    label, jumps = observer.automaton.label, trace.jumps
+    columns: dict[str, Any] = {
+        "t": np.array([jump.t for jump in jumps]),
+        "j": np.array([jump.j for jump in jumps], dtype=np.int64),
+        "region": [jump.region for jump in jumps],
+        "cause": [jump.cause for jump in jumps],
+        "source": [label(jump.source) for jump in jumps],
+        "target": [label(jump.target) for jump in jumps],
+        "skipped": np.array([jump.skipped for jump in jumps]),
+    }
+    none = (np.nan, np.nan)
+    for region in trace.regions:
+        if any(region in jump.impulse for jump in jumps):
+            pairs = np.array([jump.impulse.get(region, none) for jump in jumps])
+            columns |= {f"{region}.normal": pairs[:, 0], f"{region}.tangential": pairs[:, 1]}
+    if any(jump.energy is not None for jump in jumps):
+        pairs = np.array([jump.energy or none for jump in jumps])
+        columns |= {"energy before": pairs[:, 0], "energy after": pairs[:, 1]}
+    for k, name in enumerate(trace.variables):
+        columns[f"{name} before"] = np.array([jump.before[k] for jump in jumps])
+        columns[name if name not in columns else f"{name} after"] = np.array(
+            [jump.after[k] for jump in jumps]
+        )
+    return pd.DataFrame(columns)
+
+
+def to_xarray(observer: Observer, trace: Trace, *, per_step: int = 8) -> xr.Dataset:
+    """Return a run as a data set that NetCDF can hold.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of the simulator that made the run.
+    trace : Trace
+        The run.
+    per_step : int
+        As in `samples_table`.
+
+    Returns
+    -------
+    Dataset
+        Dimension `sample`, with the coordinates t, j and mode, holds the variables and
+        observables; dimension `event`, with event_t and event_j, holds what `events_table` has.
+        Its attributes say how the run was made and ended; ``parameter.X`` is the value of the
+        parameter X. A name that the format does not allow has an underscore appended.
+    """
+    import xarray as xr
+
+    samples = observer.sample(trace, per_step=per_step)
+    names = _columns(samples.columns)
+    labels = np.array(_labels(observer, samples), dtype=np.str_)
+    data: dict[str, Any] = {
+        names[name]: ("sample", values, {"long_name": name, "role": _role(observer, name)})
+        for name, values in samples.columns.items()
+    }
+    coordinates: dict[str, Any] = {
+        "t": ("sample", samples.t, {"long_name": "time"}),
+        # NetCDF 3 has no integers of 64 bits.
+        "j": ("sample", samples.j.astype(np.int32), {"long_name": "number of jumps before"}),
+        "mode": ("sample", labels[samples.mode], {"long_name": "mode"}),
+    }
+    for name, column in events_table(observer, trace).items():
+        values = column.to_numpy()
+        if values.dtype == np.int64:
+            values = values.astype(np.int32)
+        elif values.dtype != np.float64:
+            values = values.astype(np.str_)
+        target = coordinates if name in ("t", "j") else data
+        target[f"event_{name}"] = ("event", values, {"long_name": f"{name} of the event"})
+    attributes: dict[str, str | float] = {
+        "model": trace.name,
+        "outcome": trace.outcome.name,
+        "message": trace.message,
+        "engine": trace.engine,
+        "tolerance": trace.tolerance,
+        "t_end": trace.t_end,
+        "certified": "true" if trace.certified else "false",
+    }
+    attributes |= {f"parameter.{name}": value for name, value in trace.parameters.items()}
+    return xr.Dataset(data, coordinates, attributes)
+
+
+def save(observer: Observer, trace: Trace, path: Path | str) -> None:
+    """Write a run to a NetCDF file (version 3), whole or not at all.
+
+    Raises
+    ------
+    StatechartError
+        If it cannot be written.
+    """
+    path = Path(path)
+    with _explained(path):
+        write_atomic(path, _netcdf(to_xarray(observer, trace)))
+
+
+def write_run(
+    folder: Path | str, observer: Observer, trace: Trace, report: Mapping[str, Any]
+) -> tuple[str, ...]:
+    """Write a run to a folder: run.json, events.csv, samples.csv, trace.nc and its figure.
+
+    All is written aside first. A new folder then appears at once and complete; in one that
+    exists, files of these names are replaced one by one and others are left alone.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Where to; made if it does not exist, its parents too.
+    observer : Observer
+        Of the simulator that made the run.
+    trace : Trace
+        The run.
+    report : mapping
+        From `statechart.report.report`.
+
+    Returns
+    -------
+    tuple of str
+        Names of the files.
+
+    Raises
+    ------
+    StatechartError
+        If the folder is a file or not writable, or the disk is full.
+    """
+    from statechart.figure import figure, render
+
+    folder = Path(folder).resolve()
+    with _explained(folder):
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "there is a file of this name")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        # Inside a folder that exists: its parent may be read-only, or on another disk.
+        place = folder if folder.exists() else folder.parent
+        aside = Path(tempfile.mkdtemp(dir=place, prefix=f".{folder.name}."))
+        try:
+            text = json.dumps(report, indent=2, allow_nan=False) + "\n"
+            write_atomic(aside / "run.json", text.encode())
+            for name, table in (
+                ("events.csv", events_table(observer, trace)),
+                ("samples.csv", samples_table(observer, trace)),
+            ):
+                write_atomic(aside / name, table.to_csv(index=False).encode())
+            write_atomic(aside / "trace.nc", _netcdf(to_xarray(observer, trace)))
+            drawing = figure(observer, trace)
+            for kind in ("svg", "png"):
+                write_atomic(aside / f"figure.{kind}", render(drawing, kind))
+            names = tuple(sorted(os.listdir(aside)))
+            if place == folder:
+                for name in names:
+                    os.replace(aside / name, folder / name)
+            else:
+                umask = os.umask(0)
+                os.umask(umask)
+                os.chmod(aside, 0o777 & ~umask)
+                os.replace(aside, folder)
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+    return names
+
+
+def _netcdf(data: xr.Dataset) -> bytes:
+    # Without a path the scipy engine returns the content, so that no library opens a half file.
+    return bytes(data.to_netcdf(engine="scipy"))
+
+
+def _labels(observer: Observer, samples: Samples) -> list[str]:
+    return [observer.automaton.label(key) for key in samples.modes]
+
+
+def _columns(names: Iterable[str]) -> dict[str, str]:
+    return {name: f"{name}_" if name in _TAKEN else name for name in names}
+
+
+def _role(observer: Observer, name: str) -> str:
+    return "variable" if name in observer.automaton.names else "observable"
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise StatechartError(
+            f"cannot write {path}: {error.strerror or error}; "
+            "name a place that is writable and has room, nothing was written"
+        ) from error

@@ -1,0 +1,225 @@
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contacts.kind import automaton
+from contacts.scene import Scene
+from statechart.document import load
+from statechart.engines.taylor import Taylor
+from statechart.errors import FormulaError, StatechartError
+from statechart.observe import Observer
+from statechart.outputs import Outputs, outputs
+from statechart.report import report
+from statechart.simulate import Simulator
+from statechart.trace import Trace
+
+MODELS = Path(__file__).parent.parent / "models"
+GOLDEN = json.loads((Path(__file__).parent / "golden" / "toppling_stick.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def stick() -> Observer:
+    scene = load(MODELS / "toppling_stick.yaml")
+    assert isinstance(scene, Scene)
+    return Observer(Simulator(automaton(scene), Taylor(2.2e-16)))
+
+
+def run(observer: Observer, until: float = 1000.0, **parameters: float) -> Trace:
+    return observer.simulator.run(parameters, until=until)
+
+
+def declaring(observer: Observer, declared: dict[str, dict[str, object]]) -> Outputs:
+    """The stick with other outputs than its file declares."""
+    data = observer.automaton.declaration.model_dump(by_alias=True, exclude_unset=True)
+    scene = Scene.model_validate({**data, "outputs": declared})
+    other = replace(observer.automaton, declaration=scene)
+    return Outputs(Observer(Simulator(other, observer.simulator.engine)))
+
+
+@pytest.mark.parametrize("cell", GOLDEN["cells"], ids=lambda c: f"mu={c['mu']}-I={c['I_G_str']}")
+def test_declared_outputs_match_golden(stick: Observer, cell: dict[str, float]) -> None:
+    trace = run(stick, mu=cell["mu"], I_G=cell["I_G"], theta0=cell["theta0"])
+    found = outputs(stick, trace)
+    critical = cell["critical_angle_rad"]
+    assert found["critical_angle"] == (
+        None if critical is None else pytest.approx(critical, abs=1e-10)
+    )
+    for name in ("slip_backward", "slip_forward", "omega_impact", "t_impact"):
+        assert found[name] == pytest.approx(cell[name], abs=1e-11), name
+
+
+def test_values_count_and_lists(stick: Observer) -> None:
+    trace = run(stick)
+    ready = declaring(
+        stick,
+        {
+            "start": {"value": "-stick.angle", "at": "start"},
+            "slips": {"count": "slip"},
+            "slips_here": {"count": "tip.slip"},
+            "liftoffs": {"count": "liftoff"},
+            "ends": {"count": "stop"},
+            "never": {"value": "time", "at": "last liftoff"},
+            "each": {"value": "time", "at": "each tip.reverse"},
+            "each_never": {"value": "time", "at": "each liftoff"},
+        },
+    )
+    found = ready.of(trace)
+    assert list(found) == [
+        "start",
+        "slips",
+        "slips_here",
+        "liftoffs",
+        "ends",
+        "never",
+        "each",
+        "each_never",
+    ]
+    assert found["start"] == pytest.approx(0.01, abs=1e-15)
+    assert (found["slips"], found["slips_here"], found["liftoffs"], found["ends"]) == (1, 1, 0, 1)
+    assert found["never"] is None
+    assert found["each"] == [trace.jumps[1].t]
+    assert found["each_never"] == []
+
+
+def test_forces_before_and_after_a_jump_are_those_of_the_modes_left_and_entered(
+    stick: Observer,
+) -> None:
+    trace = run(stick)
+    reverse = trace.jumps[1]
+    assert reverse.cause == "reverse"
+    (left,) = stick.at(trace, ["tip.H / tip.V"], [reverse], before=True)
+    (entered,) = stick.at(trace, ["tip.H / tip.V"], [reverse])
+    assert left == pytest.approx(0.2, abs=1e-14)
+    assert entered == pytest.approx(-0.2, abs=1e-14)
+    # A stop changes nothing: the mode goes on.
+    assert stick.final(trace, ["tip.H / tip.V"]) == pytest.approx(-0.2, abs=1e-14)
+    assert stick.initial(trace, ["tip.V"])[0] == pytest.approx(1.0, abs=2e-4)
+
+
+def test_integral_of_power_is_work(stick: Observer) -> None:
+    trace = run(stick)
+    (work,) = stick.integrals(trace, ["tip.H * tip.slip"])
+    energy = stick.final(trace, ["energy"])[0] - stick.initial(trace, ["energy"])[0]
+    assert work < -0.01
+    assert work == pytest.approx(energy, abs=1e-13)
+
+
+def test_states_are_matched_by_their_declared_name_too(stick: Observer) -> None:
+    trace = run(stick)
+    time, slide, pin, backward, forward = stick.integrals(
+        trace,
+        ["1"] * 5,
+        [{}, {"tip": "slide"}, {"tip": "pin"}, {"tip": "slide-"}, {"tip": "slide+"}],
+    )
+    assert time == pytest.approx(trace.t_end, abs=1e-14)
+    assert pin == pytest.approx(trace.jumps[0].t, abs=1e-14)
+    assert slide == pytest.approx(backward + forward, abs=1e-14)
+    assert slide == pytest.approx(time - pin, abs=1e-14)
+
+
+def test_extremes_inside_steps_are_found_to_rounding(stick: Observer) -> None:
+    trace = run(stick)
+    # Constructed extremes, sharper than the grid: 1 at time 1.2345, -1 at time 4.321.
+    for centre, sign in ((1.2345, 1.0), (4.321, -1.0)):
+        least, greatest = stick.extremes(trace, f"{sign} / (1 + (10 * (time - {centre}))**2)")
+        assert (greatest if sign > 0 else -least) == pytest.approx(1.0, abs=1e-14)
+    least, greatest = stick.extremes(trace, "stick.y")
+    assert greatest == pytest.approx(math.cos(0.01), abs=1e-15)
+    assert least == pytest.approx(0.0, abs=1e-15)
+
+
+def test_samples_cover_the_run_with_two_rows_at_a_jump(stick: Observer) -> None:
+    trace = run(stick)
+    samples = stick.sample(trace, ["stick.angle", "tip.V", "tip.gap"])
+    assert samples.t[0] == 0.0
+    assert samples.t[-1] == trace.t_end
+    assert (np.diff(samples.t) >= 0.0).all()
+    assert np.unique(samples.t[np.flatnonzero(np.diff(samples.j))]).tolist() == [
+        jump.t for jump in trace.jumps[:2]
+    ]
+    assert [samples.modes[k][0] for k in np.unique(samples.mode)] == ["pin", "slide-", "slide+"]
+    assert (samples.columns["tip.V"] > 0.0).all()
+    assert np.abs(samples.columns["tip.gap"]).max() < 1e-12
+
+
+def test_samples_at_given_times_are_after_a_jump(stick: Observer) -> None:
+    trace = run(stick)
+    times = np.array([0.0, 1.0, trace.jumps[1].t, trace.t_end])
+    samples = stick.sample(trace, ["tip.H"], times=times)
+    np.testing.assert_allclose(samples.t, times, rtol=0.0, atol=1e-15)
+    assert [samples.modes[k][0] for k in samples.mode] == ["pin", "pin", "slide+", "slide+"]
+    assert samples.columns["tip.H"][2] < 0.0
+    with pytest.raises(ValueError, match="in the run"):
+        stick.sample(trace, ["tip.H"], times=[trace.t_end + 1.0])
+
+
+def test_an_empty_run_is_its_initial_state(stick: Observer) -> None:
+    trace = run(stick, until=0.0)
+    found = outputs(stick, trace)
+    assert found["critical_angle"] is None
+    assert (found["slip_backward"], found["t_impact"]) == (0.0, 0.0)
+    samples = stick.sample(trace)
+    assert samples.t.tolist() == [0.0]
+    assert samples.columns["stick.angle"].tolist() == [-0.01]
+    assert samples.columns["tip.V"][0] == pytest.approx(1.0, abs=2e-4)
+    assert stick.extremes(trace, "stick.angle") == (-0.01, -0.01)
+
+
+def test_a_mode_of_no_duration_has_its_forces_without_being_compiled(stick: Observer) -> None:
+    trace = run(stick)
+    built = stick.simulator.modes_built
+    passed = replace(trace.jumps[0], target=("free",))
+    changed = replace(trace, jumps=(passed, *trace.jumps[1:]))
+    assert stick.at(changed, ["tip.V", "stick.y"], [passed])[0].tolist() == [0.0, passed.after[1]]
+    assert stick.simulator.modes_built == built
+
+
+def test_while_the_state_is_held_forces_are_undefined(stick: Observer) -> None:
+    trace = run(stick)
+    held = replace(trace, arcs=(replace(trace.arcs[0], flow=None), *trace.arcs[1:]))
+    samples = stick.sample(held, ["tip.V", "stick.y"])
+    first = samples.j == 0
+    assert np.isnan(samples.columns["tip.V"][first]).all()
+    assert np.isfinite(samples.columns["tip.V"][~first]).all()
+    assert np.isfinite(samples.columns["stick.y"]).all()
+    assert stick.extremes(held, "tip.V")[1] == samples.columns["tip.V"][~first].max()
+    with pytest.raises(StatechartError, match="held"):
+        stick.integrals(held, ["tip.V"])
+
+
+def test_an_unknown_name_is_an_error_that_suggests(stick: Observer) -> None:
+    trace = run(stick)
+    with pytest.raises(FormulaError, match=r"stick\.angle"):
+        stick.sample(trace, ["stick.angel"])
+
+
+def test_report_is_strict_json_with_full_precision(stick: Observer) -> None:
+    trace = run(stick, mu=math.inf, I_G=0.0)
+    made = report(stick, trace, timings={"run": 0.5})
+    read = json.loads(json.dumps(made, allow_nan=False))
+    assert read == made
+    assert float(read["parameters"]["mu"]) == math.inf
+    assert read["outcome"] == "STOPPED"
+    assert (read["modes_total"], read["modes_declared"]) == (4, 3)
+    assert read["events"][0]["t"] == trace.jumps[0].t
+    assert set(read["events"][0]["from"]) == {"tip"}
+    assert read["final"]["stick.angle"] == trace.final[2]
+    # Equation 11: a pinned point mass lifts its tip's force to zero at acos(2/3).
+    assert read["outputs"]["critical_angle"] == pytest.approx(math.acos(2 / 3), abs=1e-10)
+
+
+def test_margins_are_the_least_values_of_their_modes(stick: Observer) -> None:
+    trace = run(stick)
+    margins = report(stick, trace)["margins"]
+    assert margins["fallen"] == pytest.approx(0.0, abs=1e-15)
+    assert margins["fallen backward"] == pytest.approx(math.pi / 2 + 0.01, abs=1e-14)
+    cone_n = 1.0 / math.hypot(1.0, 0.2)
+    pinned = stick.sample(trace, ["tip.V", "tip.H"], per_step=16)
+    rows = pinned.j == 0
+    edge = cone_n * (0.2 * pinned.columns["tip.V"] + pinned.columns["tip.H"])[rows]
+    assert margins["tip.mu V + H"] == pytest.approx(edge.min(), abs=1e-13)
+    assert -1e-11 < margins["tip.mu V - H"] <= 0.0

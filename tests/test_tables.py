@@ -1,0 +1,159 @@
+import csv
+import io
+import json
+import math
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from contacts.kind import automaton
+from contacts.scene import Scene
+from statechart import tables
+from statechart.document import load
+from statechart.engines.taylor import Taylor
+from statechart.errors import StatechartError
+from statechart.observe import Observer
+from statechart.report import report
+from statechart.simulate import Simulator
+from statechart.tables import events_table, samples_table, save, to_xarray, write_run
+from statechart.trace import Trace
+
+resource = pytest.importorskip("resource")
+FILES = {"run.json", "events.csv", "samples.csv", "trace.nc", "figure.svg", "figure.png"}
+
+
+@pytest.fixture(scope="module")
+def observer() -> Observer:
+    scene = load(Path(__file__).parent.parent / "models" / "toppling_stick.yaml")
+    assert isinstance(scene, Scene)
+    return Observer(Simulator(automaton(scene), Taylor(2.2e-16)))
+
+
+@pytest.fixture(scope="module")
+def trace(observer: Observer) -> Trace:
+    return observer.simulator.run(until=1000.0)
+
+
+@contextmanager
+def disk_full_after(size: int) -> Iterator[None]:
+    """Let no file grow beyond `size` bytes, as on a disk without room."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, ignored)
+
+
+def test_samples_table_has_every_variable_and_observable(observer: Observer, trace: Trace) -> None:
+    table = samples_table(observer, trace)
+    assert list(table.columns) == ["t", "j", "mode", *observer.names]
+    assert table["mode"].unique().tolist() == ["tip:pin", "tip:slide-", "tip:slide+"]
+    assert table["energy"].iloc[0] == pytest.approx(1.0, abs=1e-14)
+    assert table["stick.angle"].iloc[-1] == pytest.approx(-math.pi / 2, abs=1e-14)
+
+
+def test_events_table_has_a_row_per_jump(observer: Observer, trace: Trace) -> None:
+    table = events_table(observer, trace)
+    assert table["cause"].tolist() == ["slip", "reverse", "stop"]
+    assert table["t"].tolist() == [jump.t for jump in trace.jumps]
+    assert table["target"].tolist()[:2] == ["tip:slide-", "tip:slide+"]
+    assert table["stick.x before"].iloc[1] == trace.jumps[1].before[0]
+
+
+def test_csv_keeps_full_precision(observer: Observer, trace: Trace, tmp_path: Path) -> None:
+    write_run(tmp_path / "run", observer, trace, report(observer, trace))
+    with (tmp_path / "run" / "samples.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    table = samples_table(observer, trace)
+    for name in ("t", "tip.V", "energy"):
+        assert [float(row[name]) for row in rows] == table[name].tolist()
+
+
+def test_netcdf_reads_back_equal(observer: Observer, trace: Trace, tmp_path: Path) -> None:
+    data = to_xarray(observer, trace)
+    save(observer, trace, tmp_path / "trace.nc")
+    read = xr.load_dataset(tmp_path / "trace.nc", engine="scipy")
+    xr.testing.assert_equal(read, data)
+    assert read.attrs == data.attrs
+    assert read.attrs["parameter.mu"] == 0.2
+    assert read["mode"].values[0] == "tip:pin"
+    assert read["tip.V"].attrs["long_name"] == "tip.V"
+
+
+@pytest.mark.parametrize("mu", [0.2, math.inf])
+def test_netcdf_holds_a_run_without_events(observer: Observer, mu: float) -> None:
+    trace = observer.simulator.run({"mu": mu}, until=0.5)
+    assert not trace.jumps
+    data = to_xarray(observer, trace)
+    read = xr.load_dataset(io.BytesIO(bytes(data.to_netcdf(engine="scipy"))), engine="scipy")
+    assert read.sizes["event"] == 0
+    assert read.attrs["parameter.mu"] == mu
+    np.testing.assert_array_equal(read["stick.angle"], data["stick.angle"])
+
+
+def test_names_that_the_format_keeps_for_itself_get_an_underscore() -> None:
+    assert tables._columns(["x", "t", "double"]) == {"x": "x", "t": "t_", "double": "double_"}
+
+
+def test_a_run_is_written_whole(observer: Observer, trace: Trace, tmp_path: Path) -> None:
+    made = report(observer, trace)
+    folder = tmp_path / "new" / "run"
+    assert set(write_run(folder, observer, trace, made)) == FILES
+    assert set(os.listdir(folder)) == FILES
+    assert os.listdir(folder.parent) == ["run"]
+    assert json.loads((folder / "run.json").read_text()) == made
+    assert (folder / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_existing_folder_keeps_its_other_files(
+    observer: Observer, trace: Trace, tmp_path: Path
+) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "run.json").write_text("old")
+    write_run(tmp_path, observer, trace, report(observer, trace))
+    assert set(os.listdir(tmp_path)) == FILES | {"notes.txt"}
+    assert json.loads((tmp_path / "run.json").read_text())["model"] == "toppling_stick"
+
+
+def test_a_file_in_the_way_is_an_error_and_is_kept(
+    observer: Observer, trace: Trace, tmp_path: Path
+) -> None:
+    (tmp_path / "run").write_text("mine")
+    with pytest.raises(StatechartError, match="there is a file of this name"):
+        write_run(tmp_path / "run", observer, trace, {})
+    with pytest.raises(StatechartError, match="cannot write"):
+        write_run(tmp_path / "run" / "below", observer, trace, {})
+    with pytest.raises(StatechartError, match="cannot write"):
+        save(observer, trace, tmp_path / "missing" / "trace.nc")
+    assert os.listdir(tmp_path) == ["run"]
+    assert (tmp_path / "run").read_text() == "mine"
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_full_disk_leaves_nothing_half_written(
+    observer: Observer, trace: Trace, tmp_path: Path, exists: bool
+) -> None:
+    made = report(observer, trace)
+    folder = tmp_path / "run"
+    if exists:
+        folder.mkdir()
+        (folder / "run.json").write_text("old")
+    # Room for run.json, not for the samples.
+    with (
+        disk_full_after(len(json.dumps(made, indent=2)) + 100),
+        pytest.raises(StatechartError, match=r"cannot write .*run: "),
+    ):
+        write_run(folder, observer, trace, made)
+    assert os.listdir(tmp_path) == (["run"] if exists else [])
+    if exists:
+        assert os.listdir(folder) == ["run.json"]
+        assert (folder / "run.json").read_text() == "old"
