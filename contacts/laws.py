@@ -222,9 +222,7 @@ class SceneLaws:
             shut and abs(c.gap_rate) <= slow
             for shut, c in zip(closed, snapshot.contacts, strict=True)
         ]
-        key = tuple(
-            "pin" if shut else "free" for shut in touching
-        )
+        key = tuple("slide" if shut else "free" for shut in touching)
         state = self._projected(setup, key, snapshot, state, [c.gap < 0.0 for c in snapshot.contacts])
         snapshot = self._tape.at(setup.values, state, 0.0)
         choice = self._choose(setup, snapshot, touching)
