@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from statechart.automaton import Automaton
 from statechart.errors import StatechartError
 from statechart.files import write_atomic
-from statechart.observe import Observer, Samples
+from statechart.observe import Observer
+from statechart.sampling import Samples
 from statechart.trace import Trace
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ _MOST_LINES = 6
 _MOST_PANELS = 4
 # Relative to the largest value: below this a curve is the rounding of zero.
 _NOTHING = 1e-9
-_MOST_LABELLED, _MOST_MARKED = 24, 400
+_MOST_LABELLED = 24
 _STYLE = {
     "font.family": "sans-serif",
     "font.size": 9.0,
@@ -71,9 +72,10 @@ def figure(observer: Observer, trace: Trace, path: Path | str | None = None) -> 
     """Draw a run.
 
     Panels, where there is something to show: the variables that others are the rates of, those
-    rates, gaps, and per contact the forces ``X.V`` and ``X.H`` with the edges of the cone
-    ``+-X.friction * X.V``; below, a band of modes for every region. Lines and labels mark events,
-    diamonds modes of zero duration.
+    rates (of a small chart, each variable), gaps, and per contact the forces ``X.V`` and ``X.H``
+    with the edges of the cone ``+-X.friction * X.V``; below, a band of modes for every region.
+    Dotted lines and labels mark events, where they do not crowd; diamonds mark modes of zero
+    duration.
 
     Parameters
     ----------
@@ -144,7 +146,9 @@ def _panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[_Panel
     for k, name in enumerate(automaton.names):
         groups["velocity" if k in speeds else "position"].append(name)
     if not speeds:
-        groups = {"variables": groups["position"]}
+        # Nothing tells which belong together: few get a panel each, since units may differ.
+        few = len(automaton.names) < _MOST_PANELS
+        groups = {n: [n] for n in automaton.names} if few else {"variables": groups["position"]}
     panels = [_Panel(title, tuple(names)) for title, names in groups.items() if names]
     columns = samples.columns
     scale = max((_largest(columns[name]) for name in automaton.names), default=0.0)
@@ -153,14 +157,15 @@ def _panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[_Panel
         gap = columns.get(f"{region}.gap")
         # On the ground all the time, or the height that is drawn already: nothing to see.
         if gap is not None and _largest(gap) > _NOTHING * scale:
-            drawn = (_largest(gap - columns[name]) for name in automaton.names)
-            if min(drawn, default=np.inf) > _NOTHING * scale:
+            others = (_largest(gap - columns[name]) for name in automaton.names)
+            if min(others, default=np.inf) > _NOTHING * scale:
                 gaps.append(f"{region}.gap")
         normal, tangential = f"{region}.V", f"{region}.H"
         if normal in columns and tangential in columns and _largest(columns[normal]) > 0.0:
             friction = trace.parameters.get(f"{region}.friction", 0.0)
             cone = (normal, friction) if 0.0 < friction < np.inf else None
-            forces.append(_Panel("force", (normal, tangential), cone))
+            drawn = (normal, tangential) if _largest(columns[tangential]) > 0.0 else (normal,)
+            forces.append(_Panel("force", drawn, cone))
     forces = forces[: _MOST_PANELS - len(panels)]
     if gaps and len(panels) + len(forces) < _MOST_PANELS:
         panels.append(_Panel("gap", tuple(gaps)))
@@ -200,7 +205,8 @@ def _draw_panel(ax: Axes, panel: _Panel, samples: Samples) -> None:
     ax.set_axisbelow(True)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
-    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.6)
+    if panel.names != (panel.title,):
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.6)
 
 
 def _limits(curves: Sequence[Array]) -> tuple[float, float]:
@@ -299,10 +305,13 @@ def _instants(trace: Trace, row: int) -> dict[str, list[float]]:
 
 
 def _draw_events(axes: Sequence[Axes], trace: Trace) -> None:
-    times = [jump.t for jump in trace.jumps]
-    if not 0 < len(times) <= _MOST_MARKED:
-        return
-    faint = 0.8 if len(times) <= _MOST_LABELLED else 0.3
+    span = trace.t_end or 1.0
+    times: list[float] = []
+    for jump in trace.jumps:
+        # Events that accumulate would make a black bar.
+        if not times or jump.t - times[-1] > span / 250:
+            times.append(jump.t)
+    faint = 0.8 if len(trace.jumps) <= _MOST_LABELLED else 0.35
     for ax in axes:
         ax.vlines(
             times,
@@ -315,10 +324,10 @@ def _draw_events(axes: Sequence[Axes], trace: Trace) -> None:
             linestyle=(0, (1, 2)),
             zorder=2,
         )
-    if len(times) > _MOST_LABELLED:
+    if len(trace.jumps) > _MOST_LABELLED:
         return
     # Labels on two levels over the first panel; what has no room on them is left out.
-    span, free = trace.t_end or 1.0, [-1.0] * 2
+    free = [-1.0] * 2
     top = axes[0].get_xaxis_transform()
     for jump in trace.jumps:
         place, width = jump.t / span, _room(jump.cause)

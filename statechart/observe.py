@@ -22,6 +22,7 @@ from statechart.enclosure import integrals
 from statechart.errors import StatechartError
 from statechart.formula import parse
 from statechart.linear import Singular
+from statechart.sampling import Points, Samples, along, at_times, extremes, subdivided
 from statechart.simulate import Simulator
 from statechart.tape import Tape, compile_tape
 from statechart.trace import Arc, Jump, Key, Trace
@@ -33,38 +34,6 @@ Array = NDArray[np.float64]
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 """Text over the observables' names, or an expression in the automaton's own symbols."""
 
-# Grid on which extremes are looked for, per step of the integrator, before they are refined.
-_GRID = 16
-# Each round divides the bracket by 8; after 9 it is 1e-8 of a step, where a smooth extreme
-# differs from its neighbourhood by 1e-16.
-_ROUNDS, _DIVISIONS = 9, 16
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Values along a run, one row a point of hybrid time.
-
-    Attributes
-    ----------
-    t : (m,) array
-        Time, in order.
-    j : (m,) array of int
-        Number of jumps before the point.
-    mode : (m,) array of int
-        Place in `modes` of the mode that holds.
-    modes : tuple of Key
-        The modes that occur.
-    columns : mapping of str to (m,) array
-        Formula -> values; not a number where it is undefined.
-    """
-
-    t: Array
-    j: NDArray[np.int64]
-    mode: NDArray[np.intp]
-    modes: tuple[Key, ...]
-    columns: Mapping[str, Array]
-
-
 _Where = tuple[tuple[str, str], ...]
 
 
@@ -75,16 +44,6 @@ class _Active:
     places: list[int]
     expressions: tuple[sp.Expr, ...]
     needed: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Rows to evaluate at: (m,) times, (m, n) states; ends[k]: where the rows of flow k end."""
-
-    times: Array
-    states: Array
-    flows: Sequence[Key | None]
-    ends: Sequence[int]
 
 
 class Observer:
@@ -174,17 +133,17 @@ class Observer:
         formulas = self.names if formulas is None else tuple(formulas)
         expressions = tuple(self.expression(formula) for formula in formulas)
         if times is None:
-            arcs, local = list(trace.arcs), [_subdivided(arc, per_step) for arc in trace.arcs]
+            arcs, local = list(trace.arcs), [subdivided(arc, per_step) for arc in trace.arcs]
         else:
-            arcs, local = _places(trace, np.asarray(times, dtype=float))
+            arcs, local = at_times(trace, np.asarray(times, dtype=float))
         if arcs:
-            points = _along(arcs, local)
+            points = along(arcs, local)
             counts = [len(tau) for tau in local]
             held, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
         else:  # nothing flowed: the run is its last state
             rows = 1 if times is None else np.size(times)
             flow = self._flow(trace, len(trace.jumps), trace.final_mode, ends=False)
-            points = _Points(
+            points = Points(
                 np.full(rows, trace.t_end), np.tile(trace.final, (rows, 1)), (flow,), (rows,)
             )
             counts, held, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
@@ -201,13 +160,13 @@ class Observer:
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
         flow = self._flow(trace, 0, trace.start_mode, ends=False)
-        points = _Points(np.zeros(1), trace.initial[None], (flow,), (1,))
+        points = Points(np.zeros(1), trace.initial[None], (flow,), (1,))
         return self._table(trace, self._all(formulas), points)[0]
 
     def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the end, after all jumps."""
         flow = self._flow(trace, len(trace.jumps), trace.final_mode, ends=False)
-        points = _Points(np.array([trace.t_end]), trace.final[None], (flow,), (1,))
+        points = Points(np.array([trace.t_end]), trace.final[None], (flow,), (1,))
         return self._table(trace, self._all(formulas), points)[0]
 
     def at(
@@ -236,7 +195,7 @@ class Observer:
         return self._table(
             trace,
             self._all(formulas),
-            _Points(
+            Points(
                 np.array([jump.t for jump in jumps]),
                 np.array([jump.before if before else jump.after for jump in jumps]).reshape(
                     -1, size
@@ -311,59 +270,11 @@ class Observer:
         if not trace.arcs:
             ends = self.initial(trace, expressions)[0], self.final(trace, expressions)[0]
             return float(min(ends)), float(max(ends))
-        local = [_subdivided(arc, _GRID) for arc in trace.arcs]
-        values = self._table(trace, expressions, _along(trace.arcs, local))[:, 0]
-        least = self._least(trace, expressions, local, values, 1.0)
-        return least, -self._least(trace, expressions, local, -values, -1.0)
 
-    def _least(
-        self,
-        trace: Trace,
-        expressions: tuple[sp.Expr, ...],
-        local: list[Array],
-        values: Array,
-        sign: float,
-    ) -> float:
-        """Return the least of ``sign * expression``, from its values on the grid `local`."""
-        if np.isnan(values).all():
-            return float("nan")
-        best = float(np.nanmin(values))
-        first = 0
-        for arc, tau in zip(trace.arcs, local, strict=True):
-            v = values[first : first + len(tau)]
-            first += len(tau)
-            # Between grid points a smooth function is below them by at most about its second
-            # difference; only points that may hide a lower value are refined.
-            with np.errstate(invalid="ignore"):
-                bend = np.abs(np.diff(v, 2)) if len(v) > 2 else np.abs(v[:1] - v[-1:])
-                bend = np.concatenate([bend[:1], bend, bend[-1:]])[: len(v)]
-                low = v - bend < best
-            low[1:] &= v[1:] <= v[:-1]
-            low[:-1] &= v[:-1] <= v[1:]
-            for i in np.flatnonzero(low).tolist():
-                left, right = float(tau[max(i - 1, 0)]), float(tau[min(i + 1, len(tau) - 1)])
-                best = min(best, self._refined(trace, expressions, arc, left, right, sign))
-        return best
+        def evaluate(arcs: Sequence[Arc], local: Sequence[Array]) -> Array:
+            return self._table(trace, expressions, along(arcs, local))[:, 0]
 
-    def _refined(
-        self,
-        trace: Trace,
-        expressions: tuple[sp.Expr, ...],
-        arc: Arc,
-        left: float,
-        right: float,
-        sign: float,
-    ) -> float:
-        best = float("inf")
-        for _ in range(_ROUNDS):
-            tau = np.linspace(left, right, _DIVISIONS + 1)
-            v = sign * self._table(trace, expressions, _along((arc,), [tau]))[:, 0]
-            if np.isnan(v).all():
-                break
-            i = int(np.nanargmin(v))
-            best = min(best, float(v[i]))
-            left, right = float(tau[max(i - 1, 0)]), float(tau[min(i + 1, _DIVISIONS)])
-        return best
+        return extremes(trace.arcs, evaluate)
 
     def _all(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
         return tuple([self.expression(formula) for formula in formulas])
@@ -400,7 +311,7 @@ class Observer:
             return self._flow(trace, j - 1, mode, ends=True)
         return mode
 
-    def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: _Points) -> Array:
+    def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
         """Return the values (m, f) of expressions, one call of a kernel per flow."""
         values = _parameters(trace)
         if not self._needed(expressions):
@@ -479,40 +390,3 @@ def _parameters(trace: Trace) -> Array:
 
 def _jumps(arc: Arc) -> int:
     return arc.j
-
-
-def _subdivided(arc: Arc, per_step: int) -> Array:
-    """Return local times: `per_step` intervals in every step, both ends of the arc included."""
-    ends = arc.times
-    inner = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(per_step) / per_step)
-    return np.append(inner.ravel(), ends[-1])
-
-
-def _along(arcs: Sequence[Arc], local: Sequence[Array]) -> _Points:
-    """Return the points of arcs at local times, one array of them an arc."""
-    pairs = list(zip(arcs, local, strict=True))
-    return _Points(
-        np.concatenate([arc.start.high + (arc.start.low + tau) for arc, tau in pairs]),
-        np.concatenate([arc.states(tau) for arc, tau in pairs]),
-        [arc.flow for arc in arcs],
-        np.cumsum([len(tau) for tau in local]).tolist(),
-    )
-
-
-def _places(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
-    """Return the arcs that hold absolute `times`, and the local times in each."""
-    if times.ndim != 1 or not (np.diff(times) >= 0.0).all():
-        raise ValueError("times must be one row of numbers in ascending order")
-    if len(times) and not (times[0] >= 0.0 and times[-1] <= trace.t_end):
-        raise ValueError(f"times must lie in the run, 0 to {trace.t_end:.17g}")
-    if not trace.arcs:
-        return [], []
-    starts = [arc.start.high for arc in trace.arcs]
-    owner = np.maximum(np.searchsorted(starts, times, side="right") - 1, 0)
-    arcs, local = [], []
-    for place in np.unique(owner):
-        arc = trace.arcs[place]
-        tau = (times[owner == place] - arc.start.high) - arc.start.low
-        arcs.append(arc)
-        local.append(np.clip(tau, 0.0, arc.duration))
-    return arcs, local

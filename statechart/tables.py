@@ -16,7 +16,8 @@ import numpy as np
 
 from statechart.errors import StatechartError
 from statechart.files import write_atomic
-from statechart.observe import Observer, Samples
+from statechart.observe import Observer
+from statechart.sampling import Samples
 from statechart.trace import Trace
 
 if TYPE_CHECKING:

@@ -7,10 +7,12 @@ import pytest
 
 from contacts.kind import automaton
 from contacts.scene import Scene
+from statechart.automaton import Automaton
 from statechart.document import load
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
 from statechart.figure import figure, render
+from statechart.kinds import kind
 from statechart.observe import Observer
 from statechart.simulate import Simulator
 from statechart.trace import Trace
@@ -48,6 +50,20 @@ def test_panels_show_states_forces_with_the_cone_and_modes(
     lines = {str(line.get_label()): line for line in force.get_lines()}
     edge = next(line for name, line in lines.items() if name.endswith("cone"))
     np.testing.assert_allclose(edge.get_ydata(), 0.2 * lines["tip.V"].get_ydata())
+
+
+def test_a_chart_of_few_variables_has_a_panel_each() -> None:
+    chart = load(Path(__file__).parent.parent / "models" / "bouncing_ball_chart.yaml")
+    made = kind("chart").automaton(chart)
+    assert isinstance(made, Automaton)
+    simulator = Simulator(made, Taylor(1e-12))
+    trace = simulator.run(until=20.0)
+    x, v, band = figure(Observer(simulator), trace).axes
+    assert ("x" in labels(x), "v" in labels(v)) == (True, True)
+    assert {"flight", "rest"} <= set(texts(band))
+    height = next(line for line in x.get_lines() if line.get_label() == "x")
+    # Broken at every bounce, and nowhere else.
+    assert np.isnan(height.get_ydata()).sum() == len({jump.j for jump in trace.jumps})
 
 
 def test_every_state_of_the_band_is_named(observer: Observer, trace: Trace) -> None:
