@@ -174,23 +174,22 @@ def candidates(
     combinations = list(product(*options))
     codes = np.array([[_CODES[state] for state in states] for states in combinations])
     cones = np.array([(law.cone_n, law.cone_t) for law in laws])
-    status, accelerations, forces = solve_modes(
+    status, accelerations, forces, points = solve_modes(
         snapshot.mass, snapshot.forces, snapshot.jacobians, snapshot.biases, cones, codes
     )
+    solved, loads, moved = status.tolist(), forces.tolist(), points.tolist()
     found: list[Candidate | Undetermined] = []
     for k, states in enumerate(combinations):
-        if status[k] != SOLVED:
+        if solved[k] != SOLVED:
             found.append((states, "its equations do not determine the motion"))
             continue
         violation, broken = -math.inf, ("", "no inequality", 0.0)
-        for contact, law, state, force, at_rest, tried in zip(
-            snapshot.contacts, laws, states, forces[k].tolist(), still, options, strict=True
+        for law, state, force, moves, at_rest, tried in zip(
+            laws, states, loads[k], moved[k], still, options, strict=True
         ):
             if len(tried) == 1 and state == "free":
                 continue
-            for amount, words, number in _judge(
-                contact, law, state, accelerations[k], force, at_rest, scales
-            ):
+            for amount, words, number in _judge(law, state, force, moves, at_rest, scales):
                 if amount > violation:
                     violation, broken = amount, (law.name, words, number)
         found.append(Candidate(states, accelerations[k], forces[k], violation, broken))
@@ -285,19 +284,21 @@ def _openness(candidate: Candidate) -> tuple[int, int, str]:
 
 
 def _judge(
-    contact: PerContact,
     law: ContactLaw,
     state: str,
-    accelerations: Array,
     force: Sequence[float],
+    moves: Sequence[float],
     at_rest: bool,
     scales: Scales,
 ) -> list[tuple[float, str, float]]:
-    """Return (violation, words, number) of every inequality of a contact's mode."""
+    """Return (violation, words, number) of every inequality of a contact's mode.
+
+    `force` is (V, H), `moves` the normal and tangential acceleration of the point.
+    """
     V, H = force
     n, t = law.cone_n, law.cone_t
     if state == "free":
-        apart = float(contact.jacobian[0] @ accelerations) + contact.bias_n
+        apart = moves[0]
         return [(-apart / scales.acceleration, "it would accelerate at {:.3g} into the surface", apart)]
     if state == "pin":
         found = [(-V / scales.force, "V = {:.3g} < 0", V)]
@@ -309,7 +310,7 @@ def _judge(
     edge = n * V - sign * t * H
     found = [(-edge / scales.force, "V = {:.3g} < 0", V)]
     if sign and at_rest:
-        along = sign * (float(contact.jacobian[1] @ accelerations) + contact.bias_t)
+        along = sign * moves[1]
         found.append((-along / scales.acceleration, "slip would accelerate at {:.3g} against it", along))
     return found
 

@@ -114,7 +114,7 @@ def saddle(
 @njit(cache=True)
 def solve_modes(
     mass: Array, right: Array, jacobians: Array, biases: Array, cones: Array, codes: Array
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     """Solve every combination of contact modes.
 
     Parameters
@@ -130,13 +130,15 @@ def solve_modes(
 
     Returns
     -------
-    status : (k,), accelerations : (k, n), forces : (k, c, 2)
+    status : (k,), accelerations : (k, n), forces : (k, c, 2), points : (k, c, 2)
+        `points`: normal and tangential accelerations of the contact points.
     """
     count, contacts = codes.shape
     n = len(right)
     status = np.empty(count, np.int64)
     accelerations = np.zeros((count, n))
     forces = np.zeros((count, contacts, 2))
+    points = np.zeros((count, contacts, 2))
     for k in range(count):
         closed = 0
         for c in range(contacts):
@@ -172,4 +174,9 @@ def solve_modes(
                 if codes[k, c] != FREE:
                     forces[k, c] = x[at : at + 2]
                     at += 2
-    return status, accelerations, forces
+                for row in range(2):
+                    total = biases[c, row]
+                    for i in range(n):
+                        total += jacobians[c, row, i] * x[i]
+                    points[k, c, row] = total
+    return status, accelerations, forces, points

@@ -57,8 +57,66 @@ def _automaton(scene: BaseModel) -> object:
 
 
 _STARTER = """\
+# A rod dropped on the floor: one body, one contact. Run it with
+#   statechart run NAME.yaml
+# and draw its statechart with
+#   statechart draw NAME.yaml -o NAME.svg
 kind: scene
 name: NAME
+doc: A leaning rod falls, hits the floor with its lower end, and topples.
+
+# Constants: numbers, or formulas of each other (+ - * / **, sqrt, sin, ..., pi, inf). Use any
+# units that belong together. `statechart run NAME.yaml --set mu=0.1` changes one.
+parameters:
+  m: 1                  # mass
+  L: 0.5                # from the middle of the rod to its end
+  lean: 20*pi/180       # toward +x
+  drop: 0.2             # height of the lower end above the floor
+  mu: 0.3               # friction, 0 to inf
+  e: 0                  # restitution, 0 (plastic) to 1 (elastic)
+
+# What `statechart check` varies.
+ranges:
+  lean: [0.1, 1]
+  mu: [0, 2]
+  e: [0, 0.9]
+
+gravity: 9.81           # downwards
+
+# A free body has the coordinates x, y (of its centre of mass) and angle (counter-clockwise); a
+# body without an inertia is a particle and has no angle. Speeds are dx, dy, dangle; all start at 0.
+bodies:
+  rod:
+    mass: m
+    inertia: m*L**2/3
+    start: {x: 0, y: drop + L*cos(lean), angle: -lean}
+
+surfaces:
+  floor: {height: 0}    # y as a formula of x; or {incline: angle}
+
+# A point of a body (in its own frame) that may touch a surface, and the modes it may be in.
+contacts:
+  end:
+    point: {body: rod, at: [0, -L]}
+    surface: floor
+    modes: [free, slide, pin]
+    friction: mu
+    restitution: e
+
+# A run ends at the time, or as soon as a condition becomes true.
+stop:
+  time: 5
+  conditions:
+    flat: rod.angle <= -pi/2
+
+# What a run reports. Events are touchdown, liftoff, slip, stick, reverse and zeno; of every
+# contact there are gap, slip (speed along the surface), V and H (normal and tangential force).
+outputs:
+  t_touchdown: {value: time, at: first end.touchdown}
+  impacts: {count: end.touchdown}
+  slid: {integral: abs(end.slip), during: {end: slide}}
+  hardest_push: {maximum: end.V}
+  t_flat: {value: time, at: end}
 """
 
 SCENE = Kind("scene", Scene, _automaton, _STARTER)

@@ -150,6 +150,17 @@ class SceneLaws:
         symbols = list(parameters.symbols.values())
         self._tape = SnapshotTape(mechanics, symbols)
         self._scales = ScaleTape(mechanics, symbols)
+        drift: list[sp.Expr] = []
+        for name in scene.contacts:
+            geometry = mechanics.contact(name)
+            drift += [geometry.distance, geometry.symbols.gap_rate, geometry.symbols.slip]
+            drift += geometry.point
+        self._drift_tape = compile_tape(
+            drift,
+            variables=(*mechanics.q, *mechanics.v),
+            parameters=symbols,
+            time=mechanics.time,
+        )
         self._names = tuple(scene.contacts)
         self._contacts = tuple(
             self._reader(name, contact) for name, contact in scene.contacts.items()
@@ -178,7 +189,7 @@ class SceneLaws:
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         contacts = tuple(read(values) for read in self._contacts)
         scales = self._scales.at(values, initial)
-        margins = self._stop_tape.values(initial, values, 0.0).tolist()
+        margins = self._stop_tape.at(initial, values, 0.0).tolist()
         tolerances = {
             "gap": max(3.0 * relative, _ROUNDING) * scales.length,
             "speed": max(10.0 * relative, 10.0 * _ROUNDING) * scales.speed,
@@ -223,11 +234,18 @@ class SceneLaws:
             for shut, c in zip(closed, snapshot.contacts, strict=True)
         ]
         key = tuple("slide" if shut else "free" for shut in touching)
-        state = self._projected(setup, key, snapshot, state, [c.gap < 0.0 for c in snapshot.contacts])
-        snapshot = self._tape.at(setup.values, state, 0.0)
+        inside = [c.gap < 0.0 for c in snapshot.contacts]
+        landed = self._projected(key, snapshot, state, inside) if any(inside) else state
+        landed = self._landed(setup, key, snapshot, landed) if landed is state else landed
+        if landed is not state:
+            state, snapshot = landed, self._tape.at(setup.values, landed, 0.0)
         choice = self._choose(setup, snapshot, touching)
         self._check_declared(choice, touching)
-        return self._flow(setup, choice.taken.states, warning=choice.warning), state
+        taken = choice.taken.states
+        settled = not any(
+            shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
+        )
+        return self._flow(setup, taken, warning=choice.warning, settled=settled), state
 
     def jump(
         self,
@@ -257,6 +275,8 @@ class SceneLaws:
         if target == flow.flow and not (skipping and fired == ("zeno",)):
             return None
         after = self._landed(setup, target, snapshot, state)
+        energy = snapshot.energy
+        left = energy if after is state else self._energy(setup, after, clock.high)
         jump = Jump(
             clock.high,
             j,
@@ -267,28 +287,31 @@ class SceneLaws:
             after,
             fired,
             considered=choice.considered,
-            energy=(snapshot.energy, self._tape.at(setup.values, after, clock.high).energy),
+            energy=(energy, left),
         )
         return jump, self._flow(setup, target, warning=choice.warning)
 
     def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> Array:
         """Return `state` on the constraints of `flow`; the same object while they hold."""
         assert isinstance(setup, SceneSetup)
-        if all(name == "free" for name in flow):
+        if flow.count("free") == len(flow):
             return state
-        snapshot = self._tape.at(setup.values, state, 0.0)
-        pinned = self._tape.at(setup.values, anchor, 0.0) if "pin" in flow else snapshot
+        now = self._drift_tape.at(state, setup.values, 0.0).tolist()
+        then = self._drift_tape.at(anchor, setup.values, 0.0).tolist() if "pin" in flow else now
         near, slow = _DRIFT * setup.tolerances["gap"], _DRIFT * setup.tolerances["speed"]
-        for contact, held, name in zip(snapshot.contacts, pinned.contacts, flow, strict=True):
+        for i, name in enumerate(flow):
             if name == "free":
                 continue
-            off = abs(contact.gap) > near or abs(contact.gap_rate) > slow
+            gap, gap_rate, slip, x, y = now[5 * i : 5 * i + 5]
+            off = abs(gap) > near or abs(gap_rate) > slow
             if name == "pin":
-                off |= math.hypot(contact.x - held.x, contact.y - held.y) > near
-                off |= abs(contact.slip) > slow
+                off |= math.hypot(x - then[5 * i + 3], y - then[5 * i + 4]) > near
+                off |= abs(slip) > slow
             if off:
+                snapshot = self._tape.at(setup.values, state, 0.0)
+                held = self._tape.at(setup.values, anchor, 0.0)
                 return self._projected(
-                    setup, flow, snapshot, state, [n != "free" for n in flow], pinned
+                    flow, snapshot, state, [n != "free" for n in flow], held
                 )
         return state
 
@@ -347,7 +370,7 @@ class SceneLaws:
             fired,
             impulse={law.name: (result.normal, result.tangential)},
             considered=considered,
-            energy=(snapshot.energy, self._tape.at(setup.values, after, clock.high).energy),
+            energy=(snapshot.energy, self._energy(setup, after, clock.high)),
             skipped=rest or 0.0,
         )
         if following is None:
@@ -381,11 +404,19 @@ class SceneLaws:
         )
 
     def _landed(self, setup: SceneSetup, key: Key, snapshot: Snapshot, state: Array) -> Array:
-        return self._projected(setup, key, snapshot, state, [name != "free" for name in key])
+        """Return `state` on the constraints of the mode entered; the same object if it is."""
+        near, slow = _DRIFT * setup.tolerances["gap"], _DRIFT * setup.tolerances["speed"]
+        for contact, name in zip(snapshot.contacts, key, strict=True):
+            off = abs(contact.gap) > near or abs(contact.gap_rate) > slow
+            if name != "free" and (off or (name == "pin" and abs(contact.slip) > slow)):
+                return self._projected(key, snapshot, state, [n != "free" for n in key])
+        return state
+
+    def _energy(self, setup: SceneSetup, state: Array, time: float) -> float:
+        return self._tape.at(setup.values, state, time).energy
 
     def _projected(
         self,
-        setup: SceneSetup,
         key: Key,
         snapshot: Snapshot,
         state: Array,
@@ -438,9 +469,10 @@ class SceneLaws:
         flow: Key | None = None,
         rest: float | None = None,
         warning: str = "",
+        settled: bool = True,
     ) -> Flow:
         remaining = math.inf if rest is None else rest
-        return Flow(mode, flow or mode, remaining, warning, tolerances=setup.stops)
+        return Flow(mode, flow or mode, remaining, warning, settled, tolerances=setup.stops)
 
     def _check_declared(self, choice: Choice, touching: list[bool]) -> None:
         for name, declared in self._scene.modes.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -21,8 +22,7 @@ Array = NDArray[np.float64]
 _PER_CONTACT = 9
 
 
-@dataclass(frozen=True, eq=False)
-class PerContact:
+class PerContact(NamedTuple):
     """One contact's numbers.
 
     Attributes
@@ -65,8 +65,8 @@ class Snapshot:
         Right-hand side of ``M a = forces`` without contacts.
     velocity : (n,) array
         Rates of the coordinates.
-    energy, power : float
-        Kinetic plus gravity's; power of the applied forces.
+    energy : float
+        Kinetic plus gravity's.
     contacts : tuple of PerContact
         In the order of the declaration.
     jacobians : (c, 2, n) array
@@ -78,7 +78,6 @@ class Snapshot:
     forces: Array
     velocity: Array
     energy: float
-    power: float
     contacts: tuple[PerContact, ...]
     jacobians: Array
     biases: Array
@@ -99,7 +98,7 @@ class SnapshotTape:
         self.size = len(mechanics.q)
         self.count = len(mechanics.scene.contacts)
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *mechanics.generalised_forces]
-        outputs += [mechanics.energy, mechanics.power]
+        outputs.append(mechanics.energy)
         for name in mechanics.scene.contacts:
             geometry = mechanics.contact(name)
             symbols = geometry.symbols
@@ -117,8 +116,8 @@ class SnapshotTape:
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
         """Return the numbers at `state` (2 n,)."""
         n = self.size
-        numbers = self.tape.values(state, values, time)
-        at = n * n + n + 2
+        numbers = self.tape.at(state, values, time)
+        at = n * n + n + 1
         table = numbers[at:].reshape(self.count, _PER_CONTACT + 2 * n)
         jacobians = table[:, _PER_CONTACT:].copy().reshape(self.count, 2, n)
         return Snapshot(
@@ -126,11 +125,7 @@ class SnapshotTape:
             numbers[n * n : n * n + n],
             state[n:],
             float(numbers[n * n + n]),
-            float(numbers[n * n + n + 1]),
-            tuple(
-                PerContact(*row, jacobian)
-                for row, jacobian in zip(table[:, :_PER_CONTACT].tolist(), jacobians, strict=True)
-            ),
+            tuple(map(PerContact._make, zip(*table[:, :_PER_CONTACT].T.tolist(), jacobians, strict=True))),
             jacobians,
             table[:, _PER_CONTACT - 2 : _PER_CONTACT].copy(),
         )

@@ -16,6 +16,7 @@ from statechart.errors import NonFinite, Undecided
 from statechart.tape import Tape, compile_tape
 
 __all__ = [
+    "LONGEST_CHUNK",
     "Advance",
     "CompiledMode",
     "Engine",
@@ -26,6 +27,12 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+# Steps are made in chunks that grow, so that little is dropped behind an early event.
+_FIRST_CHUNK = 4
+LONGEST_CHUNK = 64
+# The look-ahead in time grows likewise.
+_GROWTH = 16.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +80,21 @@ class Engine(ABC):
     """An integrator: it makes a mode's steps, and knows nothing of events.
 
     An engine is created for one tolerance and may keep what it compiled for a mode.
+
+    Attributes
+    ----------
+    name, method : str
+        What it is called; `method` is `name` where there is only one.
+    tolerance : float
+        Relative.
+    evaluations : int
+        Of the rates, so far; 0 where they are not counted.
     """
 
     name: str
     method: str
     tolerance: float
+    evaluations: int = 0
 
     @abstractmethod
     def compile(self, automaton: Automaton, mode: Mode) -> object:
@@ -155,6 +172,8 @@ class _Collector:
     def arc(self, start: Array) -> tuple[Array, Array]:
         if not self.times:
             return np.zeros(1), np.zeros((0, len(start), 1))
+        if len(self.times) == 1:
+            return self.times[0], self.coefficients[0]
         degree = max(c.shape[2] for c in self.coefficients)
         padded = [
             c
@@ -162,7 +181,8 @@ class _Collector:
             else np.pad(c, ((0, 0), (0, 0), (0, degree - c.shape[2])))
             for c in self.coefficients
         ]
-        return np.concatenate([np.zeros(1), *self.times]), np.concatenate(padded)
+        ends = [self.times[0], *(times[1:] for times in self.times[1:])]
+        return np.concatenate(ends), np.concatenate(padded)
 
 
 def compile_mode(engine: Engine, automaton: Automaton, mode: Mode) -> CompiledMode:
@@ -257,21 +277,18 @@ def advance(
                 collected, steps, local, end, crossing, anchor,
                 graze=graze, boxes=boxes, total=total,
             )
-        collected.times.append(local[1:])
+        collected.times.append(local)
         collected.coefficients.append(steps.coefficients)
         reached = float(local[-1])
         on_steps(reached)
         ended = steps.coefficients[-1].sum(axis=1)
         state = project(ended, anchor)
         resume = state is ended and not steps.finished
-        count = min(2 * count, _LONGEST_CHUNK)
+        count = min(2 * count, LONGEST_CHUNK)
     times, coefficients = collected.arc(state)
     return Advance(times, coefficients, state, None, False, boxes, total)
 
 
-_FIRST_CHUNK = 4
-_LONGEST_CHUNK = 64
-_GROWTH = 16.0
 
 
 def _decide(
@@ -323,27 +340,25 @@ def _cut(
     total: int,
 ) -> Advance:
     """End the arc at local time `end`, inside or before the steps at hand."""
-    last = int(np.searchsorted(local, end, side="left"))
-    kept = max(last, 1)
-    times, coefficients = local[1 : kept + 1].copy(), steps.coefficients[:kept]
     if end <= local[0]:
-        # The margin started falling before this chunk: give back what was already collected.
-        times, coefficients = times[:0], coefficients[:0]
-        state = _end_before(collected, end, anchor)
+        # The margin started falling where this chunk starts: nothing of it is kept.
+        state = _end_before(collected, anchor)
     else:
+        kept = max(int(local.searchsorted(end)), 1)
         begin = local[kept - 1]
         s = (end - begin) / (local[kept] - begin)
+        times, coefficients = local[: kept + 1], steps.coefficients[:kept]
         times[-1] = end
-        coefficients = coefficients.copy()
-        coefficients[-1] *= s ** _powers(steps)
-        state = coefficients[-1].sum(axis=1)
+        last = coefficients[-1]
+        last *= s ** _powers(steps)
+        state = last.sum(axis=1)
         collected.times.append(times)
         collected.coefficients.append(coefficients)
     all_times, all_coefficients = collected.arc(state)
     return Advance(all_times, all_coefficients, state, crossing, graze, boxes, total)
 
 
-def _end_before(collected: _Collector, end: float, anchor: Array) -> Array:
+def _end_before(collected: _Collector, anchor: Array) -> Array:
     if not collected.coefficients:
         return anchor
     return collected.coefficients[-1][-1].sum(axis=1)

@@ -324,6 +324,28 @@ def integrate_outputs(
 
 
 @njit(cache=True, error_model="numpy")
+def scaled_steps(series: Floats, durations: Floats, count: int) -> tuple[int, Floats]:
+    """Taylor coefficients in time of `count` steps as coefficients in s = time / duration.
+
+    Returns how many leading steps are finite, and their coefficients.
+    """
+    _, n, terms = series.shape
+    scaled = np.empty((count, n, terms))
+    for i in range(count):
+        finite = True
+        for v in range(n):
+            factor = 1.0
+            for k in range(terms):
+                value = series[i, v, k] * factor
+                scaled[i, v, k] = value
+                factor *= durations[i]
+                finite = finite and abs(value) < INF
+        if not finite:
+            return i, scaled[:i].copy()
+    return count, scaled
+
+
+@njit(cache=True, error_model="numpy")
 def sample_states(coeffs: Floats, times: Floats, tau: Floats) -> Floats:
     """States at local times; shape (m, n)."""
     last = coeffs.shape[0] - 1

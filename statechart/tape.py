@@ -111,6 +111,17 @@ class Tape:
             self.code, self.constants, self.outputs, self.n_fixed, state, parameters, float(time)
         )
 
+    def at(
+        self, state: NDArray[np.float64], parameters: NDArray[np.float64], time: float
+    ) -> NDArray[np.float64]:
+        """Return `values` for arrays that are float64, contiguous and of the right length.
+
+        For inner loops: nothing is checked, and a wrong shape reads beyond the arrays.
+        """
+        return tape_values(
+            self.code, self.constants, self.outputs, self.n_fixed, state, parameters, time
+        )
+
     def table(
         self, states: ArrayLike, parameters: ArrayLike, times: ArrayLike
     ) -> NDArray[np.float64]:

@@ -48,7 +48,6 @@ class SciPy(Engine):
     def __init__(self, tolerance: float, method: str = "DOP853") -> None:
         self.tolerance = max(tolerance, _LEAST)
         self.method = method
-        self.evaluations = 0
 
     def compile(self, automaton: Automaton, mode: Mode) -> _Stepper:
         """Put the rates on tape."""

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
-from statechart.engine import Engine, Steps
-from statechart.errors import NonFinite, StepFailure, StatechartError
+from statechart.engine import LONGEST_CHUNK, Engine, Steps
+from statechart.errors import NonFinite, StatechartError, StepFailure
+from statechart.kernels import scaled_steps
 
 __all__ = ["Taylor", "Unsupported"]
 
@@ -33,8 +34,11 @@ class Unsupported(StatechartError):
 @dataclass(eq=False)
 class _Stepper:
     integrator: Any
+    # Views into the integrator's own memory.
+    state: Array
+    pars: Array
+    series: Array
     used: Array  # indices of the automaton's parameters that the equations mention
-    powers: Array  # exponents 0 .. order
     parametric: bool
     buffer: Array
 
@@ -71,13 +75,14 @@ class Taylor(Engine):
             # Modes are small: loops in the compiled code cost more than they save in size.
             compact_mode=len(mode.definitions) > 60,
         )
-        order = integrator.order
         return _Stepper(
             integrator,
+            integrator.state,
+            integrator.pars,
+            integrator.tc,
             used,
-            np.arange(order + 1, dtype=float),
             bool(len(used) or convert.timed),
-            np.empty((64, len(states), order + 1)),
+            np.empty((LONGEST_CHUNK, len(states), integrator.order + 1)),
         )
 
     def steps(
@@ -92,39 +97,30 @@ class Taylor(Engine):
     ) -> Steps:
         """Take up to `count` steps (see `Engine`)."""
         assert isinstance(stepper, _Stepper)
-        integrator, buffer = stepper.integrator, stepper.buffer
         if not resume:
-            integrator.time = 0.0
-            integrator.state[:] = state
+            stepper.integrator.time = 0.0
+            stepper.state[:] = state
             if stepper.parametric:
-                integrator.pars[0] = start
-                integrator.pars[1:] = parameters[stepper.used]
-        durations = np.empty(count)
-        step, left, taken, finished = integrator.step, duration, 0, False
+                stepper.pars[0] = start
+                stepper.pars[1:] = parameters[stepper.used]
+        step, left, taken = stepper.integrator.step, duration, 0
+        series, now, durations = stepper.buffer, stepper.series, np.empty(count)
         while taken < count:
-            outcome, h = step(max_delta_t=left, write_tc=True)
-            limited = outcome == _LIMIT
-            if not limited and outcome != _SUCCESS:
-                break
-            buffer[taken] = integrator.tc
+            h = step(left, True)[1]
+            series[taken] = now
             durations[taken] = h
             taken += 1
-            left -= h
-            if limited:
-                finished = True
+            # The step is cut to end at the duration exactly, and then its length is what was left.
+            if h == left or not h > 0.0:
                 break
-            if h == 0.0:
-                raise StepFailure(f"the step at t = {start:.17g} underflowed")
+            left -= h
+        taken, coefficients = scaled_steps(series, durations, taken)
         if taken == 0:
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
-        durations = durations[:taken]
-        with np.errstate(over="ignore", invalid="ignore"):
-            coefficients = buffer[:taken] * (durations[:, None] ** stepper.powers)[:, None, :]
-        return Steps(durations, coefficients, finished)
+        if durations[taken - 1] == 0.0 and left > 0.0:
+            raise StepFailure(f"the step near t = {start:.17g} underflowed")
+        return Steps(durations[:taken], coefficients, bool(durations[taken - 1] == left))
 
-
-_SUCCESS = hy.taylor_outcome.success
-_LIMIT = hy.taylor_outcome.time_limit
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     sp.sin: hy.sin,
