@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
+from typing import TYPE_CHECKING
 
-import networkx as nx
 import sympy as sp
 
 from statechart.automaton import Automaton, Margin
 from statechart.linear import Definition, solve_linear
 from statechart.trace import Key
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 __all__ = ["Mode", "build_mode", "graph", "product_modes"]
 
@@ -85,6 +88,8 @@ def graph(automaton: Automaton, keys: Iterable[Key]) -> nx.MultiDiGraph:
     Nodes are keys; an edge has `region`, `cause`, `guard` and `reset`. Regions are orthogonal:
     an edge changes one region, and simultaneous changes are paths of zero duration.
     """
+    import networkx as nx
+
     result = nx.MultiDiGraph(name=automaton.name)
     kept = dict.fromkeys(keys)
     result.add_nodes_from((key, {"label": automaton.label(key)}) for key in kept)

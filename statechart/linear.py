@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import networkx as nx
 import sympy as sp
+from sympy.utilities.iterables import connected_components
 
 from statechart.errors import SingularMode
 
@@ -146,12 +146,10 @@ def _eliminate(
 
 def _blocks(rows: list[tuple[Row, sp.Expr]]) -> list[Definition]:
     """Solve what is left, one connected component at a time."""
-    graph = nx.Graph()
-    for index, (row, _) in enumerate(rows):
-        graph.add_node(index)
-        graph.add_edges_from((index, unknown) for unknown in row)
+    edges = [(index, unknown) for index, (row, _) in enumerate(rows) for unknown in row]
+    vertices = [*range(len(rows)), *dict.fromkeys(unknown for _, unknown in edges)]
     definitions: list[Definition] = []
-    for component in sorted(nx.connected_components(graph), key=str):
+    for component in connected_components((vertices, edges)):
         indices = sorted(i for i in component if isinstance(i, int))
         unknowns = sorted((u for u in component if not isinstance(u, int)), key=str)
         if len(indices) != len(unknowns):

@@ -1,0 +1,79 @@
+"""Integrators, and the choice among them."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from statechart.engine import Engine
+from statechart.errors import DeclarationError
+
+__all__ = ["ENGINES", "choose"]
+
+ENGINES = ("auto", "taylor", "scipy")
+
+# Taylor's method costs little more for the last digits: its order rises with them.
+_TAYLOR_TOLERANCE = 2.2e-16
+_SCIPY_TOLERANCE = 1e-12
+_METHOD = "DOP853"
+
+
+def choose(
+    *, engine: str = "auto", method: str | None = None, tolerance: float | None = None
+) -> tuple[Engine, str]:
+    """Return an integrator, and why it was picked.
+
+    Parameters
+    ----------
+    engine : str
+        One of `ENGINES`; `auto` takes taylor where heyoka is installed, else scipy.
+    method : str, optional
+        Of the engine scipy, which alone has several; DOP853 by default.
+    tolerance : float, optional
+        Relative tolerance; 2.2e-16 by default for taylor, 1e-12 for scipy.
+
+    Returns
+    -------
+    Engine
+    str
+        A sentence where `auto` could not take its first choice, else empty.
+
+    Raises
+    ------
+    DeclarationError
+        If there is no such engine or method, or the engine is not installed.
+    """
+    if engine not in ENGINES:
+        raise DeclarationError(f"no engine {engine!r}", advice="known: " + ", ".join(ENGINES))
+    reason = ""
+    if engine == "auto":
+        # What a method is given for is the engine that has methods.
+        engine = "scipy" if method is not None or not _has_heyoka() else "taylor"
+        if engine == "scipy" and method is None:
+            reason = "engine scipy: heyoka, which the engine taylor needs, is not installed"
+    if engine == "taylor":
+        return _taylor(method, tolerance), reason
+    from statechart.engines.scipy import METHODS, SciPy
+
+    if method is not None and method not in METHODS:
+        raise DeclarationError(f"no method {method!r}", advice="known: " + ", ".join(METHODS))
+    return SciPy(tolerance or _SCIPY_TOLERANCE, method or _METHOD), reason
+
+
+def _has_heyoka() -> bool:
+    return find_spec("heyoka") is not None
+
+
+def _taylor(method: str | None, tolerance: float | None) -> Engine:
+    if method is not None:
+        raise DeclarationError(
+            f"the engine taylor has no method {method!r}",
+            advice="leave the method out, or take the engine scipy",
+        )
+    if not _has_heyoka():
+        raise DeclarationError(
+            "the engine taylor needs heyoka, which is not installed",
+            advice="take the engine scipy, or install heyoka (conda has it for every platform)",
+        )
+    from statechart.engines.taylor import Taylor
+
+    return Taylor(tolerance or _TAYLOR_TOLERANCE)

@@ -1,0 +1,161 @@
+"""The command line: its grammar, and what errors become."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+
+__all__ = ["main"]
+
+_DONE, _FAILED, _WRONG = 0, 1, 2
+
+_EPILOG = """\
+FILE is a path, or the name of a shipped model such as toppling_stick.
+Results go to stdout, progress and warnings to stderr.
+Exit code: 0 done, 1 the run or the check failed, 2 the input is wrong.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Those of the process by default. With ``STATECHART_DEBUG=1`` in the environment an
+        unexpected error shows where it came from.
+
+    Returns
+    -------
+    int
+        0 done, 1 the run or the check failed, 2 the input is wrong.
+    """
+    from statechart.errors import DeclarationError, StatechartError
+
+    try:
+        chosen = _parser().parse_args(arguments)
+    except SystemExit as exit_:
+        return exit_.code if isinstance(exit_.code, int) else _WRONG
+    try:
+        verb: Callable[[argparse.Namespace], int] = _verb(chosen.verb)
+        code = verb(chosen)
+        sys.stdout.flush()
+        return code
+    except DeclarationError as error:
+        return _say(str(error), _WRONG)
+    except StatechartError as error:
+        return _say(str(error), _FAILED)
+    except KeyboardInterrupt:
+        return _say("interrupted", _FAILED)
+    except BrokenPipeError:
+        # Whoever read our output has seen enough.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _DONE
+    except OSError as error:
+        return _say(f"cannot go on: {error.strerror or error}", _FAILED)
+    except Exception as error:
+        if os.environ.get("STATECHART_DEBUG") == "1":
+            raise
+        return _say(
+            f"internal error, {type(error).__name__}: {error}\n"
+            "please report it; STATECHART_DEBUG=1 shows where it came from",
+            _FAILED,
+        )
+
+
+def _verb(name: str) -> Callable[[argparse.Namespace], int]:
+    from statechart import cli_verbs
+
+    verb: Callable[[argparse.Namespace], int] = getattr(cli_verbs, name)
+    return verb
+
+
+def _say(message: str, code: int) -> int:
+    print(message, file=sys.stderr)
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="statechart",
+        description="Statecharts of rigid bodies in contact: declare, draw, run, check.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+
+    def verb(name: str, words: str, *, file: bool = True) -> argparse.ArgumentParser:
+        added = verbs.add_parser(name, help=words, description=words, allow_abbrev=False)
+        if file:
+            added.add_argument("file", metavar="FILE", help="a path, or a shipped model's name")
+        return added
+
+    verb("validate", "read a model and check it, its initial state too")
+    run = verb("run", "run a model and report what happened")
+    run.add_argument(
+        "--set", dest="parameters", metavar="NAME=VALUE", action="append", default=[],
+        type=_assignment, help="give a parameter another value: a number, 1/3, inf, 20*pi/180",
+    )  # fmt: skip
+    run.add_argument("--until", metavar="T", type=_number, help="end of the run")
+    run.add_argument("--engine", choices=("auto", "taylor", "scipy"))
+    run.add_argument("--method", metavar="M", help="RK45, DOP853, Radau or LSODA (engine scipy)")
+    error = run.add_mutually_exclusive_group()
+    error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
+    error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")
+    run.add_argument("--output", metavar="DIR", help="write tables, data set and figure there")
+    run.add_argument("--json", action="store_true", help="print one JSON object")
+    modes = verb("modes", "list the states and transitions of a model's regions")
+    modes.add_argument("--json", action="store_true", help="print one JSON object")
+    draw = verb("draw", "draw the statechart of a model")
+    draw.add_argument(
+        "-o", "--output", metavar="PATH", required=True, help=".svg .png .pdf .dot .mmd .scxml"
+    )
+    draw.add_argument("--visited", action="store_true", help="run, and show the path it took")
+    check = verb("check", "test a model's invariants over its ranges of parameters")
+    check.add_argument(
+        "--examples", metavar="N", type=_positive, default=50, help="per property; 50"
+    )
+    check.add_argument("--seed", metavar="S", type=_count, help="repeats a check exactly")
+    check.add_argument("--json", action="store_true", help="print one JSON object")
+    schema = verb("schema", "print the JSON Schema of the documents", file=False)
+    schema.add_argument("kind", nargs="?", metavar="KIND", help="scene or chart; else both")
+    new = verb("new", "write a commented scene to start from", file=False)
+    new.add_argument("name", metavar="NAME")
+    return parser
+
+
+def _number(text: str) -> float:
+    from statechart.errors import FormulaError
+    from statechart.formula import parse
+
+    try:
+        return parse(text).value({})
+    except FormulaError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: {error}") from None
+
+
+def _assignment(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    if not equals or not name.strip():
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
+    return name.strip(), _number(value)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or len(text) > 18:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
+    return int(text)
+
+
+def _positive(text: str) -> int:
+    count = _count(text)
+    if count == 0:
+        raise argparse.ArgumentTypeError("at least 1 is needed")
+    return count
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,224 @@
+"""The verbs of the command line: each takes its arguments and returns the exit code."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from statechart.errors import DeclarationError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from statechart.run import Runner
+
+__all__ = ["check", "draw", "modes", "new", "run", "schema", "validate"]
+
+
+def validate(arguments: argparse.Namespace) -> int:
+    """Read a model and check its initial state; print one line."""
+    runner = _runner(arguments.file)
+    mode, warnings = runner.start()
+    automaton = runner.automaton
+    kind = getattr(runner.model, "kind", "model")
+    count = _modes(automaton.modes_declared, automaton.modes_total)
+    remarks = "".join(f"; warning: {warning}" for warning in warnings)
+    print(
+        f"{arguments.file}: {kind} {automaton.name!r} is correct: "
+        f"{len(automaton.names)} variables, {count}, starts in {automaton.label(mode)}{remarks}"
+    )
+    return 0
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run a model; print a summary or one object."""
+    parameters: dict[str, float] = {}
+    for name, value in arguments.parameters:
+        if name in parameters:
+            raise DeclarationError(f"--set {name} is given twice", advice="give it once")
+        parameters[name] = value
+    if arguments.output is not None and Path(arguments.output).is_file():
+        raise DeclarationError(
+            f"--output {arguments.output}: this is a file", advice="name a folder"
+        )
+    runner = _runner(
+        arguments.file,
+        engine=arguments.engine,
+        method=arguments.method,
+        tolerance=arguments.tolerance,
+        accuracy=arguments.accuracy,
+        progress=True,
+    )
+    result = runner.run(parameters, until=arguments.until, throw=False)
+    report = result.report()
+    _warn(result.warnings)
+    if arguments.output is not None:
+        from statechart.tables import write_run
+
+        write_run(arguments.output, result.observer, result.trace, report)
+    if arguments.json:
+        _print_json(report)
+    else:
+        from statechart.summary import summary
+
+        print(summary(report), end="")
+    return 0 if result.trace.outcome.succeeded else 1
+
+
+def modes(arguments: argparse.Namespace) -> int:
+    """List regions, states and transitions; no mode is built for it."""
+    automaton = _runner(arguments.file).automaton
+    if arguments.json:
+        _print_json(
+            {
+                "model": automaton.name,
+                "modes_declared": automaton.modes_declared,
+                "modes_total": automaton.modes_total,
+                "modes_built": 0,
+                "regions": [
+                    {
+                        "name": region.name,
+                        "states": [
+                            {"name": state, "declared": region.declared(state)}
+                            for state in region.states
+                        ],
+                        "edges": [
+                            {
+                                "cause": edge.cause,
+                                "from": edge.source,
+                                "to": edge.target,
+                                "guard": edge.guard,
+                                "reset": edge.reset,
+                            }
+                            for edge in region.edges
+                        ],
+                    }
+                    for region in automaton.regions
+                ],
+            }
+        )
+        return 0
+    count = _modes(automaton.modes_declared, automaton.modes_total)
+    print(f"{automaton.name}: {count}; none is built before a run enters it")
+    from statechart.summary import table
+
+    for region in automaton.regions:
+        print(f"\n{region.name}: {', '.join(region.states)}")
+        rows = [
+            (
+                f"  {e.source} -> {e.target}",
+                e.cause,
+                f"[{e.guard}]",
+                f"/ {e.reset}" if e.reset else "",
+            )
+            for e in region.edges
+        ]
+        print(table(rows), end="")
+    return 0
+
+
+def draw(arguments: argparse.Namespace) -> int:
+    """Draw the statechart, with the path of a run where asked for or needed."""
+    from statechart.diagram import write
+    from statechart.diagram.build import build, needs_run
+    from statechart.diagram.write import SUFFIXES
+
+    path = Path(arguments.output)
+    if path.suffix.lower() not in SUFFIXES:
+        raise DeclarationError(
+            f"-o {arguments.output}: the suffix must be one of {', '.join(SUFFIXES)}"
+        )
+    runner = _runner(arguments.file, progress=True)
+    start, _ = runner.start()
+    trace, code = None, 0
+    if arguments.visited or needs_run(runner.automaton):
+        trace = runner.run(throw=False).trace
+        _warn(trace.warnings)
+        if not trace.outcome.succeeded:
+            _warn([f"the run ended early: {trace.outcome.name}, {trace.message}"])
+            code = 1
+    write(build(runner.automaton, start, trace), path)
+    print(path)
+    return code
+
+
+def check(arguments: argparse.Namespace) -> int:
+    """Test the properties of a model over its ranges; write a model that fails, if one does."""
+    from statechart.checking import check as check_model
+    from statechart.files import write_atomic
+
+    runner = _runner(arguments.file)
+    runner.start()
+    report = check_model(
+        runner.model,
+        examples=arguments.examples,
+        seed=arguments.seed,
+        progress=lambda name: print(f"testing: {name}", file=sys.stderr),
+    )
+    written = None
+    if not report.passed:
+        path = Path(f"{runner.model.name}_failure.yaml")
+        write_atomic(path, report.reproduction.encode())
+        written = str(path)
+    if arguments.json:
+        _print_json({**report.to_json(), "reproduction": written})
+    else:
+        print(report.text(), end="")
+        if written is not None:
+            print(f"{written} reproduces it")
+    return 0 if report.passed else 1
+
+
+def schema(arguments: argparse.Namespace) -> int:
+    """Print the JSON Schema of one kind of document, or of all."""
+    from statechart.schema import schema as schema_of
+
+    print(schema_of(arguments.kind), end="")
+    return 0
+
+
+def new(arguments: argparse.Namespace) -> int:
+    """Write a scene to start from."""
+    from statechart.document import interpret, read_text
+    from statechart.files import write_atomic
+    from statechart.formula import NAME, RESERVED
+    from statechart.kinds import kind
+
+    name = arguments.name
+    if not NAME.fullmatch(name) or name in RESERVED:
+        raise DeclarationError(
+            f"{name!r} cannot be the name of a model",
+            advice="letters, digits and _, not beginning with a digit, no word of formulas",
+        )
+    path = Path(f"{name}.yaml")
+    if path.exists() or path.is_symlink():
+        raise DeclarationError(f"{path} exists already", advice="choose another name")
+    text = kind("scene").starter.replace("NAME", name)
+    interpret(read_text(text, str(path)))
+    write_atomic(path, text.encode())
+    print(f"{path} written; run it with: statechart run {path}")
+    return 0
+
+
+def _runner(file: str, **options: Any) -> Runner:
+    from statechart.run import Runner
+
+    return Runner(file, **options)
+
+
+def _modes(declared: int, total: int) -> str:
+    words = f"{declared} mode{'s' if declared != 1 else ''}"
+    return words if declared == total else f"{words} ({total} with directions of sliding)"
+
+
+def _warn(warnings: Iterable[str]) -> None:
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+
+
+def _print_json(value: object) -> None:
+    # Floats are printed with the fewest digits that read back as the same float.
+    print(json.dumps(value, indent=2, allow_nan=False))

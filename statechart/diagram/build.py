@@ -1,0 +1,231 @@
+"""From an automaton, and the run it made, to a diagram."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from itertools import product
+
+from statechart.automaton import Automaton, Edge, Margin, Region
+from statechart.diagram.model import Diagram, Link, Node
+from statechart.trace import Key, Trace
+
+__all__ = ["build", "needs_run"]
+
+# Two contacts have nine modes as users count, and a product of more than this cannot be read.
+_MOST_MODES = 16
+
+_Ends = tuple[Key, Key, str]
+
+
+def needs_run(automaton: Automaton) -> bool:
+    """Return whether the product is too large to draw, so that only what a run visited is."""
+    return len(automaton.regions) > 1 and automaton.modes_declared > _MOST_MODES
+
+
+def build(automaton: Automaton, start: Key, trace: Trace | None = None) -> Diagram:
+    """Return the diagram of an automaton.
+
+    One region is drawn as its own chart. Several are drawn as their product, without the
+    directions of sliding; where that has too many modes, what the run visited is drawn instead,
+    and beside it the chart of every region.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        What to draw.
+    start : Key
+        The mode that it starts in.
+    trace : Trace, optional
+        A run, whose path and counts are shown; needed where `needs_run`.
+    """
+    if len(automaton.regions) == 1:
+        return _chart(automaton, start, trace)
+    if not needs_run(automaton):
+        return _product(automaton, start, trace)
+    if trace is None:
+        raise ValueError("a product of so many modes is drawn as a run visited it")
+    return _visited(automaton, trace)
+
+
+def _chart(automaton: Automaton, start: Key, trace: Trace | None) -> Diagram:
+    """Draw the only region, directions of sliding told apart."""
+    region = automaton.regions[0]
+    run = None if trace is None else _Run(trace)
+    links = [_link((e.source,), (e.target,), [e], "", run) for e in region.edges]
+    return Diagram(
+        automaton.name,
+        tuple(_state(automaton, region, state, (state,) == start, run) for state in region.states),
+        tuple(links) + _unlisted(run),
+        _notes(automaton),
+        () if run is None else tuple(map(_name, run.path)),
+    )
+
+
+def _product(automaton: Automaton, start: Key, trace: Trace | None) -> Diagram:
+    """Draw all modes, sliding without direction."""
+    run = None if trace is None else _Run(trace, automaton)
+    declared = [
+        tuple(dict.fromkeys(region.declared(state) for state in region.states))
+        for region in automaton.regions
+    ]
+    initial = _declared(automaton, start)
+    nodes = tuple(
+        Node(
+            _name(key),
+            "\n".join(f"{r.name}: {s}" for r, s in zip(automaton.regions, key, strict=True)),
+            initial=key == initial,
+            visits=None if run is None else run.entries[key],
+        )
+        for key in product(*declared)
+    )
+    links: list[Link] = []
+    for key in product(*declared):
+        for place, region in enumerate(automaton.regions):
+            for (target, _), edges in _merged(region, key[place]).items():
+                after = (*key[:place], target, *key[place + 1 :])
+                links.append(_link(key, after, edges, region.name, run))
+    return Diagram(
+        automaton.name,
+        nodes,
+        tuple(links) + _unlisted(run),
+        _notes(automaton),
+        () if run is None else tuple(map(_name, run.path)),
+    )
+
+
+def _visited(automaton: Automaton, trace: Trace) -> Diagram:
+    """Draw the modes that a run visited, and the chart of every region."""
+    run = _Run(trace)
+    nodes = [
+        Node(
+            _name(key),
+            "\n".join(f"{r.name}: {s}" for r, s in zip(automaton.regions, key, strict=True)),
+            group="modes of the run",
+            initial=key == trace.start_mode,
+            visits=run.entries[key],
+        )
+        for key in dict.fromkeys(run.path)
+    ]
+    links = list(_unlisted(run))
+    for region in automaton.regions:
+        for state in region.states:
+            nodes.append(Node(f"{region.name}:{state}", state, group=region.name))
+        links += [
+            Link(
+                f"{region.name}:{edge.source}", f"{region.name}:{edge.target}",
+                edge.cause, edge.guard, edge.reset,
+            )
+            for edge in region.edges
+        ]  # fmt: skip
+    note = "too many modes to draw: those that a run visited, and the chart of every region"
+    return Diagram(
+        automaton.name,
+        tuple(nodes),
+        tuple(links),
+        (*_notes(automaton), note),
+        tuple(map(_name, run.path)),
+    )
+
+
+class _Run:
+    """What a run did: modes entered, edges taken; without directions if an automaton is given."""
+
+    def __init__(self, trace: Trace, automaton: Automaton | None = None) -> None:
+        def shown(key: Key) -> Key:
+            return key if automaton is None else _declared(automaton, key)
+
+        path: list[Key] = [shown(trace.start_mode)]
+        self.taken: Counter[_Ends] = Counter()
+        self.linked: set[_Ends] = set()
+        for jump in trace.jumps:
+            if not jump.region:
+                continue  # a stop condition, which ends the run and leads nowhere
+            source, target = shown(jump.source), shown(jump.target)
+            self.taken[source, target, jump.cause] += 1
+            if target != path[-1]:
+                path.append(target)
+        self.path = tuple(path)
+        self.entries = Counter(path)
+
+
+def _link(source: Key, target: Key, edges: Iterable[Edge], region: str, run: _Run | None) -> Link:
+    """Return one link for edges that differ in their guards alone."""
+    edges = tuple(edges)
+    cause = edges[0].cause
+    visits = None
+    if run is not None:
+        visits = run.taken[source, target, cause]
+        run.linked.add((source, target, cause))
+    return Link(
+        _name(source),
+        _name(target),
+        f"{region} {cause}".strip(),
+        " or ".join(dict.fromkeys(edge.guard for edge in edges)),
+        " or ".join(dict.fromkeys(edge.reset for edge in edges if edge.reset)),
+        visits,
+    )
+
+
+def _unlisted(run: _Run | None) -> tuple[Link, ...]:
+    """Return links for jumps that no single edge describes: several regions changed at once."""
+    if run is None:
+        return ()
+    return tuple(
+        Link(_name(source), _name(target), cause, "", "", count)
+        for (source, target, cause), count in run.taken.items()
+        if (source, target, cause) not in run.linked
+    )
+
+
+def _merged(region: Region, source: str) -> Mapping[tuple[str, str], list[Edge]]:
+    """Return the edges out of a declared state by where they lead and why."""
+    found: dict[tuple[str, str], list[Edge]] = {}
+    for edge in region.edges:
+        if region.declared(edge.source) == source:
+            found.setdefault((region.declared(edge.target), edge.cause), []).append(edge)
+    return found
+
+
+def _declared(automaton: Automaton, key: Key) -> Key:
+    return tuple(r.declared(state) for r, state in zip(automaton.regions, key, strict=True))
+
+
+def _sense(automaton: Automaton, margin: Margin) -> str:
+    """Return the sign of what the margin is named after, where that is its negative."""
+    named = automaton.observables.get(margin.name)
+    return "<=" if named is not None and margin.expression == -named else ">="
+
+
+def _state(
+    automaton: Automaton, region: Region, state: str, initial: bool, run: _Run | None
+) -> Node:
+    declared = region.declared(state)
+    built = region.build(state)
+    prefix = f"{region.name}."
+    # A plain margin is the guard of a transition, which stands on its edge.
+    conditions = [
+        f"{m.name.removeprefix(prefix)} {_sense(automaton, m)} 0"
+        for m in built.margins
+        if m.kind != "plain"
+    ]
+    conditions += [m.name.removeprefix(prefix) for m in built.invariants]
+    return Node(
+        _name((state,)),
+        state,
+        group=declared if declared != state else None,
+        invariants=tuple(conditions),
+        initial=initial,
+        visits=None if run is None else run.entries[(state,)],
+    )
+
+
+def _notes(automaton: Automaton) -> tuple[str, ...]:
+    notes = [automaton.declaration.doc] if automaton.declaration.doc else []
+    if automaton.stops:
+        notes.append(f"stops when: {', '.join(automaton.stops)}")
+    return tuple(notes)
+
+
+def _name(key: Key) -> str:
+    return " ".join(key)

@@ -1,0 +1,102 @@
+"""A run's report as text for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from statechart.trace import Outcome
+
+__all__ = ["summary", "table"]
+
+# Of more events than twice this only the first and the last are listed.
+_SHOWN = 20
+
+
+def summary(report: Mapping[str, Any]) -> str:
+    """Return the report of a run as lines of text; numbers keep all their digits.
+
+    Parameters
+    ----------
+    report : mapping
+        From `statechart.report.report`.
+    """
+    blocks = [_head(report), _events(report)]
+    blocks += [
+        _values(title, values)
+        for title, values in (
+            ("outputs", report["outputs"]),
+            ("final state", report["final"]),
+            ("margins, least value seen", report["margins"]),
+        )
+        if values
+    ]
+    return "\n".join(block for block in blocks if block)
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows as lines with aligned columns."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        + "\n"
+        for row in rows
+    )
+
+
+def _head(report: Mapping[str, Any]) -> str:
+    counts = report["counts"]
+    certified = "every event certified" if report["certified"] else "NOT certified: see evidence"
+    lines = [
+        f"{report['model']}: {report['outcome']}",
+        f"  {Outcome[report['outcome']].value}",
+        f"  {report['message']}",
+        f"  engine {report['engine']}, tolerance {report['tolerance']:.3g}; {certified}",
+        f"  {counts['steps']} steps, {counts['jumps']} jumps, "
+        f"{report['modes_built']} of {report['modes_total']} modes built",
+    ]
+    if report["error_estimate"] is not None:
+        lines.append(f"  estimated relative error {float(report['error_estimate']):.2g}")
+    if not report["certified"]:
+        lines += [f"  evidence of {name}: {how}" for name, how in report["evidence"].items()]
+    return "\n".join(lines) + "\n"
+
+
+def _events(report: Mapping[str, Any]) -> str:
+    events = report["events"]
+    if not events:
+        return "no events\n"
+    rows = [("t", "region", "cause", "from -> to")]
+    left_out = len(events) - 2 * _SHOWN
+    for place, event in enumerate(events):
+        if left_out > 0 and _SHOWN <= place < len(events) - _SHOWN:
+            if place == _SHOWN:
+                rows.append((f"... {left_out} more: --json or --output has all", "", "", ""))
+            continue
+        rows.append((repr(event["t"]), event["contact"] or "", event["cause"], _change(event)))
+    return table(rows)
+
+
+def _change(event: Mapping[str, Any]) -> str:
+    before, after = event["from"], event["to"]
+    changed = [name for name in before if before[name] != after[name]]
+    if not changed and event["contact"]:
+        changed = [event["contact"]]
+    several = len(before) > 1
+    return ", ".join(
+        f"{name + ': ' if several else ''}{before[name]} -> {after[name]}" for name in changed
+    )
+
+
+def _values(title: str, values: Mapping[str, Any]) -> str:
+    return f"{title}\n" + table([(f"  {name}", _text(value)) for name, value in values.items()])
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, list):
+        shown = ", ".join(map(_text, value[:_SHOWN]))
+        more = f", ... {len(value) - _SHOWN} more" if len(value) > _SHOWN else ""
+        return f"[{shown}{more}]"
+    return value if isinstance(value, str) else repr(value)
