@@ -7,7 +7,6 @@ several), and judged by its own inequalities.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,19 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SOLVED, solve_modes
+from contacts.kernels import (
+    AGAINST,
+    FREE,
+    INTO,
+    OUTSIDE,
+    PIN,
+    PULLS,
+    SLIDE,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    SOLVED,
+    solve_modes,
+)
 from contacts.scales import Scales
 from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import AmbiguousMode, NoConsistentMode
@@ -32,7 +43,12 @@ _CODES = {
     "slide+": SLIDE_PLUS,
     "slide-": SLIDE_MINUS,
 }
-_SIGN = {"slide+": 1.0, "slide-": -1.0, "slide": 0.0}
+_WORDS = {
+    INTO: "it would accelerate at {:.3g} into the surface",
+    PULLS: "V = {:.3g} < 0",
+    OUTSIDE: "|H| = {:.6g} > mu V",
+    AGAINST: "slip would accelerate at {:.3g} against it",
+}
 # Two motions are the same when their accelerations agree to this.
 _SAME_MOTION = 1e-9
 
@@ -80,21 +96,21 @@ class Candidate:
         V and H per contact.
     violation : float
         The largest inequality it breaks, in units of the scales; <= 0: none.
-    broken : (str, str, float)
-        Contact, words with a place for a number, number: that inequality.
+    broken : (str, int, float)
+        That inequality: contact, which (as `contacts.kernels` numbers them), its number.
     """
 
     states: tuple[str, ...]
     accelerations: Array
     forces: Array
     violation: float
-    broken: tuple[str, str, float]
+    broken: tuple[str, int, float]
 
     @property
     def reason(self) -> str:
         """The inequality it is judged by, in words."""
-        contact, words, number = self.broken
-        return f"{contact}: " + words.format(number)
+        contact, which, number = self.broken
+        return f"{contact}: " + _WORDS[which].format(number)
 
 
 class Considered(Mapping[str, str]):
@@ -148,8 +164,9 @@ def candidates(
     snapshot: Snapshot,
     laws: Sequence[ContactLaw],
     options: Sequence[Sequence[str]],
-    scales: Scales,
+    closed: Sequence[bool],
     still: Sequence[bool],
+    scales: Scales,
 ) -> list[Candidate | Undetermined]:
     """Solve every combination of `options` (states per contact).
 
@@ -161,10 +178,10 @@ def candidates(
         One per contact.
     options : sequence of sequence of str
         States to try per contact; contacts that are not closed have ("free",).
+    closed, still : sequence of bool
+        Whether the contact's gap is closed; whether its slip is zero.
     scales : Scales
         For judging inequalities.
-    still : sequence of bool
-        Whether the contact's slip is zero.
 
     Returns
     -------
@@ -174,24 +191,27 @@ def candidates(
     combinations = list(product(*options))
     codes = np.array([[_CODES[state] for state in states] for states in combinations])
     cones = np.array([(law.cone_n, law.cone_t) for law in laws])
-    status, accelerations, forces, points = solve_modes(
-        snapshot.mass, snapshot.forces, snapshot.jacobians, snapshot.biases, cones, codes
+    status, accelerations, forces, verdicts = solve_modes(
+        snapshot.mass,
+        snapshot.forces,
+        snapshot.jacobians,
+        snapshot.biases,
+        cones,
+        codes,
+        np.array(closed),
+        np.array(still),
+        scales.force,
+        scales.acceleration,
     )
-    solved, loads, moved = status.tolist(), forces.tolist(), points.tolist()
     found: list[Candidate | Undetermined] = []
-    for k, states in enumerate(combinations):
-        if solved[k] != SOLVED:
+    for k, (states, solved, verdict) in enumerate(
+        zip(combinations, status.tolist(), verdicts.tolist(), strict=True)
+    ):
+        if solved != SOLVED:
             found.append((states, "its equations do not determine the motion"))
             continue
-        violation, broken = -math.inf, ("", "no inequality", 0.0)
-        for law, state, force, moves, at_rest, tried in zip(
-            laws, states, loads[k], moved[k], still, options, strict=True
-        ):
-            if len(tried) == 1 and state == "free":
-                continue
-            for amount, words, number in _judge(law, state, force, moves, at_rest, scales):
-                if amount > violation:
-                    violation, broken = amount, (law.name, words, number)
+        violation, contact, which, number = verdict
+        broken = (laws[int(contact)].name, int(which), number)
         found.append(Candidate(states, accelerations[k], forces[k], violation, broken))
     return found
 
@@ -227,7 +247,7 @@ def choose(
             snapshot.contacts, laws, closed, still, strict=True
         )
     ]
-    tried = candidates(snapshot, laws, options, scales, still)
+    tried = candidates(snapshot, laws, options, closed, still, scales)
     solved = [c for c in tried if isinstance(c, Candidate)]
     consistent = [c for c in solved if c.violation <= tie]
     if not consistent:
@@ -281,38 +301,6 @@ def _openness(candidate: Candidate) -> tuple[int, int, str]:
         sum(state != "pin" for state in states),
         " ".join(states),
     )
-
-
-def _judge(
-    law: ContactLaw,
-    state: str,
-    force: Sequence[float],
-    moves: Sequence[float],
-    at_rest: bool,
-    scales: Scales,
-) -> list[tuple[float, str, float]]:
-    """Return (violation, words, number) of every inequality of a contact's mode.
-
-    `force` is (V, H), `moves` the normal and tangential acceleration of the point.
-    """
-    V, H = force
-    n, t = law.cone_n, law.cone_t
-    if state == "free":
-        apart = moves[0]
-        return [(-apart / scales.acceleration, "it would accelerate at {:.3g} into the surface", apart)]
-    if state == "pin":
-        found = [(-V / scales.force, "V = {:.3g} < 0", V)]
-        if n > 0.0:
-            outside = (n * abs(H) - t * V) / scales.force
-            found.append((outside, "|H| = {:.6g} > mu V", abs(H)))
-        return found
-    sign = _SIGN[state]
-    edge = n * V - sign * t * H
-    found = [(-edge / scales.force, "V = {:.3g} < 0", V)]
-    if sign and at_rest:
-        along = sign * moves[1]
-        found.append((-along / scales.acceleration, "slip would accelerate at {:.3g} against it", along))
-    return found
 
 
 def _label(

@@ -8,12 +8,28 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["FREE", "PIN", "SLIDE", "SLIDE_MINUS", "SLIDE_PLUS", "SOLVED", "saddle", "solve_modes"]
+__all__ = [
+    "AGAINST",
+    "FREE",
+    "INEXACT",
+    "INTO",
+    "OUTSIDE",
+    "PIN",
+    "PULLS",
+    "SINGULAR",
+    "SLIDE",
+    "SLIDE_MINUS",
+    "SLIDE_PLUS",
+    "SOLVED",
+    "saddle",
+    "solve_modes",
+]
 
 Array = NDArray[np.float64]
 
 FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS = range(5)
 SOLVED, SINGULAR, INEXACT = range(3)
+INTO, PULLS, OUTSIDE, AGAINST = range(4)
 
 # A solution whose residual stays above this, relative to its terms, is refused.
 _RESIDUAL = 1e-8
@@ -112,10 +128,25 @@ def saddle(
 
 
 @njit(cache=True)
+def _worse(verdict: Array, amount: float, contact: int, which: int, number: float) -> None:
+    if amount > verdict[0]:
+        verdict[0], verdict[1], verdict[2], verdict[3] = amount, contact, which, number
+
+
+@njit(cache=True)
 def solve_modes(
-    mass: Array, right: Array, jacobians: Array, biases: Array, cones: Array, codes: Array
+    mass: Array,
+    right: Array,
+    jacobians: Array,
+    biases: Array,
+    cones: Array,
+    codes: Array,
+    closed: Array,
+    still: Array,
+    force_scale: float,
+    acceleration_scale: float,
 ) -> tuple[Array, Array, Array, Array]:
-    """Solve every combination of contact modes.
+    """Solve every combination of contact modes, and judge it by its own inequalities.
 
     Parameters
     ----------
@@ -127,23 +158,29 @@ def solve_modes(
         cone_n, cone_t.
     codes : (k, c) of int
         FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS.
+    closed, still : (c,) of bool
+        Whether the gap is closed; whether the slip is zero.
+    force_scale, acceleration_scale : float
+        For comparing violations.
 
     Returns
     -------
-    status : (k,), accelerations : (k, n), forces : (k, c, 2), points : (k, c, 2)
-        `points`: normal and tangential accelerations of the contact points.
+    status : (k,), accelerations : (k, n), forces : (k, c, 2)
+    verdicts : (k, 4)
+        Of the inequality broken most: by how much in the scales (<= 0: not at all), contact,
+        which inequality (INTO, PULLS, OUTSIDE, AGAINST), its number.
     """
     count, contacts = codes.shape
     n = len(right)
     status = np.empty(count, np.int64)
     accelerations = np.zeros((count, n))
     forces = np.zeros((count, contacts, 2))
-    points = np.zeros((count, contacts, 2))
+    verdicts = np.zeros((count, 4))
+    verdicts[:, 0] = -np.inf
     for k in range(count):
-        closed = 0
+        size = n
         for c in range(contacts):
-            closed += codes[k, c] != FREE
-        size = n + 2 * closed
+            size += 2 * (codes[k, c] != FREE)
         matrix = np.zeros((size, size))
         b = np.zeros(size)
         matrix[:n, :n] = mass
@@ -174,9 +211,24 @@ def solve_modes(
                 if codes[k, c] != FREE:
                     forces[k, c] = x[at : at + 2]
                     at += 2
-                for row in range(2):
-                    total = biases[c, row]
-                    for i in range(n):
-                        total += jacobians[c, row, i] * x[i]
-                    points[k, c, row] = total
-    return status, accelerations, forces, points
+                code = codes[k, c]
+                if code != FREE or closed[c]:
+                    V, H = forces[k, c]
+                    cone_n, cone_t = cones[c]
+                    if code == FREE:
+                        apart = biases[c, 0] + np.dot(jacobians[c, 0], accelerations[k])
+                        _worse(verdicts[k], -apart / acceleration_scale, c, INTO, apart)
+                    elif code == PIN:
+                        _worse(verdicts[k], -V / force_scale, c, PULLS, V)
+                        outside = (cone_n * abs(H) - cone_t * V) / force_scale
+                        if cone_n > 0.0:
+                            _worse(verdicts[k], outside, c, OUTSIDE, abs(H))
+                    else:
+                        sign = 1.0 if code == SLIDE_PLUS else -1.0 if code == SLIDE_MINUS else 0.0
+                        edge = cone_n * V - sign * cone_t * H
+                        _worse(verdicts[k], -edge / force_scale, c, PULLS, V)
+                        if sign != 0.0 and still[c]:
+                            along = biases[c, 1] + np.dot(jacobians[c, 1], accelerations[k])
+                            along *= sign
+                            _worse(verdicts[k], -along / acceleration_scale, c, AGAINST, along)
+    return status, accelerations, forces, verdicts

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 from pydantic import BaseModel
 
 from contacts.scene import Scene
 from statechart.automaton import Automaton
 from statechart.kinds import Kind
+
+if TYPE_CHECKING:
+    from statechart.testing import Property
 
 __all__ = ["SCENE", "automaton"]
 
@@ -54,6 +60,15 @@ def _automaton(scene: BaseModel) -> object:
     if not isinstance(scene, Scene):
         raise TypeError(f"a Scene was expected, not {type(scene).__name__}")
     return automaton(scene)
+
+
+def _properties(scene: BaseModel) -> Sequence[Property]:
+    from contacts.testing import properties
+
+    if not isinstance(scene, Scene):
+        raise TypeError(f"a Scene was expected, not {type(scene).__name__}")
+    return properties(scene)
+
 
 
 _STARTER = """\
@@ -119,4 +134,4 @@ outputs:
   t_flat: {value: time, at: end}
 """
 
-SCENE = Kind("scene", Scene, _automaton, _STARTER)
+SCENE = Kind("scene", Scene, _automaton, _STARTER, _properties)

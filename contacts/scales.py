@@ -74,7 +74,7 @@ class ScaleTape:
         known = dict(zip(scene.parameters, parameters, strict=False))
         duration = parse(end).to_sympy(known) if end is not None else sp.S.One
         groups = [lengths, speeds, masses, list(mechanics.gravity), pushes, [duration]]
-        self._ends = np.cumsum([len(group) for group in groups])[:-1]
+        self._sizes = [len(group) for group in groups]
         self._tape = compile_tape(
             [expression for group in groups for expression in group],
             variables=(*mechanics.q, *mechanics.v),
@@ -84,15 +84,19 @@ class ScaleTape:
 
     def at(self, values: Array, state: Array) -> Scales:
         """Return the scales of a run that starts at `state` (2 n,)."""
-        numbers = np.abs(self._tape.values(state, values, 0.0))
-        numbers[~np.isfinite(numbers)] = 0.0
-        lengths, speeds, masses, gravity, pushes, duration = np.split(numbers, self._ends)
-        length, speed = lengths.max(initial=0.0), speeds.max(initial=0.0)
-        acceleration = math.hypot(*gravity) or float(pushes.max(initial=0.0))
+        found = self._tape.at(state, values, 0.0).tolist()
+        numbers = [abs(x) if math.isfinite(x) else 0.0 for x in found]
+        groups, at = [], 0
+        for size in self._sizes:
+            groups.append(numbers[at : at + size])
+            at += size
+        lengths, speeds, masses, gravity, pushes, (duration,) = groups
+        length, speed = max(lengths, default=0.0), max(speeds, default=0.0)
+        acceleration = math.hypot(*gravity) or max(pushes, default=0.0)
         if length == 0.0:
-            length = max(speed * duration[0], acceleration * duration[0] ** 2) or 1.0
+            length = max(speed * duration, acceleration * duration**2) or 1.0
         acceleration = max(acceleration, speed**2 / length)
         if acceleration == 0.0:
-            acceleration = length / max(duration[0], 1e-300) ** 2
+            acceleration = length / max(duration, 1e-300) ** 2
         speed = max(speed, math.sqrt(acceleration * length))
-        return Scales(float(length), float(speed), float(acceleration), float(masses.sum() * acceleration))
+        return Scales(length, speed, acceleration, sum(masses) * acceleration)

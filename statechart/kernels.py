@@ -859,6 +859,14 @@ def _lower(value: Floats, middle: Floats, slope: float, w: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def _least_parabola(slope: float, bend: float, length: float) -> float:
+    """Return the least of ``slope t + bend t^2 / 2`` over [0, length], for a slope <= 0."""
+    if bend > 0.0 and -slope < bend * length:
+        return -0.5 * slope * slope / bend
+    return length * (slope + 0.5 * bend * length)
+
+
+@njit(cache=True, error_model="numpy")
 def _judge(
     along: Along,
     outputs: Ints,
@@ -872,7 +880,7 @@ def _judge(
     """Evidence on the box [a, b] for every output.
 
     In work[i]: 0 to 3 value and slope at the middle, 4 a lower bound of the value over the box,
-    5 an upper one, 6 and 7 the enclosure of the slope.
+    5 an upper one, 6 and 7 the enclosure of the slope, 8 a lower bound of the second derivative.
     """
     m = 0.5 * (a + b)
     w = max(b - m, m - a)
@@ -890,6 +898,16 @@ def _judge(
         row[7] = high if high < box[3] else box[3]
         row[4] = _lower(box, row, max(abs(row[6]), abs(row[7])), w)
         row[5] = box[1]
+        row[8] = box[4]
+    if a == 0.0:
+        # A margin that leaves zero (a slip that begins) is bounded best from where it leaves.
+        _enclose(along, step, bounds, 0.0, 0.0, 1, jets)
+        for i in range(outputs.shape[0]):
+            at, row = jets[outputs[i]], work[i]
+            drop = _least_parabola(min(at[2], 0.0), row[8], b)
+            bound = at[0] + drop - LIBM * (abs(at[0]) - drop) - TINY
+            if bound > row[4]:
+                row[4] = bound
 
 
 @njit(cache=True, error_model="numpy")
@@ -1051,8 +1069,8 @@ def search(
         if not abs(regs[r, 0]) < INF:
             jets[r, 0], jets[r, 1] = -INF, INF
     _jets(code, 0, n_fixed, base, jets, 2)
-    bounds, work, place = np.zeros(n), np.empty((n_out, 8)), np.empty(1)
-    aside = np.empty((1, 8))
+    bounds, work, place = np.zeros(n), np.empty((n_out, 9)), np.empty(1)
+    aside = np.empty((1, 9))
     lefts, rights = np.empty(64), np.empty(64)  # boxes still to see, the leftmost on top
     marks = np.empty((64, n_out), dtype=np.uint8)  # the guards that are undecided in them
     state = np.empty(n_out, dtype=np.uint8)

@@ -1,0 +1,261 @@
+"""Scenes transformed so that the answer is known: mirrored, and in other units.
+
+Formulas are changed at the places where their syntax trees have names, and wrapped as a whole;
+text is never searched. What a formula reads is turned back into the scene's own directions and
+units, and what it gives is turned into the new ones, so that no formula needs to be understood:
+``y = f(x)`` becomes ``y = a f(x / a)`` whatever lengths are hidden in f.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from contacts.scene import Body, Contact, Force, Scene, Surface
+from statechart.comparison import Reading
+from statechart.declaration import TIME, Stop
+from statechart.fields import FormulaText
+from statechart.formula import Formula, Relation, parse, parse_relation
+from statechart.syntax import names_in
+
+__all__ = ["LENGTH", "MASS", "TIMES", "mirrored", "rescaled"]
+
+# Powers of two: scaling is exact, so that what differs is a number that does not scale.
+LENGTH = 2.0**20
+TIMES = 2.0**-10
+MASS = 2.0**-20
+"""New units per old one in a rescaled scene."""
+
+
+def mirrored(scene: Scene) -> tuple[Scene, Reading]:
+    """Return the scene seen in a mirror, x -> -x, and how to read its runs.
+
+    Raises
+    ------
+    ValidationError
+        If a formula is too long to be wrapped.
+    """
+    change = _Change(
+        scene,
+        x=-1.0,
+        y=1.0,
+        rates=(-1.0, 1.0),
+        angle=-1.0,
+        spin=-1.0,
+        own=(1.0, 1.0),
+        normal=1.0,
+        tangential=-1.0,
+        moment=-1.0,
+        gravity=(-1.0, 1.0),
+        mass=1.0,
+        inertia=1.0,
+        slip=-1.0,
+        gap=1.0,
+        energy=1.0,
+        time=1.0,
+    )
+    return change.scene(), change.reading({"slide+": "slide-", "slide-": "slide+"})
+
+
+def rescaled(scene: Scene) -> tuple[Scene, Reading]:
+    """Return the scene in units `LENGTH`, `TIMES` and `MASS` smaller, and how to read its runs.
+
+    Coordinates that the scene names keep their values: what their unit is only positions say.
+
+    Raises
+    ------
+    ValidationError
+        If a formula is too long to be wrapped.
+    """
+    speed, acceleration = LENGTH / TIMES, LENGTH / TIMES**2
+    force = MASS * acceleration
+    change = _Change(
+        scene,
+        x=LENGTH,
+        y=LENGTH,
+        rates=(speed, speed),
+        angle=1.0,
+        spin=1.0 / TIMES,
+        own=(1.0, 1.0 / TIMES),
+        normal=force,
+        tangential=force,
+        moment=force * LENGTH,
+        gravity=(acceleration, acceleration),
+        mass=MASS,
+        inertia=MASS * LENGTH**2,
+        slip=speed,
+        gap=LENGTH,
+        energy=force * LENGTH,
+        time=TIMES,
+    )
+    return change.scene(), change.reading({})
+
+
+@dataclass(frozen=True)
+class _Change:
+    """The factor of everything that a scene has: new per old.
+
+    Attributes
+    ----------
+    declared : Scene
+        What is changed.
+    x, y, angle : float
+        Of positions and of a free body's angle.
+    rates, spin : (float, float), float
+        Of their rates.
+    own : (float, float)
+        Of coordinates that the scene names, and of their rates.
+    normal, tangential, moment : float
+        Of forces along y and normals, along x and tangents, and of moments.
+    gravity, mass, inertia, slip, gap, energy, time
+        Of what they say.
+    """
+
+    declared: Scene
+    x: float
+    y: float
+    rates: tuple[float, float]
+    angle: float
+    spin: float
+    own: tuple[float, float]
+    normal: float
+    tangential: float
+    moment: float
+    gravity: tuple[float, float]
+    mass: float
+    inertia: float
+    slip: float
+    gap: float
+    energy: float
+    time: float
+
+    def reading(self, states: Mapping[str, str]) -> Reading:
+        """Return how to read the runs of the changed scene."""
+        scene = self.declared
+        names = (*scene.variables, *map(scene.rate_name, scene.variables))
+        factors = np.array([1.0 / self._factors[name] for name in names])
+        return Reading(factors, 1.0 / self.time, states)
+
+    def scene(self) -> Scene:
+        """Return the changed scene, without outputs, ranges and declared modes."""
+        old = self.declared
+        gravity = old.gravity if isinstance(old.gravity, tuple) else (0, f"-({old.gravity})")
+        end = old.stop.time
+        return Scene(
+            name=old.name,
+            parameters=old.parameters,
+            gravity=(
+                _times(gravity[0], self.gravity[0]),
+                _times(gravity[1], self.gravity[1]),
+            ),
+            coordinates={
+                name: c.model_copy(
+                    update={
+                        "start": _times(c.start, self.own[0]),
+                        "rate": _times(c.rate, self.own[1]),
+                    }
+                )
+                for name, c in old.coordinates.items()
+            },
+            bodies={name: self._body(body) for name, body in old.bodies.items()},
+            surfaces={name: self._surface(surface) for name, surface in old.surfaces.items()},
+            contacts={name: self._contact(contact) for name, contact in old.contacts.items()},
+            forces={name: self._force(force) for name, force in old.forces.items()},
+            stop=Stop(
+                time=None if end is None else _times(end, self.time),
+                conditions={
+                    label: self._read(parse_relation(text), self._factors)
+                    for label, text in old.stop.conditions.items()
+                },
+            ),
+            settings=old.settings,
+        )
+
+    @property
+    def _factors(self) -> dict[str, float]:
+        """Name in a formula -> its factor, where it has one."""
+        old = self.declared
+        found = {TIME: self.time, "energy": self.energy}
+        for name in old.coordinates:
+            found |= {name: self.own[0], old.rate_name(name): self.own[1]}
+        for name in old.bodies:
+            found |= {f"{name}.x": self.x, f"{name}.y": self.y, f"{name}.angle": self.angle}
+            found |= {f"{name}.dx": self.rates[0], f"{name}.dy": self.rates[1]}
+            found[f"{name}.dangle"] = self.spin
+        for name in old.contacts:
+            found |= {f"{name}.gap": self.gap, f"{name}.slip": self.slip}
+            found |= {f"{name}.V": self.normal, f"{name}.H": self.tangential}
+        return found
+
+    def _body(self, body: Body) -> Body:
+        factors = {
+            "x": self.x,
+            "y": self.y,
+            "angle": self.angle,
+            "dx": self.rates[0],
+            "dy": self.rates[1],
+            "dangle": self.spin,
+        }
+        return Body(
+            mass=_times(body.mass, self.mass),
+            inertia=None if body.inertia is None else _times(body.inertia, self.inertia),
+            position=None if body.position is None else self._pair(body.position),
+            angle=None if body.angle is None else _times(body.angle, self.angle),
+            start={key: _times(text, factors[key]) for key, text in body.start.items()},
+        )
+
+    def _surface(self, surface: Surface) -> Surface:
+        if surface.height is not None:
+            height = self._read(parse(surface.height), {"x": self.x})
+            return Surface(height=_times(height, self.y))
+        assert surface.incline is not None
+        # In a mirror a slope goes the other way, as an angle does.
+        incline = _times(surface.incline, self.angle)
+        return Surface(incline=incline, through=self._pair(surface.through))
+
+    def _contact(self, contact: Contact) -> Contact:
+        at = self._pair(contact.point.at)
+        point = contact.point.model_copy(update={"at": at})
+        return contact.model_copy(update={"point": point})
+
+    def _force(self, force: Force) -> Force:
+        def formula(text: FormulaText, factor: float) -> FormulaText:
+            return _times(self._read(parse(text), self._factors), factor)
+
+        return Force(
+            body=force.body,
+            force=(
+                formula(force.force[0], self.tangential),
+                formula(force.force[1], self.normal),
+            ),
+            at=self._pair(force.at),
+            moment=formula(force.moment, self.moment),
+        )
+
+    def _pair(self, pair: tuple[FormulaText, FormulaText]) -> tuple[FormulaText, FormulaText]:
+        return _times(pair[0], self.x), _times(pair[1], self.y)
+
+    @staticmethod
+    def _read(formula: Formula | Relation, factors: Mapping[str, float]) -> str:
+        """Return the text with every name that has a factor divided by it."""
+        roots = [formula.root] if isinstance(formula, Formula) else [
+            formula.left.root,
+            formula.right.root,
+        ]
+        names = {name.offset: name.name for root in roots for name in names_in(root)}
+        text = formula.text
+        for offset, name in sorted(names.items(), reverse=True):
+            factor = factors.get(name, 1.0)
+            if factor != 1.0:
+                end = offset + len(name)
+                text = f"{text[:offset]}({name}/({factor!r})){text[end:]}"
+        return text
+
+
+def _times(text: FormulaText, factor: float) -> FormulaText:
+    return text if factor == 1.0 or text == 0 else f"({text})*({factor!r})"
+
+
+Transformation = Callable[[Scene], tuple[Scene, Reading]]
