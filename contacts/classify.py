@@ -128,9 +128,7 @@ class Considered(Mapping[str, str]):
     @cached_property
     def _words(self) -> dict[str, str]:
         laws, tried, taken, tie = self._parts
-        return {
-            _label(laws, c): "taken" if c is taken else _verdict(c, tie) for c in tried
-        }
+        return {_label(laws, c): "taken" if c is taken else _verdict(c, tie) for c in tried}
 
     def __getitem__(self, label: str) -> str:
         return self._words[label]
@@ -263,9 +261,14 @@ def choose(
     warning = ""
     if others:
         labels = ", ".join(_label(laws, c) for c in [taken, *others])
-        opened = [c for c in [taken, *others] if any(
-            state == "free" and touching for state, touching in zip(c.states, closed, strict=True)
-        )]
+        opened = [
+            c
+            for c in [taken, *others]
+            if any(
+                state == "free" and touching
+                for state, touching in zip(c.states, closed, strict=True)
+            )
+        ]
         if not opened:
             raise AmbiguousMode(f"several modes agree with the state and move it apart: {labels}")
         # Painleve's indeterminate case: contact could also hold, at a force without cause.
@@ -287,9 +290,7 @@ def _options(
         return ("free",)
     direction = "slide+" if contact.slip > 0 else "slide-"
     return tuple(
-        state
-        for state in law.states
-        if state in ("free", "slide") or at_rest or state == direction
+        state for state in law.states if state in ("free", "slide") or at_rest or state == direction
     )
 
 
@@ -303,9 +304,7 @@ def _openness(candidate: Candidate) -> tuple[int, int, str]:
     )
 
 
-def _label(
-    laws: Sequence[ContactLaw], candidate: Candidate | Undetermined
-) -> str:
+def _label(laws: Sequence[ContactLaw], candidate: Candidate | Undetermined) -> str:
     states = candidate.states if isinstance(candidate, Candidate) else candidate[0]
     return " ".join(f"{law.name}:{state}" for law, state in zip(laws, states, strict=True))
 

@@ -147,9 +147,7 @@ def _slipping(snapshot: Snapshot, contact: PerContact, law: ContactLaw, sign: fl
     return _along(snapshot, contact, name, law.cone_n, -sign * law.cone_t)
 
 
-def _along(
-    snapshot: Snapshot, contact: PerContact, name: str, n: float, t: float
-) -> _Piece:
+def _along(snapshot: Snapshot, contact: PerContact, name: str, n: float, t: float) -> _Piece:
     """Impulse along (n, t); scaled to a unit change of normal velocity, forwards."""
     size = len(snapshot.forces)
     column = contact.jacobian.T @ np.array([n, t])

@@ -145,7 +145,7 @@ def solve_modes(
     still: Array,
     force_scale: float,
     acceleration_scale: float,
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
     """Solve every combination of contact modes, and judge it by its own inequalities.
 
     Parameters

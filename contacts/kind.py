@@ -70,7 +70,6 @@ def _properties(scene: BaseModel) -> Sequence[Property]:
     return properties(scene)
 
 
-
 _STARTER = """\
 # A rod dropped on the floor: one body, one contact. Run it with
 #   statechart run NAME.yaml

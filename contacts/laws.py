@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
@@ -36,13 +36,15 @@ _FORCE_BAND = 1e-12
 _POINT_MASS = 1e-12
 # Positions and speeds carry rounding of this size relative to the scene.
 _ROUNDING = 1e-13
+# How far the first flow looks ahead, in the scene's own unit of time.
+_LOOK_AHEAD = 64.0
 # Constraints are projected once they are off by this part of their tolerance.
 _DRIFT = 0.05
 # A start may be inside a surface by so much of the scene's length (and is projected out).
 _START_DEPTH = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SceneSetup(Setup):
     """The numbers of one run of a scene.
 
@@ -58,10 +60,10 @@ class SceneSetup(Setup):
         Stop condition -> how near zero its margin counts as met; from its value at the start.
     """
 
-    scales: Scales = Scales(1.0, 1.0, 1.0, 1.0)
-    contacts: tuple[ContactLaw, ...] = ()
-    capture: float = 0.0
-    stops: Mapping[str, float] = field(default_factory=dict)
+    scales: Scales
+    contacts: tuple[ContactLaw, ...]
+    capture: float
+    stops: Mapping[str, float]
 
 
 def cones(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, tuple[sp.Expr, sp.Expr]]:
@@ -171,7 +173,9 @@ class SceneLaws:
             variables=(*mechanics.q, *mechanics.v),
             parameters=symbols,
             time=mechanics.time,
-            definitions=[(force, sp.S.Zero) for pair in mechanics.forces.values() for force in pair],
+            definitions=[
+                (force, sp.S.Zero) for pair in mechanics.forces.values() for force in pair
+            ],
         )
         self._inertias = [(name, self._places.get(f"{name}.inertia")) for name in scene.bodies]
         self._physical: set[tuple[tuple[str, float], ...]] = set()
@@ -197,16 +201,16 @@ class SceneLaws:
             "plain": 0.0,
         }
         return SceneSetup(
-            values,
-            initial,
-            tolerances,
-            relative,
-            warnings,
-            64.0 * scales.length / scales.speed,
-            scales,
-            contacts,
-            math.sqrt(max(relative, _ROUNDING)) * scales.speed,
-            {name: _ROUNDING * abs(v) for name, v in zip(self._stops, margins, strict=True)},
+            values=values,
+            initial=initial,
+            tolerances=tolerances,
+            relative=relative,
+            warnings=warnings,
+            horizon=_LOOK_AHEAD * scales.length / scales.speed,
+            scales=scales,
+            contacts=contacts,
+            capture=math.sqrt(max(relative, _ROUNDING)) * scales.speed,
+            stops={n: _ROUNDING * abs(v) for n, v in zip(self._stops, margins, strict=True)},
         )
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
@@ -261,9 +265,7 @@ class SceneLaws:
         snapshot = self._tape.at(setup.values, state, clock.high)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         closed = [c.gap <= close for c in snapshot.contacts]
-        hitting = [
-            i for i, c in enumerate(snapshot.contacts) if closed[i] and c.gap_rate < -slow
-        ]
+        hitting = [i for i, c in enumerate(snapshot.contacts) if closed[i] and c.gap_rate < -slow]
         if hitting:
             return self._impact(setup, clock, j, flow, state, fired, snapshot, hitting, closed)
         touching = [
@@ -310,9 +312,7 @@ class SceneLaws:
             if off:
                 snapshot = self._tape.at(setup.values, state, 0.0)
                 held = self._tape.at(setup.values, anchor, 0.0)
-                return self._projected(
-                    flow, snapshot, state, [n != "free" for n in flow], held
-                )
+                return self._projected(flow, snapshot, state, [n != "free" for n in flow], held)
         return state
 
     def _impact(
@@ -340,8 +340,10 @@ class SceneLaws:
         landed = self._tape.at(setup.values, after, clock.high)
         rebound = landed.contacts[place].gap_rate
         rest = self._rest_of_bounces(setup, landed, place, rebound)
+        considered: Mapping[str, str]
+        following: Key | None
         if rest is None and rebound > setup.tolerances["speed"]:
-            target, following, considered = flow.mode, None, {}
+            following, considered = None, {}
         else:
             if law.restitution > 0.0:
                 result = impact(snapshot, contact, law, 0.0)
@@ -355,9 +357,7 @@ class SceneLaws:
             # While bounces are skipped the contact is still free, and moves as if closed.
             target = following if rest is None else flow.mode
         if following is None:
-            target = tuple(
-                "free" if i == place else name for i, name in enumerate(flow.mode)
-            )
+            target = tuple("free" if i == place else name for i, name in enumerate(flow.mode))
         jump = Jump(
             clock.high,
             j,
@@ -395,9 +395,7 @@ class SceneLaws:
         falling = -(float(contact.jacobian[0] @ free.accelerations) + contact.bias_n)
         return 2.0 * rebound / (falling * (1.0 - e)) if falling > 0.0 else None
 
-    def _choose(
-        self, setup: SceneSetup, snapshot: Snapshot, touching: list[bool]
-    ) -> Choice:
+    def _choose(self, setup: SceneSetup, snapshot: Snapshot, touching: list[bool]) -> Choice:
         tie = 0.5 * setup.tolerances["force"] / setup.scales.force
         return choose(
             snapshot, setup.contacts, touching, setup.scales, tie, 2.0 * setup.tolerances["speed"]
@@ -446,7 +444,9 @@ class SceneLaws:
                 moved = 0.0
                 if held is not None:
                     before = held.contacts[i]
-                    moved = contact.tx * (contact.x - before.x) + contact.ty * (contact.y - before.y)
+                    moved = contact.tx * (contact.x - before.x) + contact.ty * (
+                        contact.y - before.y
+                    )
                 rows.append(contact.jacobian[1])
                 off.append(-moved)
                 rates.append(-contact.slip)

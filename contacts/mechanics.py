@@ -128,9 +128,7 @@ class Mechanics:
     @cached_property
     def generalised_forces(self) -> tuple[sp.Expr, ...]:
         """(n,): ``Q - b``, so that ``M a`` equals it where no contact is closed."""
-        return tuple(
-            q - b for q, b in zip(self._applied, self._inertia[1], strict=True)
-        )
+        return tuple(q - b for q, b in zip(self._applied, self._inertia[1], strict=True))
 
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
@@ -140,10 +138,7 @@ class Mechanics:
         for i, right in enumerate(self.generalised_forces):
             left = sp.Add(*(self.mass_matrix[i, k] * a for k, a in enumerate(self.a)))
             contact_forces = sp.Add(
-                *(
-                    c.jacobian_n[i] * c.symbols.V + c.jacobian_t[i] * c.symbols.H
-                    for c in geometry
-                )
+                *(c.jacobian_n[i] * c.symbols.V + c.jacobian_t[i] * c.symbols.H for c in geometry)
             )
             result.append(left - right - contact_forces)
         return tuple(result)

@@ -72,9 +72,7 @@ class Slide(Part):
         margins = [Margin(f"{name}.V", n * contact.V - t * contact.H, "force")]
         if direction:
             margins.append(Margin(f"{name}.slip", direction * contact.slip, "speed"))
-        return State(
-            (contact.normal_acceleration, t * contact.V + n * contact.H), tuple(margins)
-        )
+        return State((contact.normal_acceleration, t * contact.V + n * contact.H), tuple(margins))
 
 
 class Pin(Part):
@@ -89,9 +87,7 @@ class Pin(Part):
         if n != 0:
             margins.append(Margin(f"{name}.mu V - H", t * contact.V - n * contact.H, "force"))
             margins.append(Margin(f"{name}.mu V + H", t * contact.V + n * contact.H, "force"))
-        return State(
-            (contact.normal_acceleration, contact.tangential_acceleration), tuple(margins)
-        )
+        return State((contact.normal_acceleration, contact.tangential_acceleration), tuple(margins))
 
 
 ContactMode = Annotated[Free | Slide | Pin, Field(discriminator="mode")]

@@ -20,9 +20,7 @@ def states(contact: Contact) -> tuple[str, ...]:
     return tuple(state for mode in contact.modes for state in per_mode[mode.mode])
 
 
-def region(
-    name: str, contact: Contact, symbols: Callable[[], ContactSymbols]
-) -> Region:
+def region(name: str, contact: Contact, symbols: Callable[[], ContactSymbols]) -> Region:
     """Return the region of a contact.
 
     Parameters

@@ -215,11 +215,11 @@ class Scene(Declaration):
     gravity: FormulaText | Pair = Field(
         default=0, description="Acceleration downwards, or its two components."
     )
-    coordinates: dict[NameText, Coordinate] = {}
+    coordinates: dict[NameText, Coordinate] = Field(default={})
     bodies: dict[NameText, Body] = Field(min_length=1)
-    surfaces: dict[NameText, Surface] = {}
-    contacts: dict[NameText, Contact] = {}
-    forces: dict[NameText, Force] = {}
+    surfaces: dict[NameText, Surface] = Field(default={})
+    contacts: dict[NameText, Contact] = Field(default={})
+    forces: dict[NameText, Force] = Field(default={})
     modes: dict[str, Literal["free", "slide", "slide+", "slide-", "pin"]] = Field(
         default={}, description="Initial modes, checked; found from the state where not given."
     )
@@ -307,8 +307,8 @@ class Scene(Declaration):
             if body.angle is not None:
                 check_names(parse(body.angle), positions, *at, "angle")
             self._formulas(body.position or (), positions, *at, "position")
-            for key, text in body.start.items():
-                check_names(parse(text), parameters, *at, "start", key)
+            for part, text in body.start.items():
+                check_names(parse(text), parameters, *at, "start", part)
         for name, surface in self.surfaces.items():
             at = ("surfaces", name)
             if surface.height is not None:
@@ -364,7 +364,10 @@ class Scene(Declaration):
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
         self.check_uses(
             names | {"energy"},
-            {c: {*states(x), *(s.rstrip("+-") for s in states(x))} for c, x in self.contacts.items()},
+            {
+                c: {*states(x), *(s.rstrip("+-") for s in states(x))}
+                for c, x in self.contacts.items()
+            },
             {c: {edge.cause for edge in edges(c, x)} for c, x in self.contacts.items()},
         )
         return self
@@ -378,11 +381,9 @@ class Scene(Declaration):
             )
 
     @staticmethod
-    def _formulas(
-        texts: tuple[FormulaText, ...], known: frozenset[str], *loc: str
-    ) -> None:
+    def _formulas(texts: tuple[FormulaText, ...], known: frozenset[str], *loc: str) -> None:
         for index, text in enumerate(texts):
-            where = (*loc, index) if len(texts) > 1 else loc
+            where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
             check_names(parse(text), known, *where)
 
 

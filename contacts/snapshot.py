@@ -125,7 +125,12 @@ class SnapshotTape:
             numbers[n * n : n * n + n],
             state[n:],
             float(numbers[n * n + n]),
-            tuple(map(PerContact._make, zip(*table[:, :_PER_CONTACT].T.tolist(), jacobians, strict=True))),
+            tuple(
+                map(
+                    PerContact._make,
+                    zip(*table[:, :_PER_CONTACT].T.tolist(), jacobians, strict=True),
+                )
+            ),
             jacobians,
             table[:, _PER_CONTACT - 2 : _PER_CONTACT].copy(),
         )

@@ -240,10 +240,14 @@ class _Change:
     @staticmethod
     def _read(formula: Formula | Relation, factors: Mapping[str, float]) -> str:
         """Return the text with every name that has a factor divided by it."""
-        roots = [formula.root] if isinstance(formula, Formula) else [
-            formula.left.root,
-            formula.right.root,
-        ]
+        roots = (
+            [formula.root]
+            if isinstance(formula, Formula)
+            else [
+                formula.left.root,
+                formula.right.root,
+            ]
+        )
         names = {name.offset: name.name for root in roots for name in names_in(root)}
         text = formula.text
         for offset, name in sorted(names.items(), reverse=True):

@@ -14,7 +14,7 @@ import sympy as sp
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from contacts.laws import cones, scene_parameters
+from contacts.laws import SceneSetup, cones, scene_parameters
 from contacts.mechanics import Mechanics
 from contacts.scene import Scene
 from contacts.symmetry import mirrored, rescaled
@@ -130,7 +130,12 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
         add(arc.states(grid), times, done, f"in {subject.automaton.label(arc.mode)}")
     jumps(len(trace.jumps))
     error = max(trace.counts["steps"] * trace.tolerance, _ROUNDING)
-    allowed = _ENERGY * error * size
+    # At rest there is no energy to be relative to: what a force does over the gap's tolerance.
+    names = mechanics.scene.parameters
+    overrides = {name: trace.parameters[name] for name in names}
+    setup = subject.automaton.laws.setup(overrides, trace.tolerance)
+    assert isinstance(setup, SceneSetup)
+    allowed = _ENERGY * error * size + setup.scales.force * trace.tolerances["gap"]
     least = math.inf
     for t, value, where in points:
         if value > least + allowed:
@@ -192,9 +197,7 @@ def _relation(
     return Property(name, holds)
 
 
-def _each(
-    scene: Scene, check: Callable[[Scene, Subject, Trace], None]
-) -> Callable[[Case], None]:
+def _each(scene: Scene, check: Callable[[Scene, Subject, Trace], None]) -> Callable[[Case], None]:
     def holds(case: Case) -> None:
         for trace in case.traces.values():
             try:
@@ -210,9 +213,7 @@ def _points(trace: Trace) -> Iterator[tuple[Arc, Array, Array]]:
         yield arc, tau, arc.start.high + (arc.start.low + tau)
 
 
-def _forces(
-    scene: Scene, subject: Subject, trace: Trace
-) -> Iterator[tuple[Arc, Array, Array]]:
+def _forces(scene: Scene, subject: Subject, trace: Trace) -> Iterator[tuple[Arc, Array, Array]]:
     """Yield arcs with times and V, H of every contact at them."""
     expressions: Sequence[sp.Expr] = [
         subject.automaton.observables[f"{name}.{force}"]
@@ -232,7 +233,9 @@ def _edges(scene: Scene, trace: Trace) -> dict[str, tuple[float, float]]:
     for name, contact in scene.contacts.items():
         # Without friction declared the contact does not slide, whatever that takes.
         mu = math.inf if contact.friction is None else parse(contact.friction).value(values)
-        result[name] = (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu))
+        result[name] = (
+            (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu))
+        )
     return result
 
 

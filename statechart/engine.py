@@ -176,9 +176,7 @@ class _Collector:
             return self.times[0], self.coefficients[0]
         degree = max(c.shape[2] for c in self.coefficients)
         padded = [
-            c
-            if c.shape[2] == degree
-            else np.pad(c, ((0, 0), (0, 0), (0, degree - c.shape[2])))
+            c if c.shape[2] == degree else np.pad(c, ((0, 0), (0, 0), (0, degree - c.shape[2])))
             for c in self.coefficients
         ]
         ends = [self.times[0], *(times[1:] for times in self.times[1:])]
@@ -274,8 +272,15 @@ def advance(
             late = graze or compiled.kinds[crossing.guard] == "force"
             end = crossing.crossed if late else crossing.time
             return _cut(
-                collected, steps, local, end, crossing, anchor,
-                graze=graze, boxes=boxes, total=total,
+                collected,
+                steps,
+                local,
+                end,
+                crossing,
+                anchor,
+                graze=graze,
+                boxes=boxes,
+                total=total,
             )
         collected.times.append(local)
         collected.coefficients.append(steps.coefficients)
@@ -287,8 +292,6 @@ def advance(
         count = min(2 * count, LONGEST_CHUNK)
     times, coefficients = collected.arc(state)
     return Advance(times, coefficients, state, None, False, boxes, total)
-
-
 
 
 def _decide(

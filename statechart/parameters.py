@@ -47,9 +47,7 @@ class Parameters:
     ) -> None:
         self._formulas: dict[str, Formula] = {n: parse(f) for n, f in formulas.items()}
         # Neutral symbols: SymPy gives names such as I or beta a meaning of its own.
-        declared = {
-            name: sp.Symbol(f"p{i}", real=True) for i, name in enumerate(self._formulas)
-        }
+        declared = {name: sp.Symbol(f"p{i}", real=True) for i, name in enumerate(self._formulas)}
         extra = derived(declared)
         self.symbols: dict[str, sp.Symbol] = dict(declared)
         for i, name in enumerate(extra):
@@ -60,9 +58,7 @@ class Parameters:
         self._further = tuple(further(self.symbols))
         self._tapes: dict[frozenset[str], tuple[Tape, tuple[str, ...]]] = {}
         self._literals = {
-            name: formula.value({})
-            for name, formula in self._formulas.items()
-            if not formula.names
+            name: formula.value({}) for name, formula in self._formulas.items() if not formula.names
         }
 
     def values(self, overrides: Mapping[str, float]) -> tuple[Array, Array]:

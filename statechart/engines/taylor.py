@@ -27,7 +27,7 @@ __all__ = ["Taylor", "Unsupported"]
 Array = NDArray[np.float64]
 
 
-class Unsupported(StatechartError):
+class Unsupported(StatechartError):  # noqa: N818 -- named after what the flow is
     """A formula that has no Taylor series everywhere (abs, sign, min, max)."""
 
 
@@ -38,7 +38,7 @@ class _Stepper:
     state: Array
     pars: Array
     series: Array
-    used: Array  # indices of the automaton's parameters that the equations mention
+    used: NDArray[np.intp]  # indices of the automaton's parameters that the equations mention
     parametric: bool
     buffer: Array
 
@@ -65,23 +65,23 @@ class Taylor(Engine):
         system = [
             (variable, convert(rate)) for variable, rate in zip(states, mode.rates, strict=True)
         ]
-        used = np.array(convert.used, dtype=np.intp)
         integrator = hy.taylor_adaptive(
             system,
             [0.0] * len(states),
-            # The first is the start of the arc; heyoka wants no more than it uses.
-            pars=[1.0] * (len(used) + 1 if len(used) or convert.timed else 0),
             tol=self.tolerance,
             # Modes are small: loops in the compiled code cost more than they save in size.
             compact_mode=len(mode.definitions) > 60,
         )
+        # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
+        # cancel); the first is the start of the arc.
+        used = np.array(convert.used[: max(len(integrator.pars) - 1, 0)], dtype=np.intp)
         return _Stepper(
             integrator,
             integrator.state,
             integrator.pars,
             integrator.tc,
             used,
-            bool(len(used) or convert.timed),
+            len(integrator.pars) > 0,
             np.empty((LONGEST_CHUNK, len(states), integrator.order + 1)),
         )
 
@@ -141,9 +141,7 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 class _Converter:
     """SymPy to heyoka, one heyoka node per SymPy node, parameters renumbered as they are met."""
 
-    def __init__(
-        self, automaton: Automaton, definitions: Mapping[sp.Symbol, sp.Expr]
-    ) -> None:
+    def __init__(self, automaton: Automaton, definitions: Mapping[sp.Symbol, sp.Expr]) -> None:
         self._definitions = definitions
         self.known: dict[sp.Expr, Any] = {
             symbol: hy.expression(f"v{i}") for i, symbol in enumerate(automaton.variables)
