@@ -2,49 +2,74 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 
 from statechart.trace import Clock, Jump
 
-__all__ = ["Accumulation"]
+__all__ = ["Accumulation", "between"]
 
 # Intervals that must shrink by one ratio before their sum is taken as geometric.
 _INTERVALS = 8
 # Relative spread of those ratios; a decaying but not geometric sequence has more.
 _SPREAD = 1e-3
+# So many flows in turn that the time cannot tell apart have come to their end.
+_UNRESOLVED = 3
+
+
+def between(start: Clock, end: Clock) -> float:
+    """Return the time from `start` to `end`, to full precision even where it is tiny."""
+    return (end.high - start.high) + (end.low - start.low)
 
 
 @dataclass(eq=False)
-class Accumulation:
-    """Watches repeated jumps of one region and predicts where they accumulate.
+class _Series:
+    """The intervals between the jumps of one kind, as long as they shrink."""
 
-    The rest of a sequence is skipped only when it is too short to matter: its length is below
-    ``sqrt(relative tolerance)`` of the longest interval seen. Its sum
-    ``dt r / (1 - r)`` (equation 5, with its erratum) is then far below the tolerance in error.
+    clock: Clock
+    intervals: list[float] = field(default_factory=list)
+    longest: float = 0.0
+    unresolved: int = 0
+
+    def add(self, clock: Clock, flowed: bool) -> None:
+        interval = between(self.clock, clock)
+        self.clock = clock
+        self.unresolved = self.unresolved + 1 if flowed and interval < math.ulp(clock.high) else 0
+        if not self.intervals or interval >= self.intervals[-1]:
+            self.intervals, self.longest = [], interval
+        self.intervals = [*self.intervals[-_INTERVALS:], interval]
+
+
+class Accumulation:
+    """Watches the jumps of every region and predicts where repeated ones accumulate.
+
+    Regions are watched apart, as two of them can bounce in turn. The rest of a sequence is
+    skipped only when it is too short to matter: its length is below ``sqrt(relative tolerance)``
+    of the longest interval seen. Its sum ``dt r / (1 - r)`` (equation 5, with its erratum) is
+    then far below the tolerance in error. A ratio so small that the intervals vanish before it
+    is known needs no sum: the jumps have accumulated where the time no longer tells them apart.
     """
 
-    _last: tuple[str, str] | None = None
-    _clock: Clock = field(default_factory=Clock)
-    _intervals: list[float] = field(default_factory=list)
-    _longest: float = 0.0
+    def __init__(self) -> None:
+        self._series: dict[tuple[str, str], _Series] = {}
 
     def watch(self, jump: Jump, clock: Clock, relative: float) -> float | None:
         """Return the time from `jump` to the accumulation, once it is imminent; else None."""
-        name = (jump.region, jump.cause)
-        if name != self._last:
-            self._last, self._clock = name, clock
-            self._intervals, self._longest = [], 0.0
+        series = self._series.get((jump.region, jump.cause))
+        if series is None:
+            self._series[jump.region, jump.cause] = _Series(clock)
             return None
-        interval = (clock.high - self._clock.high) + (clock.low - self._clock.low)
-        self._clock = clock
-        self._longest = max(self._longest, interval)
-        self._intervals = [*self._intervals[-_INTERVALS:], interval]
-        if len(self._intervals) <= _INTERVALS or min(self._intervals) <= 0.0:
+        # What fires without a margin that fell follows a jump, not a flow.
+        series.add(clock, bool(jump.fired))
+        if series.unresolved >= _UNRESOLVED:
+            return 0.0
+        intervals = series.intervals
+        if len(intervals) <= _INTERVALS or min(intervals) <= 0.0:
             return None
-        ratios = [b / a for a, b in zip(self._intervals, self._intervals[1:], strict=False)]
+        ratios = [b / a for a, b in itertools.pairwise(intervals)]
         ratio = math.exp(math.fsum(map(math.log, ratios)) / len(ratios))
         if ratio >= 1.0 or max(ratios) - min(ratios) > _SPREAD * ratio:
             return None
-        rest = interval * ratio / (1.0 - ratio)
-        return rest if rest < math.sqrt(relative) * self._longest else None
+        rest = intervals[-1] * ratio / (1.0 - ratio)
+        return rest if rest < math.sqrt(relative) * series.longest else None
