@@ -56,7 +56,9 @@ def difference(
     nothing = _NOTHING * float(largest.max(initial=0.0))
     parts = [
         _relative(a, b, scale, nothing)
-        for a, b, scale in zip(coarse.final, fine.final, largest, strict=True)
+        for a, b, scale in zip(
+            coarse.final.tolist(), fine.final.tolist(), largest.tolist(), strict=True
+        )
     ]
     end = max(coarse.t_end, fine.t_end)
     parts += [_relative(a, b, end, 0.0) for a, b in times]

@@ -46,7 +46,7 @@ def table(rows: Sequence[Sequence[str]]) -> str:
 
 def _head(report: Mapping[str, Any]) -> str:
     counts = report["counts"]
-    certified = "every event certified" if report["certified"] else "NOT certified: see evidence"
+    certified = "every event certified" if report["certified"] else "not certified"
     lines = [
         f"{report['model']}: {report['outcome']}",
         f"  {Outcome[report['outcome']].value}",

@@ -1,0 +1,398 @@
+"""The command line: verbs, exit codes, and one clear message for whatever is wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import models
+from statechart.cli import main
+
+EVENT_KEYS = {"t", "j", "contact", "cause", "from", "to", "state", "impulse"}
+REPORT_KEYS = {
+    "model", "outcome", "message", "t_end", "engine", "certified", "evidence", "error_estimate",
+    "modes_total", "modes_built", "events", "final", "outputs", "margins", "warnings", "counts",
+    "timings",
+}  # fmt: skip
+
+SCENE = """\
+kind: scene
+name: drop
+parameters:
+  e: 0.5
+  mu: 0.3
+gravity: 9.81
+bodies:
+  ball: {mass: 1, start: {y: 1}}
+surfaces:
+  floor: {height: 0}
+contacts:
+  tip:
+    point: {body: ball}
+    surface: floor
+    friction: mu
+    restitution: e
+stop: {time: 0.4}
+"""
+
+
+class Cli:
+    """Runs the command line in this process, in a folder of its own."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], folder: Path) -> None:
+        self._capsys, self.folder = capsys, folder
+
+    def __call__(self, *arguments: str) -> tuple[int, str, str]:
+        code = main(arguments)
+        said = self._capsys.readouterr()
+        return code, said.out, said.err
+
+    def write(self, text: str, name: str = "model.yaml") -> str:
+        (self.folder / name).write_text(text, encoding="utf-8")
+        return name
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cli:
+    monkeypatch.chdir(tmp_path)
+    return Cli(capsys, tmp_path)
+
+
+@pytest.mark.parametrize("name", models.names())
+def test_shipped_models_are_correct(cli: Cli, name: str) -> None:
+    code, out, err = cli("validate", name)
+    assert (code, err, out.count("\n")) == (0, "", 1)
+    assert f"{name!r} is correct" in out
+
+
+def test_validate_warns_of_what_needs_no_run(cli: Cli) -> None:
+    text = SCENE.replace("{mass: 1,", "{mass: 1, inertia: 1e-15,").replace(
+        "point: {body: ball}", "point: {body: ball, at: [0, -1]}"
+    )
+    code, out, _ = cli("validate", cli.write(text))
+    assert code == 0
+    assert "warning: the inertia of 'ball'" in out
+
+
+@pytest.mark.parametrize("name", models.names())
+def test_run_prints_one_object(cli: Cli, name: str) -> None:
+    code, out, _ = cli("run", name, "--json")
+    report = json.loads(out)
+    assert code == 0
+    assert report.keys() >= REPORT_KEYS
+    assert report["model"] == name
+    assert report["outcome"] in ("HORIZON", "STOPPED")
+    assert report["certified"] is True
+    assert report["error_estimate"] is None
+    assert 1 <= report["modes_built"] <= report["modes_total"]
+    assert report["counts"].keys() >= {"steps", "evaluations", "boxes", "jumps"}
+    assert [event["t"] for event in report["events"]] == sorted(
+        event["t"] for event in report["events"]
+    )
+    for event in report["events"]:
+        assert event.keys() >= EVENT_KEYS
+        assert event["from"].keys() == event["to"].keys()
+
+
+def test_json_keeps_every_digit(cli: Cli) -> None:
+    report = json.loads(cli("run", "toppling_stick", "--json")[1])
+    stop = next(event for event in report["events"] if event["cause"] == "stop")
+    assert report["outputs"]["t_impact"] == report["t_end"] == stop["t"]
+    assert report["outputs"]["omega_impact"] == -report["final"]["stick.dangle"]
+
+
+def test_summary_has_events_outputs_and_margins(cli: Cli) -> None:
+    report = json.loads(cli("run", "toppling_stick", "--json")[1])
+    code, out, err = cli("run", "toppling_stick")
+    assert (code, err) == (0, "")
+    for value in report["outputs"].values():
+        assert repr(value) in out
+    for event in report["events"]:
+        assert re.search(rf"^{re.escape(repr(event['t']))} .*{event['cause']}", out, re.M)
+    assert all(name in out for name in report["margins"])
+
+
+def test_of_many_events_the_summary_lists_the_first_and_the_last(cli: Cli) -> None:
+    _, out, _ = cli("run", "bouncing_ball_chart")
+    assert re.search(r"^\.\.\. \d+ more", out, re.M)
+    assert len(re.findall(r"^\d.* bounce ", out, re.M)) == 39
+    assert "settle" in out
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("1/3", 1 / 3), ("inf", math.inf), ("20*pi/180", math.pi / 9), ("-1e-3", -1e-3), ("2", 2.0)],
+)
+def test_set_takes_numbers_and_formulas_of_numbers(cli: Cli, text: str, value: float) -> None:
+    path = cli.write(SCENE.replace("stop:", "outputs: {p: {value: q}}\nstop:").replace(
+        "  mu: 0.3\n", "  mu: 0.3\n  q: 0\n"))  # fmt: skip
+    code, out, _ = cli("run", path, "--set", f"q={text}", "--json")
+    report = json.loads(out)
+    assert code == 0
+    assert float(report["outputs"]["p"]) == float(report["parameters"]["q"]) == value
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (), ("fly",), ("run",), ("run", "bouncing_ball", "--speed", "3"),
+        ("run", "bouncing_ball", "--set", "k"), ("run", "bouncing_ball", "--set", "=1"),
+        ("run", "bouncing_ball", "--set", "k=k"), ("run", "bouncing_ball", "--set", "k=nan"),
+        ("run", "bouncing_ball", "--set", "k=__import__('os')"),
+        ("run", "bouncing_ball", "--set", "k=9**9**9**9"),
+        ("run", "bouncing_ball", "--set", "nope=1"),
+        ("run", "bouncing_ball", "--set", "k=0.1", "--set", "k=0.2"),
+        ("run", "bouncing_ball", "--set", "k=2"),
+        ("run", "bouncing_ball", "--set", "x0=-1"),
+        ("run", "bouncing_ball", "--set", "x0=inf"),
+        ("run", "bouncing_ball", "--until", "-1"), ("run", "bouncing_ball", "--until", "inf"),
+        ("run", "bouncing_ball", "--until", "soon"),
+        ("run", "bouncing_ball", "--engine", "magic"),
+        ("run", "bouncing_ball", "--method", "Euler"),
+        ("run", "bouncing_ball", "--engine", "taylor", "--method", "RK45"),
+        ("run", "bouncing_ball", "--accuracy", "1e-6", "--tolerance", "1e-6"),
+        ("run", "bouncing_ball", "--accuracy", "0"), ("run", "bouncing_ball", "--tolerance", "1"),
+        ("run", "no_such_model"), ("run", "."), ("validate", "a\0b"), ("modes", ""),
+        ("draw", "bouncing_ball"), ("draw", "bouncing_ball", "-o", "a.gif"),
+        ("check", "bouncing_ball", "--examples", "0"), ("check", "bouncing_ball", "--seed", "x"),
+        ("schema", "statue"), ("new",), ("new", "../a"), ("new", "1a"), ("new", "a b"),
+        ("new", "sqrt"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_wrong_arguments_exit_with_two_and_write_nothing(
+    cli: Cli, arguments: tuple[str, ...]
+) -> None:
+    code, out, err = cli(*arguments)
+    assert (code, out) == (2, "")
+    assert err.strip()
+    assert "Traceback" not in err
+    assert list(cli.folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "words"),
+    [
+        ("gravity:", "gravty:", "6:1", "unknown key 'gravty'; did you mean 'gravity'"),
+        ("gravity: 9.81", "gravity: 9.81\ngravity: 1", "7:1", "duplicate key"),
+        ("{mass: 1,", "{mass: [1],", "8:16", "mass"),
+        ("restitution: e", "restitution: ee", "16:18", "'ee'"),
+        ("e: 0.5\n  mu: 0.3", "e: mu\n  mu: e", "4:6", "need each other"),
+        ("{mass: 1,", "{mass: -1,", "8:16", "must be positive"),
+        ("mu: 0.3", "mu: -0.3", "15:15", "must be zero or positive"),
+        ("e: 0.5", "e: 1.5", "16:18", "must be between 0 and 1"),
+        ("e: 0.5", "e: .nan", "4:6", "nan"),
+        ("stop:", "modes: {tip: pin}\nstop:", "17:14", "cannot start in mode 'pin'"),
+        ("{y: 1}", "{y: -1}", "13:5", "starts inside its surface"),
+        ("time: 0.4", "time: 0.4, conditions: {a: 'b < 0'}", "17:36", "'b'"),
+        ("gravity: 9.81", "gravity: &a 9.81", "6:10", "anchor"),
+        ("gravity: 9.81", "gravity: !!python/name:os.system 9.81", "6:10", "tag"),
+        ("gravity: 9.81", "gravity: " + 40 * "[" + 40 * "]", "6:", "deep"),
+        ("gravity: 9.81", "gravity: 9**9**9**9", "6:", ""),
+        ("gravity: 9.81", "gravity: __import__('os').system('id')", "6:", "__import__"),
+        ("kind: scene", "kind: statue", "1:7", "statue"),
+        ("kind: scene\n", "", "", "'kind' is missing"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("verb", ["validate", "run"])
+def test_a_wrong_document_gets_its_place_and_exits_with_two(
+    cli: Cli, verb: str, old: str, new: str, place: str, words: str
+) -> None:
+    assert old in SCENE
+    path = cli.write(SCENE.replace(old, new, 1))
+    arguments = (verb, path) if verb == "validate" else (verb, path, "--output", "out")
+    code, out, err = cli(*arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"model.yaml:{place}"), err
+    assert words in err
+    assert "Traceback" not in err
+    assert [file.name for file in cli.folder.iterdir()] == ["model.yaml"]
+
+
+def test_an_override_at_fault_is_named_at_the_place_that_it_breaks(cli: Cli) -> None:
+    path = cli.write(SCENE)
+    code, _, err = cli("run", path, "--set", "mu=-1")
+    assert code == 2
+    assert err.startswith("model.yaml:15:15: contacts.tip.friction: must be zero or positive")
+    assert "with mu=-1 set" in err
+
+
+def test_output_has_the_report_tables_and_figure(cli: Cli) -> None:
+    code, out, _ = cli("run", "bouncing_ball", "--until", "1", "--output", "out", "--json")
+    assert code == 0
+    written = {file.name for file in (cli.folder / "out").iterdir()}
+    assert written >= {"run.json", "events.csv", "samples.csv", "trace.nc", "figure.svg"}
+    assert json.loads((cli.folder / "out" / "run.json").read_text()) == json.loads(out)
+
+
+def test_an_output_that_is_a_file_is_refused_before_running(cli: Cli) -> None:
+    (cli.folder / "out").write_text("mine")
+    code, _, err = cli("run", "bouncing_ball", "--output", "out")
+    assert code == 2
+    assert "this is a file" in err
+    assert (cli.folder / "out").read_text() == "mine"
+
+
+def test_a_run_that_cannot_go_on_exits_with_one_and_saves_its_trace(cli: Cli) -> None:
+    path = cli.write(
+        "kind: chart\nname: blow_up\nvariables: {v: 1}\nstop: {time: 5}\n"
+        "regions: {r: {initial: s, states: {s: {flows: {v: v**3}}}}}\n"
+    )
+    code, out, err = cli("run", path, "--output", "out")
+    assert code == 1
+    assert "Traceback" not in err
+    assert "0.49999" in out
+    report = json.loads((cli.folder / "out" / "run.json").read_text())
+    assert report["outcome"] == "NON_FINITE"
+    assert "r:s" in report["message"]
+
+
+def test_a_flow_without_taylor_series_warns_on_stderr(cli: Cli) -> None:
+    path = cli.write(
+        "kind: chart\nname: drag\nvariables: {v: 1}\nstop: {time: 1}\n"
+        "regions: {r: {initial: s, states: {s: {flows: {v: -v*abs(v)}}}}}\n"
+    )
+    code, out, err = cli("run", path, "--json")
+    assert code == 0
+    assert err.startswith("warning: engine scipy")
+    assert json.loads(out)["final"]["v"] == pytest.approx(0.5, rel=1e-9)
+
+
+def test_accuracy_reports_its_estimate(cli: Cli) -> None:
+    report = json.loads(cli("run", "bouncing_ball", "--accuracy", "1e-6", "--json")[1])
+    assert 0.0 <= report["error_estimate"] <= 1e-6
+    assert "estimated relative error" in cli("run", "bouncing_ball", "--accuracy", "1e-6")[1]
+
+
+def test_modes_are_listed_and_none_is_built(cli: Cli) -> None:
+    code, out, _ = cli("modes", "toppling_stick", "--json")
+    listed = json.loads(out)
+    assert code == 0
+    counts = [listed[key] for key in ("modes_declared", "modes_total", "modes_built")]
+    assert counts == [3, 4, 0]
+    (region,) = listed["regions"]
+    assert [state["name"] for state in region["states"]] == ["free", "slide+", "slide-", "pin"]
+    slips = [edge for edge in region["edges"] if edge["cause"] == "slip"]
+    assert {(e["from"], e["to"], e["guard"]) for e in slips} == {
+        ("pin", "slide+", "H < -mu V"),
+        ("pin", "slide-", "H > mu V"),
+    }
+    assert "3 modes (4 with directions of sliding)" in cli("modes", "toppling_stick")[1]
+
+
+@pytest.mark.parametrize("suffix", ["svg", "png", "pdf", "dot", "mmd", "scxml"])
+def test_draw_writes_what_the_suffix_names(cli: Cli, suffix: str) -> None:
+    code, out, _ = cli("draw", "toppling_stick", "-o", f"chart.{suffix}")
+    assert (code, out.strip()) == (0, f"chart.{suffix}")
+    data = (cli.folder / f"chart.{suffix}").read_bytes()
+    assert data
+    if suffix in ("svg", "dot", "mmd", "scxml"):
+        assert b"touchdown" in data
+
+
+def test_draw_shows_the_path_that_a_run_took(cli: Cli) -> None:
+    assert cli("draw", "toppling_stick", "-o", "chart.mmd", "--visited")[0] == 0
+    text = (cli.folder / "chart.mmd").read_text(encoding="utf-8")
+    assert "pin → slide- → slide+" in text
+    assert "slip x1" in text
+    assert "reverse x1" in text
+
+
+def test_draw_into_a_missing_folder_exits_with_one(cli: Cli) -> None:
+    code, _, err = cli("draw", "toppling_stick", "-o", "nowhere/chart.svg")
+    assert code == 1
+    assert "no folder" in err
+
+
+def test_check_passes_on_a_shipped_model(cli: Cli) -> None:
+    code, out, _ = cli("check", "bouncing_ball", "--examples", "3", "--seed", "1", "--json")
+    report = json.loads(out)
+    assert (code, report["passed"], report["seed"]) == (0, True, 1)
+    assert list(cli.folder.iterdir()) == []
+
+
+def test_a_failing_check_exits_with_one_and_writes_what_reproduces_it(cli: Cli) -> None:
+    path = cli.write(
+        "kind: chart\nname: fall\nparameters: {v0: 1}\nranges: {v0: [0, 1]}\n"
+        "variables: {x: 0, v: v0}\nstop: {time: 3}\nregions:\n  r:\n    initial: s\n"
+        "    states: {s: {flows: {x: v, v: -1}, invariants: {above: x >= -1}}}\n"
+    )
+    code, out, _ = cli("check", path, "--examples", "5", "--seed", "1")
+    assert code == 1
+    assert "above" in out
+    assert "fall_failure.yaml reproduces it" in out
+    assert cli("check", "fall_failure.yaml", "--examples", "1", "--seed", "1")[0] == 1
+
+
+def test_new_writes_a_scene_that_runs_and_overwrites_nothing(cli: Cli) -> None:
+    assert cli("new", "rod")[0] == 0
+    text = (cli.folder / "rod.yaml").read_text()
+    assert "NAME" not in text
+    code, out, err = cli("run", "rod.yaml", "--json")
+    assert (code, err) == (0, "")
+    assert {event["cause"] for event in json.loads(out)["events"]} > {"touchdown", "slip"}
+    code, _, err = cli("new", "rod")
+    assert code == 2
+    assert "exists already" in err
+    assert (cli.folder / "rod.yaml").read_text() == text
+
+
+def test_an_unexpected_error_is_one_message_unless_asked_for_more(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(arguments: object) -> int:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.delenv("STATECHART_DEBUG", raising=False)
+    monkeypatch.setattr("statechart.cli_verbs.schema", broken)
+    code, _, err = cli("schema")
+    assert code == 1
+    assert err.startswith("internal error, ZeroDivisionError: a bug")
+    monkeypatch.setenv("STATECHART_DEBUG", "1")
+    with pytest.raises(ZeroDivisionError):
+        cli("schema")
+
+
+def test_an_interrupted_run_reports_and_saves_what_there_is(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from statechart.chart_automaton import ChartLaws
+
+    jump, calls = ChartLaws.jump, []
+
+    def interrupting(self: ChartLaws, *arguments: object) -> object:
+        calls.append(1)
+        if len(calls) == 8:
+            raise KeyboardInterrupt
+        return jump(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(ChartLaws, "jump", interrupting)
+    code, out, _ = cli("run", "bouncing_ball_chart", "--output", "out")
+    assert code == 1
+    assert "INTERRUPTED" in out
+    assert json.loads((cli.folder / "out" / "run.json").read_text())["events"]
+
+
+def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
+    command = f"{sys.executable} -m statechart.cli schema | head -c 10"
+    done = subprocess.run(
+        ["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_run_imports_neither_plots_nor_tables_nor_the_other_engine() -> None:
+    pytest.importorskip("heyoka")
+    code = (
+        "import sys; from statechart.cli import main; main(['run', 'toppling_stick']);"
+        "print(sorted({'matplotlib', 'pandas', 'xarray', 'scipy.integrate', 'hypothesis',"
+        "'networkx', 'pygraphviz'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"

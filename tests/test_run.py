@@ -1,0 +1,250 @@
+"""Runs from Python: settings, engines, accuracy, errors at their place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import models
+from statechart.accuracy import difference
+from statechart.chart import Chart
+from statechart.document import load, read_text
+from statechart.engines import choose
+from statechart.errors import DeclarationError, SimulationError
+from statechart.run import Runner, run
+
+BALL = """\
+kind: chart
+name: ball
+parameters: {g: 1, k: 1/2}
+variables: {x: 1/2, v: 0}
+regions:
+  ball:
+    initial: flight
+    states: {flight: {flows: {x: v, v: -g}}, rest: {}}
+    transitions:
+      - {name: bounce, from: flight, to: flight, guard: x <= 0, updates: {x: 0, v: -k*v}}
+      - {name: settle, from: flight, to: rest, on: zeno, updates: {x: 0, v: 0}}
+stop: {time: 5}
+outputs: {t_rest: {value: time, at: first settle}}
+"""
+
+
+def ball(*changes: tuple[str, str]) -> str:
+    text = BALL
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+def test_auto_takes_taylor_where_heyoka_is_and_says_so_where_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("statechart.engines._has_heyoka", lambda: False)
+    engine, reason = choose()
+    assert (engine.name, engine.method, engine.tolerance) == ("scipy", "DOP853", 1e-12)
+    assert "heyoka" in reason
+    with pytest.raises(DeclarationError, match="heyoka"):
+        choose(engine="taylor")
+    result = run(read_text(BALL))
+    assert result.trace.engine == "scipy DOP853"
+    assert "heyoka" in result.warnings[0]
+
+
+def test_a_method_asks_for_the_engine_that_has_methods() -> None:
+    assert choose(method="Radau")[0].method == "Radau"
+    with pytest.raises(DeclarationError, match="no method 'Euler'"):
+        choose(method="Euler")
+    with pytest.raises(DeclarationError, match="taylor has no method"):
+        choose(engine="taylor", method="RK45")
+    with pytest.raises(DeclarationError, match="no engine 'magic'"):
+        choose(engine="magic")
+
+
+def test_arguments_override_the_settings_of_the_document() -> None:
+    text = BALL + "settings: {engine: scipy, method: RK45, tolerance: 1e-8}\n"
+    declared = Runner(read_text(text)).run().trace
+    assert (declared.engine, declared.tolerance) == ("scipy RK45", 1e-8)
+    other = Runner(read_text(text), method="LSODA", tolerance=1e-9).run().trace
+    assert (other.engine, other.tolerance) == ("scipy LSODA", 1e-9)
+    result = Runner(read_text(text), accuracy=1e-6).run()
+    assert result.error_estimate is not None
+    assert result.error_estimate <= 1e-6
+
+
+def test_without_accuracy_nothing_is_estimated() -> None:
+    assert run(read_text(BALL)).error_estimate is None
+
+
+@pytest.mark.parametrize("name", models.names())
+def test_the_accuracy_asked_for_is_estimated_and_kept(name: str) -> None:
+    exact = run(name)
+    rough = run(name, accuracy=1e-5, engine="scipy")
+    assert rough.error_estimate is not None
+    assert rough.error_estimate <= 1e-5
+    error, diverged = difference(exact.trace, rough.trace, exact.outputs, rough.outputs)
+    assert diverged is None
+    assert error <= 1e-5
+
+
+def test_an_accuracy_beyond_reach_is_given_up_with_what_was_reached() -> None:
+    result = run("toppling_stick", accuracy=1e-16, engine="scipy")
+    assert result.error_estimate is not None
+    assert 1e-16 < result.error_estimate < 1e-8
+    assert any("was not reached" in warning for warning in result.warnings)
+
+
+def test_runs_of_different_modes_have_no_accuracy() -> None:
+    result = run("toppling_stick")
+    trace = result.trace
+    other = replace(trace, jumps=(trace.jumps[0], *trace.jumps[2:]))
+    error, diverged = difference(trace, other, result.outputs, result.outputs)
+    assert error == math.inf
+    assert diverged == trace.jumps[1].t
+    ended = replace(trace, jumps=trace.jumps[:1])
+    assert difference(trace, ended, result.outputs, result.outputs)[1] == trace.jumps[1].t
+
+
+def test_the_difference_of_runs_is_relative_to_each_quantity() -> None:
+    result = run("bouncing_ball_hills", until=0.2)
+    trace = result.trace
+    shifted = replace(trace, final=trace.final * np.array([1.0, 1.0 + 1e-6, 1.0, 1.0]))
+    error, _ = difference(trace, shifted, {}, {})
+    largest = max(abs(trace.initial[1]), abs(trace.final[1]))
+    assert error == pytest.approx(1e-6 * abs(trace.final[1]) / largest, rel=1e-5)
+    assert difference(trace, trace, {"a": 1.0}, {"a": 1.5})[0] == pytest.approx(1 / 3)
+    assert difference(trace, trace, {"a": 1.0}, {"a": math.nan})[0] == math.inf
+
+
+def test_a_flow_without_a_taylor_series_falls_back_to_scipy_and_says_so() -> None:
+    text = ball(("v: -g", "v: -g - abs(v)"))
+    result = run(read_text(text))
+    assert result.trace.engine.startswith("scipy")
+    assert any("Abs" in warning for warning in result.warnings)
+    with pytest.raises(Exception, match="Abs"):
+        run(read_text(text), engine="taylor")
+
+
+def test_one_runner_serves_many_runs() -> None:
+    runner = Runner(read_text(BALL))
+    for k in (0.25, 0.5, 0.6):
+        outputs = runner.run({"k": k}).outputs
+        assert outputs["t_rest"] == pytest.approx(1 + 2 * k / (1 - k), rel=1e-12)
+
+
+def test_a_model_made_in_python_runs_like_its_file() -> None:
+    model = load("bouncing_ball_chart")
+    assert isinstance(model, Chart)
+    one, other = run(model), run("bouncing_ball_chart")
+    assert one.outputs == other.outputs
+    assert (one.trace.final == other.trace.final).all()
+
+
+def test_the_end_is_an_argument_or_declared() -> None:
+    assert run(read_text(BALL), until=0.5).trace.t_end == 0.5
+    assert run(read_text(BALL), until=0.0).trace.t_end == 0.0
+    assert run(read_text(ball(("time: 5", "time: 3*k")))).trace.t_end == 1.5
+    assert run(read_text(ball(("time: 5", "time: 3*k"))), parameters={"k": 0.1}).trace.t_end == (
+        pytest.approx(0.3)
+    )
+    without = read_text(ball(("stop: {time: 5}\n", "")), "a.yaml")
+    with pytest.raises(DeclarationError, match="the run has no end"):
+        run(without)
+    for end in (-1.0, math.inf, math.nan):
+        with pytest.raises(DeclarationError, match="finite time"):
+            run(read_text(BALL), until=end)
+
+
+def test_an_endless_declared_end_is_refused_at_its_place() -> None:
+    with pytest.raises(DeclarationError, match="finite") as caught:
+        run(read_text(ball(("time: 5", "time: inf")), "a.yaml"))
+    assert (caught.value.source, caught.value.line) == ("a.yaml", 12)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [({"q": 1.0}, "no parameter 'q'"), ({"k": math.nan}, "must be a number")],
+)
+def test_wrong_overrides_are_refused(overrides: dict[str, float], words: str) -> None:
+    with pytest.raises(DeclarationError, match=words):
+        run(read_text(BALL), parameters=overrides)
+
+
+def test_an_unphysical_override_is_refused_where_it_is_used() -> None:
+    with pytest.raises(DeclarationError, match=r"friction: must be .* with mu=-1 set") as caught:
+        run("toppling_stick", parameters={"mu": -1.0})
+    path = models.path("toppling_stick")
+    assert path is not None
+    assert caught.value.source == str(path)
+    assert caught.value.line is not None
+    line = path.read_text(encoding="utf-8").splitlines()[caught.value.line - 1]
+    assert line.strip() == "friction: mu"
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"tolerance": 0.0}, "tolerance must be above 0"),
+        ({"accuracy": 2.0}, "accuracy must be above 0"),
+        ({"accuracy": 1e-3, "tolerance": 1e-3}, "exclude each other"),
+    ],
+)
+def test_settings_out_of_their_bounds_are_refused(settings: dict[str, float], words: str) -> None:
+    with pytest.raises(DeclarationError, match=words):
+        Runner(read_text(BALL), **settings)  # type: ignore[arg-type]
+
+
+def test_a_run_that_cannot_go_on_raises_with_its_trace_or_returns_it() -> None:
+    text = ball(("v: -g}", "v: v**3}"), ("v: 0}", "v: 1}"))
+    result = run(read_text(text), throw=False)
+    assert not result.trace.outcome.succeeded
+    assert result.trace.t_end <= 0.5
+    with pytest.raises(SimulationError) as caught:
+        run(read_text(text))
+    assert caught.value.outcome == result.trace.outcome.name
+    assert caught.value.trace is not None
+
+
+def test_a_run_with_too_many_jumps_keeps_those_it_made() -> None:
+    text = BALL + "settings: {max_jumps: 3}\n"
+    result = run(read_text(text), throw=False)
+    assert result.trace.outcome.name == "TOO_MANY_JUMPS"
+    assert len(result.trace.jumps) == 3
+    assert result.trace.t_end == pytest.approx(1.0 + 2 * (0.5 + 0.25))
+    with pytest.raises(SimulationError, match="3 jumps"):
+        run(read_text(text))
+
+
+def test_an_interrupted_run_keeps_what_was_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    runner = Runner("bouncing_ball_chart")
+    laws = type(runner.automaton.laws)
+    jump, calls = laws.jump, []
+
+    def interrupting(self: object, *arguments: object) -> object:
+        calls.append(1)
+        if len(calls) == 8:
+            raise KeyboardInterrupt
+        return jump(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(laws, "jump", interrupting)
+    result = runner.run()
+    assert result.trace.outcome.name == "INTERRUPTED"
+    assert result.trace.jumps
+
+
+def test_the_start_is_checked_without_running() -> None:
+    mode, warnings = Runner("toppling_stick").start()
+    assert (mode, warnings) == (("pin",), ())
+    _, warnings = Runner("toppling_stick").start({"I_G": 1e-15})
+    assert "point mass" in warnings[0]
+
+
+def test_a_result_saves_its_run(tmp_path: Path) -> None:
+    names = run(read_text(BALL)).save(tmp_path / "out")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(names)
+    assert "run.json" in names
