@@ -19,9 +19,10 @@ __all__ = ["SCENE", "automaton"]
 
 def automaton(scene: Scene) -> Automaton:
     """Compose the automaton of a scene; modes are built when a run enters them."""
-    from contacts.laws import SceneLaws, cones, scene_parameters
+    from contacts.laws import SceneLaws
     from contacts.mechanics import Mechanics
     from contacts.regions import region
+    from contacts.setup import cones, scene_parameters
     from statechart.automaton import Margin
     from statechart.formula import parse_relation
 
@@ -52,7 +53,7 @@ def automaton(scene: Scene) -> Automaton:
         regions=regions,
         stops=stops,
         observables=observables,
-        laws=SceneLaws(scene, mechanics, parameters, stops),
+        laws=SceneLaws(mechanics, parameters, stops),
     )
 
 

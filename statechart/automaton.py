@@ -150,6 +150,8 @@ class Setup:
         The relative tolerance that they follow from.
     warnings : tuple of str
         What a reader must know of these numbers.
+    horizon : float
+        A long time for the first flow, in the model's own scales: how far to look ahead at first.
     """
 
     values: NDArray[np.float64]
@@ -157,6 +159,12 @@ class Setup:
     tolerances: Mapping[str, float]
     relative: float
     warnings: tuple[str, ...] = ()
+    horizon: float = float("inf")
+
+    @cached_property
+    def zeros(self) -> frozenset[int]:
+        """Places of the parameters that are exactly zero."""
+        return frozenset(i for i, value in enumerate(self.values.tolist()) if value == 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +180,10 @@ class Flow:
     remaining : float
         Time until the laws are asked again even if no margin falls (a Zeno sequence's
         accumulation); inf otherwise.
+    warning : str
+        What a reader must know of the choice of this mode; "" where nothing.
+    settled : bool
+        True when the laws have seen the state that the flow starts from and keep the mode.
     held : mapping
         Region -> when its Zeno sequence, whose rest is skipped, comes to its end.
     tolerances : mapping
@@ -185,6 +197,7 @@ class Flow:
     flow: Key
     remaining: float = float("inf")
     warning: str = ""
+    settled: bool = False
     held: Mapping[str, Clock] = field(default_factory=dict)
     tolerances: Mapping[str, float] = field(default_factory=dict)
     sizes: NDArray[np.float64] | None = None

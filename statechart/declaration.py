@@ -61,7 +61,7 @@ class Part(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A cause of jumps, of one region or (None) of any."""
+    """A cause of jumps, of one region or (None) of any; or the state of a region being entered."""
 
     region: str | None
     cause: str
@@ -69,35 +69,40 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """When an output is taken: `start`, `end`, or at the `first`, `last` or `each` of an event."""
+    """When an output is taken: `start`, `end`, or at the `first`, `last` or `each` of events."""
 
     when: str
-    event: Event | None
+    events: tuple[Event, ...] = ()
 
 
-def _parse_event(text: str) -> Event:
-    match = _EVENT.fullmatch(text)
-    if match is None:
-        raise DeclarationProblem(
-            f"{text!r} is not an event", advice="write a cause, or region.cause as in tip.slip"
-        )
-    return Event(match[1], match[2])
+def _parse_events(text: str) -> tuple[Event, ...]:
+    events = []
+    for part in text.split(" or "):
+        match = _EVENT.fullmatch(part.strip())
+        if match is None:
+            raise DeclarationProblem(
+                f"{part!r} is not an event",
+                advice="write a cause, or region.cause or region.state as in tip.slip, tip.pin; "
+                "several with 'or' between them",
+            )
+        events.append(Event(match[1], match[2]))
+    return tuple(events)
 
 
 def _parse_moment(text: str) -> Moment:
-    match text.split():
+    match text.split(maxsplit=1):
         case ["start" | "end" as when]:
-            return Moment(when, None)
-        case ["first" | "last" | "each" as when, event]:
-            return Moment(when, _parse_event(event))
+            return Moment(when)
+        case ["first" | "last" | "each" as when, events]:
+            return Moment(when, _parse_events(events))
     raise DeclarationProblem(
         f"{text!r} is not a moment",
-        advice="write start, end, first CAUSE, last CAUSE or each CAUSE",
+        advice="write start, end, first CAUSE, last CAUSE or each CAUSE; CAUSE or CAUSE also",
     )
 
 
 def _checked_event(text: str) -> str:
-    _parse_event(text)
+    _parse_events(text)
     return text
 
 
@@ -122,7 +127,7 @@ class Value(Part):
 
     @model_validator(mode="after")
     def _before_needs_a_jump(self) -> Self:
-        if self.before and self.moment.event is None:
+        if self.before and not self.moment.events:
             raise DeclarationProblem(f"there is no jump at {self.at!r}", loc=("before",))
         return self
 
@@ -140,9 +145,9 @@ class Count(Part):
     count: Annotated[str, AfterValidator(_checked_event)]
 
     @property
-    def event(self) -> Event:
+    def events(self) -> tuple[Event, ...]:
         """What is counted."""
-        return _parse_event(self.count)
+        return _parse_events(self.count)
 
 
 class Minimum(Part):
@@ -302,7 +307,7 @@ class Declaration(Part):
         states : mapping of str to collection of str
             The states of every region.
         causes : mapping of str to collection of str
-            The causes of jumps of every region; `zeno` and `stop` need not be among them.
+            The causes of jumps of every region; `stop` need not be among them.
 
         Raises
         ------
@@ -316,15 +321,16 @@ class Declaration(Part):
             match output:
                 case Value():
                     check_names(parse(output.value), names, *loc, "value")
-                    if output.moment.event is not None:
-                        _check_event(output.moment.event, causes, *loc, "at")
+                    for event in output.moment.events:
+                        _check_event(event, causes, states, *loc, "at")
                 case Integral():
                     check_names(parse(output.integral), names, *loc, "integral")
                     for region, state in output.during.items():
                         _check_member("region", region, states, *loc, "during", region)
                         _check_member("state", state, states[region], *loc, "during", region)
                 case Count():
-                    _check_event(output.event, causes, *loc, "count")
+                    for event in output.events:
+                        _check_event(event, causes, states, *loc, "count")
                 case Minimum():
                     check_names(parse(output.minimum), names, *loc, "minimum")
                 case Maximum():
@@ -354,13 +360,18 @@ def check_names(formula: Formula | Relation, known: Collection[str], *loc: str |
         raise problem(error, *loc) from None
 
 
-def _check_event(event: Event, causes: Mapping[str, Collection[str]], *loc: str) -> None:
+def _check_event(
+    event: Event,
+    causes: Mapping[str, Collection[str]],
+    states: Mapping[str, Collection[str]],
+    *loc: str,
+) -> None:
     if event.region is not None:
         _check_member("region", event.region, causes, *loc)
-        known = set(causes[event.region])
+        known = {*causes[event.region], *states[event.region]}
     else:
         known = set().union(*causes.values())
-    _check_member("cause", event.cause, {"zeno", "stop", *known}, *loc)
+    _check_member("cause or state", event.cause, {"stop", *known}, *loc)
 
 
 def _check_member(what: str, name: str, known: Collection[str], *loc: str) -> None:

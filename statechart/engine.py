@@ -249,8 +249,8 @@ def advance(
     anchor = state
     reached, boxes, total = 0.0, 0, 0
     count, resume = _FIRST_CHUNK, False
+    end = min(horizon, duration)
     while reached < duration:
-        end = min(reached + horizon, duration)
         steps = engine.steps(
             compiled.stepper, parameters, start + reached, state, end - reached, count, resume
         )
@@ -289,6 +289,8 @@ def advance(
         ended = steps.coefficients[-1].sum(axis=1)
         state = project(ended, anchor)
         resume = state is ended and not steps.finished
+        if not resume:
+            end = min(reached + horizon, duration)
         count = min(2 * count, LONGEST_CHUNK)
     times, coefficients = collected.arc(state)
     return Advance(times, coefficients, state, None, False, boxes, total)

@@ -119,9 +119,7 @@ def _pivot(rows: list[tuple[Row, sp.Expr]]) -> tuple[int, sp.Symbol, str] | None
     return None if best is None else best[1:]
 
 
-def _insert(
-    row: Row, right: sp.Expr, unknown: sp.Symbol, value: sp.Expr
-) -> tuple[Row, sp.Expr]:
+def _insert(row: Row, right: sp.Expr, unknown: sp.Symbol, value: sp.Expr) -> tuple[Row, sp.Expr]:
     coefficient = row.get(unknown)
     if coefficient is None:
         return row, right
@@ -154,17 +152,13 @@ def _blocks(rows: list[tuple[Row, sp.Expr]]) -> list[Definition]:
         unknowns = sorted((u for u in component if not isinstance(u, int)), key=str)
         if len(indices) != len(unknowns):
             raise Singular(unknowns)
-        matrix = sp.Matrix(
-            len(indices), len(unknowns), lambda i, k: rows[indices[i]][0].get(unknowns[k], 0)
-        )
+        matrix = sp.Matrix([[rows[i][0].get(u, 0) for u in unknowns] for i in indices])
         right = sp.Matrix([rows[i][1] for i in indices])
         definitions += _cramer(matrix, right, unknowns)
     return definitions
 
 
-def _cramer(
-    matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]
-) -> list[Definition]:
+def _cramer(matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]) -> list[Definition]:
     """Cramer's rule with every entry named, so that the determinants stay small."""
     size = len(unknowns)
     tag = str(unknowns[0])
@@ -193,9 +187,7 @@ def _cramer(
     return result
 
 
-def _gauss(
-    matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]
-) -> list[Definition]:
+def _gauss(matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]) -> list[Definition]:
     """Elimination with every intermediate named: a straight-line program of O(n^3) operations."""
     size = len(unknowns)
     rows = [[matrix[i, k] for k in range(size)] + [right[i]] for i in range(size)]

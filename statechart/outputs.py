@@ -25,8 +25,8 @@ class Outputs:
         self.observer = observer
         declared = observer.automaton.declaration.outputs
         self._names = tuple(declared)
-        self._at: list[tuple[str, Value, str, Event]] = []
-        self._counts: list[tuple[str, Event]] = []
+        self._at: list[tuple[str, Value, str, tuple[Event, ...]]] = []
+        self._counts: list[tuple[str, tuple[Event, ...]]] = []
         self._extremes: list[tuple[str, str | int | float, int]] = []
         # Taken together: one call of a kernel, not one each.
         self._start: dict[str, str | int | float] = {}
@@ -36,15 +36,15 @@ class Outputs:
             match output:
                 case Value():
                     moment = output.moment
-                    if moment.event is not None:
-                        self._at.append((name, output, moment.when, moment.event))
+                    if moment.events:
+                        self._at.append((name, output, moment.when, moment.events))
                     else:
                         values = self._end if moment.when == "end" else self._start
                         values[name] = output.value
                 case Integral():
                     self._integrals[name] = output
                 case Count():
-                    self._counts.append((name, output.event))
+                    self._counts.append((name, output.events))
                 case Minimum():
                     self._extremes.append((name, output.minimum, 0))
                 case Maximum():
@@ -62,10 +62,10 @@ class Outputs:
         """
         observer = self.observer
         found: dict[str, Result] = {}
-        for name, output, when, event in self._at:
-            found[name] = self._at_jumps(trace, output, when, event)
-        for name, event in self._counts:
-            found[name] = len(_jumps(trace, event))
+        for name, output, when, events in self._at:
+            found[name] = self._at_jumps(trace, output, when, events)
+        for name, events in self._counts:
+            found[name] = len(self._jumps(trace, events))
         for name, formula, which in self._extremes:
             found[name] = observer.extremes(trace, formula)[which]
         if self._start:
@@ -83,9 +83,9 @@ class Outputs:
         return {name: found[name] for name in self._names}
 
     def _at_jumps(
-        self, trace: Trace, output: Value, when: str, event: Event
+        self, trace: Trace, output: Value, when: str, events: tuple[Event, ...]
     ) -> float | list[float] | None:
-        jumps = _jumps(trace, event)
+        jumps = self._jumps(trace, events)
         if when != "each":
             jumps = jumps[:1] if when == "first" else jumps[-1:]
         if not jumps:
@@ -94,13 +94,27 @@ class Outputs:
         values: list[float] = table[:, 0].tolist()
         return values if when == "each" else values[0]
 
+    def _jumps(self, trace: Trace, events: tuple[Event, ...]) -> list[Jump]:
+        """Return the jumps that are one of `events`: by their cause, or by the state entered."""
+        regions = self.observer.automaton.regions
+
+        def entered(jump: Jump, event: Event) -> bool:
+            if event.region is None:
+                return False
+            place = trace.regions.index(event.region)
+            before, after = jump.source[place], jump.target[place]
+            declared = regions[place].declared
+            return (after == event.cause != before) or (
+                declared(after) == event.cause != declared(before)
+            )
+
+        def matches(jump: Jump, event: Event) -> bool:
+            caused = jump.cause == event.cause and event.region in (None, jump.region)
+            return caused or entered(jump, event)
+
+        return [jump for jump in trace.jumps if any(matches(jump, event) for event in events)]
+
 
 def outputs(observer: Observer, trace: Trace) -> dict[str, Result]:
     """Return the declared outputs of one run; see `Outputs.of`."""
     return Outputs(observer).of(trace)
-
-
-def _jumps(trace: Trace, event: Event) -> list[Jump]:
-    """Return the jumps of a cause: of its region, or of any."""
-    region, cause = event.region, event.cause
-    return [j for j in trace.jumps if j.cause == cause and region in (None, j.region)]

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time as wall
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from statechart.automaton import Automaton, Flow, Setup
+from statechart.automaton import HELD, Automaton, Flow, Setup
 from statechart.compose import build_mode
 from statechart.engine import CompiledMode, Engine, advance, compile_mode
 from statechart.errors import EventLoop, SimulationError
 from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace
-from statechart.zeno import Accumulation
+from statechart.zeno import Accumulation, between
 
 __all__ = ["Simulator"]
 
@@ -24,6 +25,8 @@ Array = NDArray[np.float64]
 
 # More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
 _JUMPS_AT_ONCE = 64
+# How far to look ahead at first, in lengths of the last flow: those of bounces shrink.
+_AHEAD = 16.0
 _PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown
 
 
@@ -40,14 +43,12 @@ class Simulator:
         Whether runs above about a second report to stderr.
     """
 
-    def __init__(
-        self, automaton: Automaton, engine: Engine, *, progress: bool = False
-    ) -> None:
+    def __init__(self, automaton: Automaton, engine: Engine, *, progress: bool = False) -> None:
         self.automaton = automaton
         self.engine = engine
         self.progress = progress
-        self._compiled: dict[tuple[Key, frozenset[sp.Symbol]], CompiledMode] = {}
-        self._structural: dict[Key, frozenset[sp.Symbol]] = {}
+        self._compiled: dict[tuple[Key, frozenset[int]], CompiledMode] = {}
+        self._structural: dict[Key, frozenset[int]] = {}
 
     def run(
         self,
@@ -96,34 +97,31 @@ class Simulator:
 
     def compiled(self, key: Key, setup: Setup) -> CompiledMode:
         """Return the mode `key`, compiled for the parameters that are zero in `setup`."""
-        zeros = frozenset(
-            symbol
-            for symbol, value in zip(self.automaton.parameters, setup.values, strict=True)
-            if value == 0.0
-        )
         structural = self._structural.get(key)
         if structural is None:
-            structural = self._structural[key] = self._symbols(key)
-        zeros &= structural
+            structural = self._structural[key] = self._used(key)
+        zeros = setup.zeros & structural
         found = self._compiled.get((key, zeros))
         if found is None:
-            mode = build_mode(self.automaton, key, zeros)
+            symbols = self.automaton.parameters
+            mode = build_mode(self.automaton, key, frozenset(symbols[i] for i in zeros))
             found = compile_mode(self.engine, self.automaton, mode)
             self._compiled[key, zeros] = found
         return found
 
-    def _symbols(self, key: Key) -> frozenset[sp.Symbol]:
+    def _used(self, key: Key) -> frozenset[int]:
+        """Return the places of the parameters that the equations of `key` mention."""
         automaton = self.automaton
         parts = list(automaton.equations) + list(automaton.rates)
         for region, name in zip(automaton.regions, key, strict=True):
             parts += region.build(name).equations
         used: set[sp.Symbol] = set().union(*(part.free_symbols for part in parts))
-        return frozenset(used)
+        return frozenset(i for i, symbol in enumerate(automaton.parameters) if symbol in used)
 
     @property
     def modes_built(self) -> int:
         """Number of modes whose equations were built so far."""
-        return len({key for key, _ in self._compiled})
+        return len({key for key, _ in self._compiled if HELD not in key})
 
 
 @dataclass(eq=False)
@@ -141,7 +139,7 @@ class _Run:
     evidence: dict[str, str] = field(default_factory=dict)
     boxes: int = 0
     steps: int = 0
-    entered: set[Key] = field(default_factory=set)
+    entered: dict[Key, CompiledMode] = field(default_factory=dict)
     stalled: tuple[float, float, tuple[str, ...]] | None = None
 
     def __post_init__(self) -> None:
@@ -149,13 +147,17 @@ class _Run:
         self.state = self.setup.initial
         self.started_mode: Key | None = None
         self.started_state = self.setup.initial
+        self.horizon = self.setup.horizon
+        self.evaluations = self.simulator.engine.evaluations
         self._began = wall.perf_counter()
         self._shown = self._began
         self._accumulation = Accumulation()
 
     @property
     def mode_label(self) -> str:
-        return "at the start" if self.flow is None else self.simulator.automaton.label(self.flow.mode)
+        return (
+            "at the start" if self.flow is None else self.simulator.automaton.label(self.flow.mode)
+        )
 
     def end(self, outcome: Outcome, message: str) -> None:
         self.outcome, self.message = outcome, message
@@ -164,8 +166,9 @@ class _Run:
         laws = self.simulator.automaton.laws
         self.flow, self.state = laws.begin(self.setup)
         self.started_mode, self.started_state = self.flow.mode, self.state
+        self._warn()
         fired: tuple[str, ...] = ()
-        if self._settle(fired):
+        if not self.flow.settled and self._settle(fired):
             return
         while True:
             fired = self._flow()
@@ -182,22 +185,30 @@ class _Run:
         flow = self.flow
         assert flow is not None
         left = self.clock.until(self.until)
-        duration = min(left, flow.remaining)
+        pending = (between(self.clock, end) for end in flow.held.values())
+        remaining = min(flow.remaining, *pending, math.inf)
+        duration = min(left, remaining)
         if duration <= 0.0:
-            return () if left <= 0.0 else ("zeno",)
-        if flow.flow is None:
-            return self._hold(duration)
-        compiled = self.simulator.compiled(flow.flow, self.setup)
-        self.entered.add(flow.flow)
+            return ("zeno",) if remaining <= 0.0 else ()
+        compiled = self.entered.get(flow.flow)
+        if compiled is None:
+            compiled = self.simulator.compiled(flow.flow, self.setup)
+            self.entered[flow.flow] = compiled
         tolerances = self.setup.tolerances
         reached = advance(
             self.simulator.engine,
             compiled,
             parameters=self.setup.values,
-            tolerances=np.array([tolerances[kind] for kind in compiled.kinds]),
+            tolerances=np.array(
+                [
+                    flow.tolerances.get(margin.name, tolerances[margin.kind])
+                    for margin in compiled.mode.margins
+                ]
+            ),
             start=self.clock.high,
             state=self.state,
             duration=duration,
+            horizon=self.horizon,
             project=self._projector(flow.flow),
             on_steps=self._show if self.simulator.progress else _silent,
         )
@@ -206,16 +217,25 @@ class _Run:
         if len(reached.times) > 1:
             self.arcs.append(
                 Arc(
-                    flow.mode, flow.flow, self.clock, len(self.jumps),
-                    reached.times, reached.coefficients,
+                    flow.mode,
+                    flow.flow,
+                    self.clock,
+                    len(self.jumps),
+                    reached.times,
+                    reached.coefficients,
                 )
             )
         elapsed = float(reached.times[-1])
+        if elapsed > 0.0:
+            self.horizon = _AHEAD * elapsed
         self.clock = self.clock.later(elapsed)
         self.state = reached.state
-        self.flow = Flow(flow.mode, flow.flow, flow.remaining - elapsed)
+        sizes = np.abs(reached.coefficients[-1]).sum(axis=1) if elapsed > 0.0 else flow.sizes
+        self.flow = replace(
+            flow, remaining=flow.remaining - elapsed, sizes=sizes, warning="", settled=False
+        )
         if reached.crossing is None:
-            return () if duration == left else ("zeno",)
+            return ("zeno",) if duration == remaining else ()
         margin = compiled.mode.margins[reached.crossing.guard]
         if reached.graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
@@ -224,12 +244,23 @@ class _Run:
             self._stop(margin.name)
         return (margin.name,)
 
+    def _warn(self) -> None:
+        if self.flow is not None and self.flow.warning:
+            self.warnings[f"t = {self.clock.high:.17g}: {self.flow.warning}"] = None
+
     def _stop(self, name: str) -> None:
         assert self.flow is not None
         self.jumps.append(
             Jump(
-                self.clock.high, len(self.jumps), "", "stop", self.flow.mode, self.flow.mode,
-                self.state, self.state, fired=(name,),
+                self.clock.high,
+                len(self.jumps),
+                "",
+                "stop",
+                self.flow.mode,
+                self.flow.mode,
+                self.state,
+                self.state,
+                fired=(name,),
             )
         )
         self.end(Outcome.STOPPED, f"{name} at t = {self.clock.high:.17g}")
@@ -240,13 +271,12 @@ class _Run:
         moved = False
         for _ in range(_JUMPS_AT_ONCE):
             assert self.flow is not None
-            made = laws.jump(
-                self.setup, self.clock, len(self.jumps), self.flow, self.state, fired
-            )
+            made = laws.jump(self.setup, self.clock, len(self.jumps), self.flow, self.state, fired)
             if made is None:
                 break
             moved = True
             jump, self.flow = made
+            self._warn()
             self.jumps.append(jump)
             self.state = jump.after
             if self.simulator.automaton.detect_zeno and self._accumulates(jump):
@@ -255,6 +285,8 @@ class _Run:
             if len(self.jumps) >= self.max_jumps:
                 self.end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
                 return True
+            if self.flow.settled:
+                break
         else:
             recent = ", ".join(
                 f"{jump.cause} -> {self.simulator.automaton.label(jump.target)}"
@@ -272,32 +304,29 @@ class _Run:
             return False
         automaton = self.simulator.automaton
         place = [region.name for region in automaton.regions].index(jump.region)
-        edges = automaton.regions[place].edges
-        if not any(e.cause == "zeno" and e.source == jump.target[place] for e in edges):
+        sources = {e.source for e in automaton.regions[place].edges if e.on_zeno}
+        if jump.target[place] not in sources:
+            recent = {past.target[place] for past in self.jumps[-_JUMPS_AT_ONCE:]}
+            if not sources.isdisjoint(recent):
+                return False  # its jumps accumulate as well, and are recognised there
             self.end(
                 Outcome.ZENO,
                 f"{jump.region}: '{jump.cause}' accumulates at "
-                f"t = {self.clock.later(rest).high:.17g}; declare a transition 'on: zeno'",
+                f"t = {self.clock.later(rest).high:.17g}; declare a transition 'on: zeno' "
+                f"from '{jump.target[place]}'",
             )
             return True
-        self.flow = Flow(jump.target, None, rest)
+        assert self.flow is not None
+        self.jumps[-1] = replace(jump, skipped=rest)
+        self.flow = replace(
+            self.flow,
+            flow=(*self.flow.flow[:place], HELD, *self.flow.flow[place + 1 :]),
+            held={**self.flow.held, jump.region: self.clock.later(rest)},
+        )
         return False
 
-    def _hold(self, duration: float) -> tuple[str, ...]:
-        """Let `duration` pass with the state held: the skipped rest of a Zeno sequence."""
-        assert self.flow is not None
-        self.arcs.append(
-            Arc(
-                self.flow.mode, None, self.clock, len(self.jumps),
-                np.array([0.0, duration]), self.state[None, :, None],
-            )
-        )
-        ended = self.clock.until(self.until) <= duration
-        self.clock = self.clock.later(duration)
-        return () if ended else ("zeno",)
-
     def _stall(self, fired: tuple[str, ...]) -> None:
-        """A margin fell and the laws keep the mode: once is a graze, again and again a loop."""
+        """Note that a margin fell and the laws keep the mode: once a graze, at once again a loop."""
         now = (self.clock.high, self.clock.low, fired)
         if self.stalled == now:
             raise EventLoop(f"{', '.join(fired)} falls at t = {now[0]:.17g}, but no jump follows")
@@ -321,18 +350,19 @@ class _Run:
     def trace(self) -> Trace:
         simulator = self.simulator
         automaton, engine = simulator.automaton, simulator.engine
-        guards = {
-            margin.name
-            for key in self.entered
-            for margin in simulator.compiled(key, self.setup).mode.margins
+        evidence = {
+            margin.name: self.evidence.get(margin.name, "interval enclosure")
+            for compiled in self.entered.values()
+            for margin in compiled.mode.margins
         }
-        evidence = {name: self.evidence.get(name, "interval enclosure") for name in sorted(guards)}
         start = self.started_mode or tuple(r.states[0] for r in automaton.regions)
         return Trace(
             name=automaton.name,
             regions=tuple(region.name for region in automaton.regions),
             variables=automaton.names,
-            parameters=dict(zip(automaton.parameter_names, map(float, self.setup.values), strict=True)),
+            parameters=dict(
+                zip(automaton.parameter_names, self.setup.values.tolist(), strict=True)
+            ),
             arcs=tuple(self.arcs),
             jumps=tuple(self.jumps),
             initial=self.started_state,
@@ -345,12 +375,14 @@ class _Run:
             certified=not self.evidence and self.outcome not in _UNCERTIFIED,
             evidence=evidence,
             tolerances=dict(self.setup.tolerances),
-            engine=engine.name if engine.name == engine.method else f"{engine.name} {engine.method}",
+            engine=engine.name
+            if engine.name == engine.method
+            else f"{engine.name} {engine.method}",
             tolerance=engine.tolerance,
-            warnings=tuple(self.warnings),
+            warnings=(*self.setup.warnings, *self.warnings),
             counts={
                 "steps": self.steps,
-                "evaluations": getattr(engine, "evaluations", 0),
+                "evaluations": engine.evaluations - self.evaluations,
                 "boxes": self.boxes,
                 "jumps": len(self.jumps),
                 "modes_built": simulator.modes_built,

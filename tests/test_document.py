@@ -102,7 +102,7 @@ def test_a_chart_that_uses_every_field_survives_too() -> None:
             "outputs": {
                 "yes": Integral(integral="x", during={"ball": "flight"}),
                 "null": Value(value="1e3*x", at="each ball.bounce", before=True),
-                "later": Count(count="zeno"),
+                "later": Count(count="settle"),
             },
         }
     )
@@ -213,7 +213,7 @@ def test_positions_are_those_of_the_text() -> None:
         ("time: 10", "time: -10", "16:14", "must not be negative"),
         ("time: 10", "time: x", "16:14", "unknown name 'x'"),
         ("x >= 100", "z >= 100", "16:36", "unknown name 'z'"),
-        ("count: bounce", "count: bonce", "18:20", "no cause 'bonce'; did you mean 'bounce'?"),
+        ("count: bounce", "count: bonce", "18:20", "no cause or state 'bonce'; did you mean 'bounce'?"),
         ("count: bounce", "count: bal.bounce", "18:20", "no region 'bal'"),
         ("count: bounce", "count: bounce, at: end", "18:28", "unknown key 'at'; known keys: count"),
         ("count: bounce", "cuont: bounce", "18:12", "has one of the keys"),
@@ -268,7 +268,7 @@ def test_several_errors_are_all_told_in_order() -> None:
 def test_output_moments_and_events_are_parsed() -> None:
     assert Value(value=1).moment == Moment("end", None)
     assert Value(value=1, at="first tip.slip").moment == Moment("first", Event("tip", "slip"))
-    assert Count(count="slip").event == Event(None, "slip")
+    assert Count(count="slip").events == (Event(None, "slip"),)
 
 
 def test_a_validator_can_point_at_a_field() -> None:

@@ -1,0 +1,226 @@
+"""From the declared parameters to the numbers of a run: coefficients, scales, tolerances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from contacts.classify import ContactLaw
+from contacts.mechanics import Mechanics
+from contacts.regions import states
+from contacts.scales import Scales, ScaleTape
+from contacts.scene import Contact, Scene
+from statechart.automaton import Margin, Setup
+from statechart.errors import DeclarationProblem
+from statechart.formula import parse
+from statechart.parameters import Parameters
+from statechart.tape import compile_tape
+
+__all__ = ["SceneNumbers", "SceneSetup", "cones", "scene_parameters"]
+
+Array = NDArray[np.float64]
+
+# Force margins may fall below zero by this much of the force scale before a mode is left: the
+# size of rounding in a solved mode, with room; entering asks for half of it (hysteresis).
+_FORCE_BAND = 1e-12
+# A moment of inertia below this part of mass times arm squared cannot be told from zero: the
+# forces that turn the body are then differences of terms that many times larger.
+_POINT_MASS = 1e-12
+# Positions and speeds carry rounding of this size relative to the scene.
+_ROUNDING = 1e-13
+# How far the first flow looks ahead, in the scene's own unit of time.
+_LOOK_AHEAD = 64.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SceneSetup(Setup):
+    """The numbers of one run of a scene.
+
+    Attributes
+    ----------
+    scales : Scales
+        Of this run.
+    contacts : tuple of ContactLaw
+        With this run's coefficients.
+    capture : float
+        Rebounds slower than this are summed instead of simulated.
+    stops : mapping
+        Stop condition -> how near zero its margin counts as met; from its value at the start.
+    """
+
+    scales: Scales
+    contacts: tuple[ContactLaw, ...]
+    capture: float
+    stops: Mapping[str, float]
+
+
+def cones(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, tuple[sp.Expr, sp.Expr]]:
+    """Return (cone_n, cone_t) per contact: symbols, or numbers where nothing is to be known."""
+    result: dict[str, tuple[sp.Expr, sp.Expr]] = {}
+    for name, contact in scene.contacts.items():
+        if contact.friction is None:
+            # Without slide a pin holds whatever it takes (no-slip); free needs no cone at all.
+            result[name] = (sp.S.Zero, sp.S.One)
+        elif contact.frictionless:
+            result[name] = (sp.S.One, sp.S.Zero)
+        else:
+            result[name] = (known[f"{name}.cone_n"], known[f"{name}.cone_t"])
+    return result
+
+
+def scene_parameters(scene: Scene) -> Parameters:
+    """Return the scene's parameters, the contacts' coefficients, and the initial state."""
+
+    def derived(known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
+        result: dict[str, sp.Expr] = {}
+        for name, contact in scene.contacts.items():
+            if contact.friction is not None and not contact.frictionless:
+                mu = parse(contact.friction).to_sympy(known)
+                # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
+                result[f"{name}.friction"] = mu
+                result[f"{name}.cone_n"] = 1 / sp.sqrt(1 + mu**2)
+                result[f"{name}.cone_t"] = 1 / sp.sqrt(1 + (1 / mu) ** 2)
+            if contact.restitution is not None:
+                result[f"{name}.restitution"] = parse(contact.restitution).to_sympy(known)
+        for name, body in scene.bodies.items():
+            if body.inertia is not None:
+                result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
+        return result
+
+    def initial(known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
+        positions: list[sp.Expr] = []
+        rates: list[sp.Expr] = []
+        for coordinate in scene.coordinates.values():
+            positions.append(parse(coordinate.start).to_sympy(known))
+            rates.append(parse(coordinate.rate).to_sympy(known))
+        for body in scene.bodies.values():
+            for name in body.coordinates:
+                positions.append(parse(body.start.get(name, 0)).to_sympy(known))  # type: ignore[call-overload]
+                rates.append(parse(body.start.get(f"d{name}", 0)).to_sympy(known))  # type: ignore[call-overload]
+        return [*positions, *rates, *(lever(name, known) for name in scene.bodies)]
+
+    def lever(name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
+        """Return mass times the longest arm squared of the body's contact points."""
+        arms = [
+            sp.Add(*(parse(text).to_sympy(known) ** 2 for text in contact.point.at))
+            for contact in scene.contacts.values()
+            if contact.point.body == name
+        ]
+        mass = parse(scene.bodies[name].mass).to_sympy(known)
+        return mass * (sp.Max(*arms) if arms else sp.S.Zero)
+
+    return Parameters(scene.parameters, derived, initial)
+
+
+class SceneNumbers:
+    """Evaluates the numbers of a run from its parameters.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        The scene's equations.
+    parameters : Parameters
+        From `scene_parameters`.
+    stops : mapping
+        Stop condition -> margin.
+    """
+
+    def __init__(
+        self, mechanics: Mechanics, parameters: Parameters, stops: Mapping[str, Margin]
+    ) -> None:
+        scene = mechanics.scene
+        symbols = list(parameters.symbols.values())
+        self._scene = scene
+        self._parameters = parameters
+        self._places = {name: i for i, name in enumerate(parameters.names)}
+        self._scales = ScaleTape(mechanics, symbols)
+        self._contacts = tuple(
+            self._reader(name, contact) for name, contact in scene.contacts.items()
+        )
+        self._stops = tuple(stops)
+        contact_forces = (force for pair in mechanics.forces.values() for force in pair)
+        self._stop_tape = compile_tape(
+            [margin.expression for margin in stops.values()],
+            variables=(*mechanics.q, *mechanics.v),
+            parameters=symbols,
+            time=mechanics.time,
+            definitions=[(force, sp.S.Zero) for force in contact_forces],
+        )
+        self._inertias = [(name, self._places.get(f"{name}.inertia")) for name in scene.bodies]
+        self._physical: set[tuple[tuple[str, float], ...]] = set()
+
+    def at(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
+        """Return the numbers for `overrides` of the parameters.
+
+        Raises
+        ------
+        DeclarationProblem, FormulaError
+            If a parameter is unknown, or a number has no value or is not physical.
+        """
+        values, further = self._parameters.values(overrides)
+        values, warnings = self._point_masses(values, further[-len(self._inertias) :])
+        initial = further[: -len(self._inertias)]
+        key = tuple(sorted(overrides.items()))
+        if overrides and key not in self._physical:
+            self._scene.check_numbers(self._scene.values(overrides))
+            self._physical.add(key)
+        if not np.isfinite(initial).all():
+            raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
+        contacts = tuple(read(values) for read in self._contacts)
+        scales = self._scales.at(values, initial)
+        margins = self._stop_tape.at(initial, values, 0.0).tolist()
+        tolerances = {
+            "gap": max(3.0 * relative, _ROUNDING) * scales.length,
+            "speed": max(10.0 * relative, 10.0 * _ROUNDING) * scales.speed,
+            "force": max(10.0 * relative, _FORCE_BAND) * scales.force,
+            "plain": 0.0,
+        }
+        return SceneSetup(
+            values=values,
+            initial=initial,
+            tolerances=tolerances,
+            relative=relative,
+            warnings=warnings,
+            horizon=_LOOK_AHEAD * scales.length / scales.speed,
+            scales=scales,
+            contacts=contacts,
+            capture=math.sqrt(max(relative, _ROUNDING)) * scales.speed,
+            stops={n: _ROUNDING * abs(v) for n, v in zip(self._stops, margins, strict=True)},
+        )
+
+    def _point_masses(self, values: Array, levers: Array) -> tuple[Array, tuple[str, ...]]:
+        """Set to zero the moments of inertia that cannot be told from it."""
+        warnings = []
+        for (name, place), lever in zip(self._inertias, levers, strict=True):
+            if place is not None and 0.0 < values[place] < _POINT_MASS * lever:
+                warnings.append(
+                    f"the inertia of {name!r}, {values[place]:g}, is below {_POINT_MASS:g} of its "
+                    "mass times arm squared: computed as a point mass"
+                )
+                values = values.copy()
+                values[place] = 0.0
+        return values, tuple(warnings)
+
+    def _reader(self, name: str, contact: Contact) -> Callable[[Array], ContactLaw]:
+        """Return what reads a contact's coefficients off the values of a run."""
+        region_states = states(contact)
+        n, t, e = (self._places.get(f"{name}.{k}") for k in ("cone_n", "cone_t", "restitution"))
+        # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `cones`.
+        fixed = (1.0, 0.0) if contact.frictionless else (0.0, 1.0)
+
+        def read(values: Array) -> ContactLaw:
+            return ContactLaw(
+                name,
+                region_states,
+                fixed[0] if n is None else float(values[n]),
+                fixed[1] if t is None else float(values[t]),
+                0.0 if e is None else float(values[e]),
+                contact.impact,
+            )
+
+        return read
