@@ -1,0 +1,49 @@
+"""What the README shows is what happens."""
+
+from __future__ import annotations
+
+import doctest
+import re
+from pathlib import Path
+from typing import Any
+
+from contacts.scene import Scene
+from statechart.cli import main
+from statechart.document import interpret, read_text
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_scene_in_yaml_is_the_one_in_python() -> None:
+    block = re.search(r"```yaml\n(.*?)```", README, re.S)
+    assert block is not None
+    names: dict[str, Any] = {}
+    example = doctest.DocTestParser().get_doctest(README, names, "README", None, None)
+    results = doctest.DocTestRunner().run(example, clear_globs=False)
+    assert (results.failed, results.attempted > 0) == (0, True)
+    scene = example.globs["scene"]
+    assert isinstance(scene, Scene)
+    assert interpret(read_text(block[1])) == scene
+
+
+def test_the_readme_opens_with_two_commands() -> None:
+    first, second = re.findall(r"```bash\n(.*?)```", README, re.S)
+    assert first.rstrip().endswith("statechart run models/toppling_stick.yaml")
+    assert second == ".venv/bin/python -m pytest -n 2\n"
+
+
+def test_links_and_pictures_of_the_documentation_exist() -> None:
+    for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
+        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_the_readme_lists_the_verbs_of_the_command_line(capsys: Any) -> None:
+    assert main(["--help"]) == 0
+    listed = re.search(
+        r"^\s+VERB\n((?:\s{4}\S.*\n(?:\s{6,}\S.*\n)*)+)", capsys.readouterr().out, re.M
+    )
+    assert listed is not None
+    verbs = set(re.findall(r"^\s{4}(\w+)", listed[1], re.M))
+    assert verbs == set(re.findall(r"^statechart (\w+)", README, re.M))
