@@ -183,9 +183,10 @@ class Mechanics:
         """What formulas of outputs and stop conditions may use, name -> expression."""
         result = dict(self._known)
         for name in self.scene.contacts:
-            symbols = self.contact(name).symbols
+            geometry = self.contact(name)
+            symbols = geometry.symbols
             result |= {
-                f"{name}.gap": symbols.gap,
+                f"{name}.gap": geometry.distance,
                 f"{name}.slip": symbols.slip,
                 f"{name}.V": symbols.V,
                 f"{name}.H": symbols.H,

@@ -266,8 +266,8 @@ def test_several_errors_are_all_told_in_order() -> None:
 
 
 def test_output_moments_and_events_are_parsed() -> None:
-    assert Value(value=1).moment == Moment("end", None)
-    assert Value(value=1, at="first tip.slip").moment == Moment("first", Event("tip", "slip"))
+    assert Value(value=1).moment == Moment("end")
+    assert Value(value=1, at="first tip.slip").moment == Moment("first", (Event("tip", "slip"),))
     assert Count(count="slip").events == (Event(None, "slip"),)
 
 

@@ -1,0 +1,76 @@
+"""Simulators of the shipped models, compiled once for all tests."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from statechart.automaton import Automaton
+from statechart.document import load
+from statechart.engine import Engine
+from statechart.engines.scipy import SciPy
+from statechart.engines.taylor import Taylor
+from statechart.kinds import kind
+from statechart.observe import Observer
+from statechart.outputs import Outputs
+from statechart.simulate import Simulator
+from statechart.trace import Trace
+
+ENGINES = ("taylor", "scipy")
+_GOLDEN = Path(__file__).parent / "golden"
+
+
+def golden(name: str) -> Any:
+    """Return the reference numbers of a file."""
+    return json.loads((_GOLDEN / f"{name}.json").read_text())
+
+
+def number(value: Any) -> float:
+    """Return a reference number: a float, a decimal text, or a fraction."""
+    if isinstance(value, str) and "/" in value:
+        above, below = value.split("/")
+        return float(above) / float(below)
+    return math.inf if value in ("inf", None) else float(value)
+
+
+@functools.cache
+def automaton(model: str) -> Automaton:
+    """Return the automaton of a shipped model."""
+    loaded = load(model)
+    built = kind(loaded.kind).automaton(loaded)  # type: ignore[attr-defined]
+    assert isinstance(built, Automaton)
+    return built
+
+
+def engine(name: str) -> Engine:
+    """Return an engine at its tightest sensible tolerance."""
+    return Taylor(2.2e-16) if name == "taylor" else SciPy(1e-12)
+
+
+@functools.cache
+def simulator(model: str, name: str) -> Simulator:
+    """Return a simulator of a shipped model."""
+    return Simulator(automaton(model), engine(name))
+
+
+@functools.cache
+def _reader(model: str, name: str) -> Outputs:
+    return Outputs(Observer(simulator(model, name)))
+
+
+def run(model: str, name: str, until: float = 1000.0, **parameters: float) -> Trace:
+    """Run a shipped model; a run that fails returns its trace too."""
+    return simulator(model, name).run(parameters, until=until, throw=False)
+
+
+def outputs(model: str, name: str, trace: Trace) -> dict[str, Any]:
+    """Return the declared outputs of a run."""
+    return _reader(model, name).of(trace)
+
+
+def modes(trace: Trace) -> list[str]:
+    """Return the modes visited by a run with one contact."""
+    return [key[0] for key in trace.modes]

@@ -1,0 +1,80 @@
+"""Blocks on an incline and under a harmonic force, against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from runs import ENGINES, golden, modes, outputs, run
+
+GOLDEN = golden("block_friction")
+
+pytestmark = pytest.mark.parametrize("engine", ENGINES)
+
+
+@pytest.mark.parametrize("case", GOLDEN["thrown_up"] + GOLDEN["thrown_down"])
+def test_a_block_thrown_along_an_incline(engine: str, case: dict) -> None:
+    v0 = case["v0_up"] if "v0_up" in case else -case["v0_down"]
+    trace = run(
+        "block_on_incline", engine, until=3.0,
+        alpha=math.radians(case["alpha_deg"]), mu=case["mu"], v0=v0,
+    )  # fmt: skip
+    found = outputs("block_on_incline", engine, trace)
+    assert found["t_stop"] == pytest.approx(float(case["t_stop"]), abs=1e-9)
+    assert found["d_stop"] == pytest.approx(float(case["d_stop"]), abs=1e-9)
+    assert modes(trace) == ["pin" if m == "stick" else m for m in case["modes"]]
+    if "t_return" in case:
+        back = run(
+            "block_on_incline", engine, until=float(case["t_return"]),
+            alpha=math.radians(case["alpha_deg"]), mu=case["mu"], v0=v0,
+        )  # fmt: skip
+        assert back.final[:2] == pytest.approx([0.0, 0.0], abs=1e-9)
+        assert math.hypot(*back.final[2:]) == pytest.approx(float(case["v_return"]), abs=1e-9)
+
+
+def test_friction_at_the_angle_of_repose_holds(engine: str) -> None:
+    alpha = 0.3
+    above = run("block_on_incline", engine, until=3.0, alpha=alpha, mu=math.tan(alpha) * 1.000001)
+    assert modes(above) == ["slide+", "pin"]
+    below = run("block_on_incline", engine, until=3.0, alpha=alpha, mu=math.tan(alpha) * 0.999999)
+    assert modes(below) == ["slide+", "slide-"]
+
+
+def test_a_block_that_sticks_does_not_creep(engine: str) -> None:
+    trace = run("block_on_incline", engine, until=1e6, alpha=0.3, mu=0.5, v0=0.0)
+    assert modes(trace) == ["pin"]
+    assert np.abs(trace.final).max() < 1e-12
+
+
+def test_without_friction_it_slides_at_g_sin_alpha(engine: str) -> None:
+    alpha, t = 0.3, 2.0
+    trace = run("block_on_incline", engine, until=t, alpha=alpha, mu=0.0, v0=0.0)
+    assert modes(trace) == ["slide-"]
+    distance = 0.5 * 9.81 * math.sin(alpha) * t**2
+    assert math.hypot(*trace.final[:2]) == pytest.approx(distance, rel=1e-12)
+
+
+@pytest.mark.parametrize("case", GOLDEN["forced_block"])
+def test_a_forced_block_sticks_slips_and_turns(engine: str, case: dict) -> None:
+    trace = run(
+        "stick_slip_block",
+        engine,
+        until=7.0,
+        **{n: case[n] for n in ("F0", "omega", "mu", "m", "g")},
+    )
+    found = outputs("stick_slip_block", engine, trace)
+    assert found["t_first_slip"] == pytest.approx(float(case["t_first_slip"]), abs=1e-9)
+    jumps = trace.jumps
+    for jump, stop, phase in zip(jumps, jumps[1:], case["phases"], strict=False):
+        assert jump.target[0] == phase["mode"]
+        assert jump.t == pytest.approx(float(phase["t_start"]), abs=1e-9)
+        assert stop.t == pytest.approx(float(phase["t_stop"]), abs=1e-9)
+        assert stop.before[0] == pytest.approx(float(phase["x"]), abs=1e-9)
+    assert len(jumps) >= len(case["phases"]) + 1
+
+
+def test_a_force_below_friction_never_moves_it(engine: str) -> None:
+    trace = run("stick_slip_block", engine, until=7.0, F0=0.98, mu=0.1)
+    assert modes(trace) == ["pin"]
+    assert np.array_equal(trace.final, trace.initial)

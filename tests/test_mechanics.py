@@ -1,0 +1,87 @@
+"""Positions to equations of motion, against published ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from contacts.kind import automaton
+from contacts.laws import SceneLaws
+from contacts.scene import Body, Coordinate, Force, Scene
+
+
+def snapshot(scene: Scene, state: list[float]):
+    laws = automaton(scene).laws
+    assert isinstance(laws, SceneLaws)
+    setup = laws.setup({}, 1e-16)
+    return laws._tape.at(setup.values, np.array(state), 0.3)
+
+
+def test_a_two_link_walker_has_the_published_equations() -> None:
+    m, mH, a, b, g = 5.0, 10.0, 0.5, 0.5, 9.81
+    length = a + b
+    hip = ["-l*sin(s)", "l*cos(s)"]
+    scene = Scene(
+        name="legs",
+        parameters={"m": m, "mH": mH, "a": a, "b": b, "l": "a + b", "g": g},
+        gravity="g",
+        coordinates={"ns": Coordinate(), "s": Coordinate()},
+        bodies={
+            "hip": Body(mass="mH", position=hip),
+            "stance": Body(mass="m", position=["-a*sin(s)", "a*cos(s)"]),
+            "swing": Body(mass="m", position=[f"{hip[0]} + b*sin(ns)", f"{hip[1]} - b*cos(ns)"]),
+        },
+    )
+    ns, s, dns, ds = -0.32, 0.22, -0.38, -1.09
+    found = snapshot(scene, [ns, s, dns, ds])
+    acceleration = np.linalg.solve(found.mass, found.forces)
+    # Goswami, Thuilot, Espiau: the compass gait's equations, D = s - ns.
+    D, cos, sin = s - ns, np.cos, np.sin
+    left = np.array(
+        [
+            [m * b**2, -m * length * b * cos(D)],
+            [-m * length * b * cos(D), (mH + m) * length**2 + m * a**2],
+        ]
+    )
+    right = -np.array(
+        [
+            m * length * b * sin(D) * ds**2 + m * g * b * sin(ns),
+            -m * length * b * sin(D) * dns**2 - g * (m * a + mH * length + m * length) * sin(s),
+        ]
+    )
+    assert acceleration == pytest.approx(np.linalg.solve(left, right), rel=1e-13)
+
+
+def test_energy_of_a_pendulum_with_inertia() -> None:
+    scene = Scene(
+        name="pendulum",
+        parameters={"g": 9.81},
+        gravity="g",
+        coordinates={"phi": Coordinate()},
+        bodies={"bob": Body(mass=2, inertia=0.3, position=["sin(phi)", "-cos(phi)"], angle="phi")},
+    )
+    found = snapshot(scene, [0.4, 1.5])
+    assert found.energy == pytest.approx(0.5 * (2 + 0.3) * 1.5**2 - 2 * 9.81 * np.cos(0.4))
+    assert found.mass == pytest.approx(np.array([[2.3]]))
+    assert found.forces == pytest.approx(np.array([-2 * 9.81 * np.sin(0.4)]))
+
+
+def test_a_driven_pivot_moves_the_bob() -> None:
+    scene = Scene(
+        name="cart",
+        coordinates={"phi": Coordinate()},
+        bodies={"bob": Body(mass=1, position=["sin(phi)", "-cos(phi)"])},
+        forces={"push": Force(body="bob", force=["3*time", 0])},
+    )
+    found = snapshot(scene, [0.5, 0.0])
+    assert found.forces == pytest.approx([3 * 0.3 * np.cos(0.5)])
+
+
+def test_a_moment_and_a_force_off_centre_turn_a_body() -> None:
+    scene = Scene(
+        name="plate",
+        bodies={"plate": Body(mass=2, inertia=4)},
+        forces={"couple": Force(body="plate", force=[0, 3], at=[0.5, 0], moment=1)},
+    )
+    found = snapshot(scene, [0.0] * 6)
+    assert np.linalg.solve(found.mass, found.forces) == pytest.approx([0.0, 1.5, 2.5 / 4])
