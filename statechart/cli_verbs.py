@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from statechart.errors import DeclarationError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from statechart.run import Runner
 
@@ -152,12 +154,13 @@ def check(arguments: argparse.Namespace) -> int:
 
     runner = _runner(arguments.file)
     runner.start()
-    report = check_model(
-        runner.model,
-        examples=arguments.examples,
-        seed=arguments.seed,
-        progress=lambda name: print(f"testing: {name}", file=sys.stderr),
-    )
+    with _scratch():
+        report = check_model(
+            runner.model,
+            examples=arguments.examples,
+            seed=arguments.seed,
+            progress=lambda name: print(f"testing: {name}", file=sys.stderr),
+        )
     written = None
     if not report.passed:
         path = Path(f"{runner.model.name}_failure.yaml")
@@ -201,6 +204,19 @@ def new(arguments: argparse.Namespace) -> int:
     write_atomic(path, text.encode())
     print(f"{path} written; run it with: statechart run {path}")
     return 0
+
+
+@contextmanager
+def _scratch() -> Iterator[None]:
+    """Let Hypothesis keep its notes elsewhere: in the user's folder nothing is left behind."""
+    from hypothesis.configuration import set_hypothesis_home_dir
+
+    with tempfile.TemporaryDirectory() as folder:
+        set_hypothesis_home_dir(folder)
+        try:
+            yield
+        finally:
+            set_hypothesis_home_dir(None)
 
 
 def _runner(file: str, **options: Any) -> Runner:
