@@ -13,7 +13,7 @@ from functools import cached_property
 import sympy as sp
 
 from contacts.modes import ContactSymbols
-from contacts.scene import Body, Contact, Point, Scene
+from contacts.scene import Body, Contact, Point, Scene, Surface
 from statechart.declaration import TIME
 from statechart.formula import parse
 
@@ -29,12 +29,12 @@ class ContactGeometry:
     Attributes
     ----------
     point : (Expr, Expr)
-        Its position.
+        Its position in the frame of the surface (the world's, unless a body carries the surface).
     normal, tangent : (Expr, Expr)
-        Unit vectors of the surface there; the normal points out of the solid, the tangent is
+        Unit vectors of the surface there, in that frame; the normal points out of the solid, the tangent is
         the normal turned clockwise.
     distance : Expr
-        Distance from the surface, to first order (the gap of a height function is vertical).
+        From the surface, to first order (the gap of a height function is vertical).
     symbols : ContactSymbols
         Gap, velocities, accelerations, forces.
     jacobian_n, jacobian_t : tuple of Expr
@@ -250,23 +250,10 @@ class Mechanics:
         return tuple(total)
 
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
-        x, y = point = self.point(contact.point)
         surface = self.scene.surfaces[contact.surface]
-        if surface.height is not None:
-            abscissa = sp.Dummy("x", real=True)
-            height = self._formula(surface.height, x=abscissa)
-            slope = sp.diff(height, abscissa).xreplace({abscissa: x})
-            gap = y - height.xreplace({abscissa: x})
-            # The gap is measured vertically, which has the sign and the zeros of the distance
-            # without its square roots; velocities and forces are along the unit normal.
-            unit = 1 / sp.sqrt(1 + slope**2)
-            normal, tangent = (-slope * unit, unit), (unit, slope * unit)
-        else:
-            angle = self._formula(surface.incline)  # type: ignore[arg-type]
-            x0, y0 = (self._formula(text) for text in surface.through)
-            normal, tangent = (-sp.sin(angle), sp.cos(angle)), (sp.cos(angle), sp.sin(angle))
-            gap = normal[0] * (x - x0) + normal[1] * (y - y0)
-            unit = sp.S.One
+        x, y = point = self._in_frame(surface, self.point(contact.point))
+        gap, normal, unit = self._surface(surface, x, y)
+        tangent = (normal[1], -normal[0])
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         gap_rate = self.rate(gap)
         jacobian = [(sp.diff(x, q), sp.diff(y, q)) for q in self.q]
@@ -293,3 +280,50 @@ class Mechanics:
         return ContactGeometry(
             point, normal, tangent, unit * gap, symbols, jacobian_n, jacobian_t, bias_n, bias_t
         )
+
+    def _in_frame(self, surface: Surface, point: Vector) -> Vector:
+        """Return a point in the frame of a surface.
+
+        Rates of these coordinates are velocities relative to the surface's material, whatever it
+        is carried by; that is what slips and what contact forces work on.
+        """
+        if surface.body is None:
+            dx, dy = (self._formula(text) for text in surface.displacement)
+            return point[0] - dx, point[1] - dy
+        (x0, y0), angle = self.body_frame(surface.body)
+        c, s = sp.cos(angle), sp.sin(angle)
+        dx, dy = point[0] - x0, point[1] - y0
+        return c * dx + s * dy, c * dy - s * dx
+
+    def _surface(self, surface: Surface, x: sp.Expr, y: sp.Expr) -> tuple[sp.Expr, Vector, sp.Expr]:
+        """Return the gap at (x, y), the unit normal, and the length of the gap's gradient, inverse.
+
+        The gap has the sign and the zeros of the distance; velocities and forces are along the
+        unit normal.
+        """
+        if surface.height is not None:
+            abscissa = sp.Dummy("x", real=True)
+            height = self._formula(surface.height, x=abscissa)
+            slope = sp.diff(height, abscissa).xreplace({abscissa: x})
+            # Measured vertically: without the square roots of the distance.
+            unit = 1 / sp.sqrt(1 + slope**2)
+            return y - height.xreplace({abscissa: x}), (-slope * unit, unit), unit
+        if surface.circle is not None and surface.radius is not None:
+            cx, cy = (self._formula(text) for text in surface.circle)
+            away = sp.sqrt((x - cx) ** 2 + (y - cy) ** 2)
+            return (
+                away - self._formula(surface.radius),
+                ((x - cx) / away, (y - cy) / away),
+                sp.S.One,
+            )
+        if surface.line is not None:
+            (x0, y0), (x1, y1) = (
+                tuple(self._formula(text) for text in corner) for corner in surface.line
+            )
+            length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
+            normal = ((y0 - y1) / length, (x1 - x0) / length)
+        else:
+            angle = self._formula(surface.incline)  # type: ignore[arg-type]
+            x0, y0 = (self._formula(text) for text in surface.through)
+            normal = (-sp.sin(angle), sp.cos(angle))
+        return normal[0] * (x - x0) + normal[1] * (y - y0), normal, sp.S.One

@@ -90,25 +90,42 @@ class Body(Part):
 
 
 class Surface(Part):
-    """A fixed line: a height function y = f(x), or an incline.
+    """A line that points may touch: a height function, an incline, a straight line, a circle.
 
-    The solid is below. A flat ground is ``height: 0``.
+    The normal is to the left of the line's direction, the solid to its right: a ground goes from
+    left to right. A surface may be carried by a body, or displaced in time.
     """
 
     height: FormulaText | None = Field(default=None, description="y as a formula of x.")
     incline: FormulaText | None = Field(default=None, description="Angle of slope, rad.")
     through: Pair = Field(default=(0, 0), description="A point of the incline.")
+    line: tuple[Pair, Pair] | None = Field(
+        default=None, description="Two points; the solid is on the right going from one to two."
+    )
+    circle: Pair | None = Field(default=None, description="Centre; the solid is inside.")
+    radius: FormulaText | None = Field(default=None, description="Of the circle.")
+    body: str | None = Field(default=None, description="What carries it, in that body's frame.")
+    displacement: Pair = Field(
+        default=(0, 0), description="How far it has moved as a whole: formulas of time."
+    )
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        if (self.height is None) == (self.incline is None):
+        forms = [f for f in (self.height, self.incline, self.line, self.circle) if f is not None]
+        if len(forms) != 1:
             raise DeclarationProblem(
-                "a surface has either a height or an incline",
+                "a surface has one of height, incline, line, circle",
                 advice="write height: 0 for flat ground, incline: alpha for a slope",
             )
-        if self.height is not None and self.through != (0, 0):
+        if self.incline is None and self.through != (0, 0):
             raise DeclarationProblem(
                 "only an incline goes through a point", loc=("through",), key=True
+            )
+        if (self.circle is None) != (self.radius is None):
+            raise DeclarationProblem("a circle has a centre and a radius", loc=("radius",))
+        if self.body is not None and self.displacement != (0, 0):
+            raise DeclarationProblem(
+                "a surface carried by a body moves with it", loc=("displacement",), key=True
             )
         return self
 
@@ -277,6 +294,9 @@ class Scene(Declaration):
         for name, contact in self.contacts.items():
             self._member("body", contact.point.body, self.bodies, "contacts", name, "point", "body")
             self._member("surface", contact.surface, self.surfaces, "contacts", name, "surface")
+        for name, surface in self.surfaces.items():
+            if surface.body is not None:
+                self._member("body", surface.body, self.bodies, "surfaces", name, "body")
         for name, force in self.forces.items():
             self._member("body", force.body, self.bodies, "forces", name, "body")
         for name, mode in self.modes.items():
@@ -316,6 +336,12 @@ class Scene(Declaration):
             if surface.incline is not None:
                 check_names(parse(surface.incline), parameters, *at, "incline")
             self._formulas(surface.through, parameters, *at, "through")
+            for place, corner in enumerate(surface.line or ()):
+                self._formulas(corner, parameters, *at, "line", place)
+            self._formulas(surface.circle or (), parameters, *at, "circle")
+            if surface.radius is not None:
+                check_names(parse(surface.radius), parameters, *at, "radius")
+            self._formulas(surface.displacement, parameters | {TIME}, *at, "displacement")
         for name, contact in self.contacts.items():
             at = ("contacts", name)
             self._formulas(contact.point.at, parameters, *at, "point", "at")
@@ -381,7 +407,7 @@ class Scene(Declaration):
             )
 
     @staticmethod
-    def _formulas(texts: tuple[FormulaText, ...], known: frozenset[str], *loc: str) -> None:
+    def _formulas(texts: tuple[FormulaText, ...], known: frozenset[str], *loc: str | int) -> None:
         for index, text in enumerate(texts):
             where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
             check_names(parse(text), known, *where)
