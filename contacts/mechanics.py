@@ -31,8 +31,8 @@ class ContactGeometry:
     point : (Expr, Expr)
         Its position in the frame of the surface (the world's, unless a body carries the surface).
     normal, tangent : (Expr, Expr)
-        Unit vectors of the surface there, in that frame; the normal points out of the solid, the tangent is
-        the normal turned clockwise.
+        Unit vectors of the surface there, in that frame; the normal points out of the solid, the
+        tangent is the normal turned clockwise.
     distance : Expr
         From the surface, to first order (the gap of a height function is vertical).
     symbols : ContactSymbols

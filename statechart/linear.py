@@ -84,7 +84,10 @@ def solve_linear(
         value = others if coefficient == 1 else others / coefficient
         if where == "row":
             first.append((unknown, value))
-            rows = [_insert(r, b, unknown, unknown) for r, b in rows]
+            # A force that is exactly zero takes its quotients with it: no 0/0 where the next
+            # pivot vanishes.
+            known = value if value.is_number else unknown
+            rows = [_insert(r, b, unknown, known) for r, b in rows]
         else:
             last.append((unknown, value))
             if where == "number":
