@@ -21,6 +21,9 @@ Definition = tuple[sp.Symbol, sp.Expr]
 
 # Laplace expansion grows as n!, and is exact in structure; beyond this, fraction by fraction.
 _CRAMER_LIMIT = 6
+# A pivot that is a number must not be small: the symbols beside it are of unknown size. The ones of
+# mechanics (a force in its own equation, an acceleration in a constraint) are 1.
+_SMALLEST = 0.5
 
 
 class Singular(SingularMode):
@@ -86,7 +89,7 @@ def solve_linear(
             first.append((unknown, value))
             # A force that is exactly zero takes its quotients with it: no 0/0 where the next
             # pivot vanishes.
-            known = value if value.is_number else unknown
+            known = value if value == 0 else unknown
             rows = [_insert(r, b, unknown, known) for r, b in rows]
         else:
             last.append((unknown, value))
@@ -111,10 +114,11 @@ def _pivot(rows: list[tuple[Row, sp.Expr]]) -> tuple[int, sp.Symbol, str] | None
             count[unknown] = count.get(unknown, 0) + 1
     best: tuple[int, int, sp.Symbol, str] | None = None
     for index, (row, _) in enumerate(rows):
+        largest = max((abs(c) for c in row.values() if c.is_number), default=0)
         for unknown, coefficient in row.items():
             if count[unknown] == 1:
                 return index, unknown, "column"
-            if coefficient.is_number:
+            if coefficient.is_number and abs(coefficient) >= max(_SMALLEST, 0.1 * largest):
                 # Markowitz: the fill that the elimination can make.
                 cost = (len(row) - 1) * (count[unknown] - 1)
                 if best is None or cost < best[0]:
