@@ -8,7 +8,7 @@ units, and what it gives is turned into the new ones, so that no formula needs t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -260,6 +260,3 @@ class _Change:
 
 def _times(text: FormulaText, factor: float) -> FormulaText:
     return text if factor == 1.0 or text == 0 else f"({text})*({factor!r})"
-
-
-Transformation = Callable[[Scene], tuple[Scene, Reading]]

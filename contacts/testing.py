@@ -14,9 +14,9 @@ import sympy as sp
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from contacts.laws import SceneSetup, cones, scene_parameters
 from contacts.mechanics import Mechanics
 from contacts.scene import Scene
+from contacts.setup import SceneSetup, cones, scene_parameters
 from contacts.symmetry import mirrored, rescaled
 from statechart.comparison import Reading, assert_same
 from statechart.formula import parse

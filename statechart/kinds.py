@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
 
 from statechart.chart import Chart
+
+if TYPE_CHECKING:
+    from statechart.testing import Property
 
 __all__ = ["CHART", "Kind", "kind", "kinds"]
 
@@ -29,12 +33,15 @@ class Kind:
     starter : str
         A commented document that runs, to start from; the word NAME in it stands for the name of
         the model.
+    properties : callable, optional
+        What must hold for every run of a model, besides what holds for every automaton.
     """
 
     name: str
     model: type[BaseModel]
     automaton: Callable[[BaseModel], object]
     starter: str
+    properties: Callable[[BaseModel], Sequence[Property]] | None = None
 
 
 def kinds() -> Mapping[str, EntryPoint]:

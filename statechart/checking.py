@@ -1,0 +1,319 @@
+"""`statechart check`: the properties of a model over its ranges, with failures shrunk."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from statechart.declaration import Declaration
+from statechart.document import dump
+from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
+from statechart.kinds import kind
+from statechart.testing import Case, Property, Subject, Undecidable, generic, parameters, ranges
+
+__all__ = ["CheckReport", "Failure", "PropertyReport", "check", "examine"]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """The simplest example found on which a property does not hold.
+
+    Attributes
+    ----------
+    parameters : mapping of str to float
+        Those that are not as declared.
+    message : str
+        What does not hold.
+    reproduction : str
+        YAML of the model with these parameters.
+    """
+
+    parameters: Mapping[str, float]
+    message: str
+    reproduction: str
+
+
+@dataclass(frozen=True)
+class PropertyReport:
+    """What became of one property.
+
+    Attributes
+    ----------
+    name : str
+        What should hold.
+    examples : int
+        On how many choices of parameters that was tested.
+    undecidable : int
+        On how many of them it could not be told.
+    reason : str
+        Why, the last time.
+    skipped : str
+        Why it was not tested at all; empty where it was.
+    failure : Failure or None
+        An example on which it does not hold.
+    """
+
+    name: str
+    examples: int = 0
+    undecidable: int = 0
+    reason: str = ""
+    skipped: str = ""
+    failure: Failure | None = None
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """The result of a check.
+
+    Attributes
+    ----------
+    model : str
+        Its name.
+    seed : int
+        Repeats the check exactly.
+    engines : tuple of str
+        On which it was run.
+    ranges : mapping of str to (float, float)
+        What was varied.
+    properties : tuple of PropertyReport
+        One for each property, in the order tested.
+    """
+
+    model: str
+    seed: int
+    engines: tuple[str, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    properties: tuple[PropertyReport, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether no property was found not to hold."""
+        return all(result.failure is None for result in self.properties)
+
+    @property
+    def reproduction(self) -> str:
+        """YAML that reproduces the first failure; empty if there is none."""
+        failures = (result.failure for result in self.properties)
+        return next((failure.reproduction for failure in failures if failure is not None), "")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the report as one plain object."""
+        return {
+            "model": self.model,
+            "passed": self.passed,
+            "seed": self.seed,
+            "engines": list(self.engines),
+            "ranges": {name: list(ends) for name, ends in self.ranges.items()},
+            "properties": [
+                {
+                    "name": result.name,
+                    "examples": result.examples,
+                    "undecidable": result.undecidable,
+                    "reason": result.reason,
+                    "skipped": result.skipped,
+                    "failure": result.failure
+                    and {
+                        "parameters": dict(result.failure.parameters),
+                        "message": result.failure.message,
+                    },
+                }
+                for result in self.properties
+            ],
+        }
+
+    def text(self) -> str:
+        """Return the report for people, a line for each property."""
+        varied = ", ".join(f"{n} {a:g} to {b:g}" for n, (a, b) in self.ranges.items())
+        lines = [
+            f"{self.model} on {' and '.join(self.engines)}, seed {self.seed}",
+            f"varied: {varied or 'nothing'}",
+        ]
+        width = max(len(result.name) for result in self.properties)
+        for result in self.properties:
+            lines.append(f"  {result.name:{width}}  {_verdict(result)}")
+            if result.failure is not None:
+                values = ", ".join(f"{n} = {v!r}" for n, v in result.failure.parameters.items())
+                lines.append(f"    with {values or 'the declared parameters'}:")
+                lines.append(f"    {result.failure.message}")
+        failed = sum(result.failure is not None for result in self.properties)
+        lines.append("passed" if self.passed else f"{failed} of {len(self.properties)} failed")
+        return "\n".join(lines) + "\n"
+
+
+def _verdict(result: PropertyReport) -> str:
+    if result.skipped:
+        return f"skipped: {result.skipped}"
+    if result.failure is not None:
+        return "FAILED"
+    if result.undecidable:
+        return (
+            f"{result.examples - result.undecidable} examples, "
+            f"{result.undecidable} more undecidable (the last: {result.reason})"
+        )
+    return f"{result.examples} examples"
+
+
+def check(
+    model: Declaration,
+    *,
+    examples: int = 50,
+    seed: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> CheckReport:
+    """Test the properties of a model on parameters from its ranges.
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
+    examples : int
+        On how many choices of parameters each property is tested.
+    seed : int, optional
+        Repeats a check exactly; a new one by default.
+    progress : callable, optional
+        Called with the name of every property before it is tested.
+
+    Returns
+    -------
+    CheckReport
+
+    Raises
+    ------
+    DeclarationError
+        If the model does not say when a run ends.
+    ValueError
+        If `examples` is not positive.
+    """
+    if examples < 1:
+        raise ValueError(f"examples must be at least 1, not {examples}")
+    subject = Subject(model)
+    if model.stop.time is None:
+        subject.end({})
+    of_kind = kind(model.kind).properties  # type: ignore[attr-defined]
+    properties = (*generic(subject), *(of_kind(model) if of_kind else ()))
+    if seed is None:
+        seed = random.SystemRandom().randrange(2**32)
+    return examine(subject, properties, examples=examples, seed=seed, progress=progress)
+
+
+def examine(
+    subject: Subject,
+    properties: Sequence[Property],
+    *,
+    examples: int,
+    seed: int,
+    progress: Callable[[str], None] | None = None,
+) -> CheckReport:
+    """Test some properties of a subject; see `check`.
+
+    A property is tested on every example, whatever became of the others: they tell apart what is
+    wrong. Runs are shared among them.
+    """
+    results = []
+    for item in properties:
+        if item.skipped:
+            results.append(PropertyReport(item.name, skipped=item.skipped))
+            continue
+        if progress is not None:
+            progress(item.name)
+        results.append(_tested(subject, item, examples, seed))
+    return CheckReport(
+        subject.model.name,
+        seed,
+        tuple(simulator.engine.name for simulator in subject.simulators.values()),
+        ranges(subject.model),
+        tuple(results),
+    )
+
+
+@dataclass(eq=False)
+class _Record:
+    """What one property came upon."""
+
+    tested: set[tuple[tuple[str, float], ...]] = field(default_factory=set)
+    undecidable: set[tuple[tuple[str, float], ...]] = field(default_factory=set)
+    reason: str = ""
+    failing: tuple[Mapping[str, float], str] | None = None
+
+
+def _tested(subject: Subject, item: Property, examples: int, seed: int) -> PropertyReport:
+    import hypothesis
+    from hypothesis import HealthCheck, Phase, Verbosity
+
+    record = _Record()
+
+    @hypothesis.settings(
+        max_examples=examples,
+        database=None,  # a check leaves nothing behind
+        deadline=None,  # the first run of a mode compiles it
+        phases=(Phase.generate, Phase.shrink),
+        # Runs may be slow, and derived ranges may hold choices that are no model.
+        suppress_health_check=list(HealthCheck),
+        report_multiple_bugs=False,
+        verbosity=Verbosity.quiet,
+        print_blob=False,
+    )
+    @hypothesis.seed(seed)
+    @hypothesis.given(parameters(subject.model))
+    def on(choice: dict[str, float]) -> None:
+        key = tuple(sorted(choice.items()))
+        try:
+            _hold(subject.case(choice), item)
+        except Undecidable as reason:
+            record.undecidable.add(key)
+            record.reason = str(reason)
+        except (DeclarationError, DeclarationProblem) as error:
+            if not subject.model.ranges:
+                hypothesis.reject()
+            record.failing = choice, f"the ranges allow what is no model: {_located(error)}"
+            raise AssertionError(record.failing[1]) from None
+        except AssertionError as error:
+            record.failing = choice, str(error)
+            raise
+        finally:
+            record.tested.add(key)
+
+    try:
+        on()
+    except AssertionError:
+        assert record.failing is not None  # raised by what holds, or by nothing of ours
+    except hypothesis.errors.Unsatisfiable:
+        return PropertyReport(item.name, skipped="no choice from the derived ranges is a model")
+    failure = None
+    if record.failing is not None:
+        failure = _failure(subject.model, item, *record.failing)
+    return PropertyReport(
+        item.name,
+        len(record.tested),
+        len(record.undecidable),
+        record.reason,
+        failure=failure,
+    )
+
+
+def _hold(case: Case, item: Property) -> None:
+    """Ask a property; what a run cannot even begin with is a finding, too."""
+    try:
+        item.holds(case)
+    except (Undecidable, AssertionError, DeclarationError):
+        raise
+    except StatechartError as error:
+        raise AssertionError(f"{type(error).__name__}: {error}") from None
+
+
+def _located(error: DeclarationError | DeclarationProblem) -> str:
+    loc = ".".join(map(str, getattr(error, "loc", ())))
+    return f"{loc}: {error}" if loc else str(error)
+
+
+def _failure(
+    model: Declaration, item: Property, choice: Mapping[str, float], message: str
+) -> Failure:
+    declared = model.values()
+    changed = {name: value for name, value in choice.items() if value != declared[name]}
+    copy = model.model_copy(update={"parameters": {**model.parameters, **changed}})
+    head = [f"`statechart check` of this model fails: {item.name}", *message.splitlines()]
+    text = "".join(f"# {line}\n" for line in head) + dump(copy)
+    return Failure(changed, message, text)

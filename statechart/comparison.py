@@ -1,0 +1,277 @@
+"""Whether two runs that should agree do, as far as their tolerances allow an answer.
+
+Two computations of one motion differ by their errors, which the motion itself makes grow. How
+much is measured: the same run with parameters changed by a relative `NUDGE` shows how far a small
+error moves every event. Where it changes which events there are, or where grown errors are no
+longer small, nobody can tell from two runs whether they agree, and `Undecidable` says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.trace import Jump, Key, Trace
+
+__all__ = ["NUDGE", "Reading", "Undecidable", "assert_same"]
+
+Array = NDArray[np.float64]
+
+NUDGE = 1e-7
+"""Relative change of parameters that shows how errors grow; above the errors of the runs."""
+
+# Rounding where a run starts (as much as ten events), and of what every event is located by.
+_LOCATED = 1e-13
+_START = 10
+# Errors of steps add up to at most so many times their number times the tolerance.
+_FACTOR = 10.0
+# Grown to this part of a variable's size, errors cannot be told from a different motion.
+_LARGE = 1e-2
+# The window in which one run sums up the bounces that the other resolves, either side.
+_WINDOW = (0.5, 1.001)
+
+
+class Undecidable(Exception):  # noqa: N818 -- nothing went wrong: there is no answer here
+    """Whether a property holds cannot be told from these runs, and why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """How to read a trace of a transformed model in the terms of the original.
+
+    Attributes
+    ----------
+    factors : (n,) array or float
+        Original variable per transformed one.
+    time : float
+        Original time per transformed one.
+    states : mapping
+        State of a region as transformed -> as original, where they differ.
+    """
+
+    factors: Array | float = 1.0
+    time: float = 1.0
+    states: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _Event:
+    """A jump as numbers to compare: what it is, and (time, state before, state after)."""
+
+    what: tuple[str, str, Key, Key]
+    numbers: Array
+    skipped: float
+
+    @property
+    def t(self) -> float:
+        return float(self.numbers[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Story:
+    """The events of a run, where it ended (mode; time, state, state), how large all gets."""
+
+    events: tuple[_Event, ...]
+    mode: Key
+    end: Array
+    sizes: Array
+    sums: tuple[_Event, ...] = ()
+
+
+def assert_same(
+    reference: Trace,
+    other: Trace,
+    nudged: Sequence[Trace],
+    *,
+    reading: Reading | None = None,
+    until: tuple[float, Array] | None = None,
+) -> None:
+    """Check that two runs take the same modes at the same times through the same states.
+
+    Parameters
+    ----------
+    reference, other : Trace
+        The runs.
+    nudged : sequence of Trace
+        The run of `reference` with its parameters changed by a relative `NUDGE`, one way and
+        another.
+    reading : Reading, optional
+        How to read `other`, where it is that of a transformed model.
+    until : (float, (n,) array), optional
+        Compare with the reference up to this time only, when it has this state.
+
+    Raises
+    ------
+    AssertionError
+        If they differ by more than their errors explain.
+    Undecidable
+        If that cannot be told.
+    """
+    stories = [_story(trace, Reading()) for trace in (reference, *nudged)]
+    stories.append(_story(other, reading or Reading()))
+    if until is not None:
+        stories = [*(_shortened(story, *until) for story in stories[:-1]), stories[-1]]
+    first, *near, second = _without_skipped(stories)
+    error = _FACTOR * (_error(reference) + _error(other))
+    floor = np.zeros(len(first.end))
+    traces = (reference,) if reading else (reference, other)
+    floor[1:] = sum(t.tolerances.get(kind, 0.0) for t in traces for kind in ("gap", "speed"))
+    ended = [(e.t + e.skipped, e.skipped / e.t) for story in (first, second) for e in story.sums]
+    base = error
+    for i, (mine, its) in enumerate(zip(first.events, second.events, strict=False)):
+        # The last bounces before a sum are located to rounding over their small speed.
+        error = base + sum(part for end, part in ended if end <= mine.t * (1.0 + part))
+        if mine.what != its.what:
+            _part(first, second, near, i, error, (reference, other))
+        shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
+        allowed = _allowed(mine, [s.events[i].numbers for s in shaken], first, error, floor)
+        if len(shaken) < len(near):
+            raise Undecidable(f"{_place(i, mine)}: a change of {NUDGE:g} takes another course")
+        near = shaken
+        _close(mine.numbers, its.numbers, allowed, first, reference, _place(i, mine))
+    if len(first.events) != len(second.events):
+        shortest = min(len(first.events), len(second.events))
+        _part(first, second, near, shortest, error, (reference, other))
+    if any(len(story.events) != len(first.events) for story in near):
+        raise Undecidable(f"the end: a change of {NUDGE:g} takes another course")
+    if first.mode != second.mode:
+        raise AssertionError(f"{first.mode} at the end of one run, {second.mode} of the other")
+    last = _Event(("", "end", (), ()), first.end, 0.0)
+    error = base + sum(part for end, part in ended if end <= last.t * (1.0 + part))
+    allowed = _allowed(last, [story.end for story in near], first, error, floor)
+    _close(first.end, second.end, allowed, first, reference, "the end")
+
+
+def _error(trace: Trace) -> float:
+    return trace.counts["steps"] * trace.tolerance + (_START + len(trace.jumps)) * _LOCATED
+
+
+def _story(trace: Trace, reading: Reading) -> _Story:
+    def key(mode: Key) -> Key:
+        return tuple(reading.states.get(state, state) for state in mode)
+
+    def event(jump: Jump) -> _Event:
+        states = [jump.before * reading.factors, jump.after * reading.factors]
+        return _Event(
+            (jump.region, jump.cause, key(jump.source), key(jump.target)),
+            np.concatenate([[jump.t * reading.time], *states]),
+            jump.skipped * reading.time,
+        )
+
+    ends = [arc.coefficients[:, :, 0] for arc in trace.arcs]
+    visited = np.concatenate([*ends, trace.initial[None], trace.final[None]]) * reading.factors
+    sizes = np.abs(visited).max(axis=0)
+    t_end, final = trace.t_end * reading.time, trace.final * reading.factors
+    return _Story(
+        tuple(map(event, trace.jumps)),
+        key(trace.final_mode),
+        np.concatenate([[t_end], final, final]),
+        np.concatenate([[t_end], sizes, sizes]),
+    )
+
+
+def _without_skipped(stories: list[_Story]) -> list[_Story]:
+    """Leave out the bounces that at least one run summed up at the end of a Zeno sequence."""
+    sums = [[event for event in story.events if event.skipped > 0.0] for story in stories]
+    if len({tuple(event.what[0] for event in events) for events in sums}) != 1:
+        return stories
+    windows = [
+        (_WINDOW[0] * min(e.skipped for e in same), _WINDOW[1] * max(e.skipped for e in same))
+        for same in zip(*sums, strict=True)
+    ]
+    return [
+        replace(story, events=tuple(_summed(story.events, own, windows)), sums=tuple(own))
+        for story, own in zip(stories, sums, strict=True)
+    ]
+
+
+def _summed(
+    events: Sequence[_Event], sums: Sequence[_Event], windows: Sequence[tuple[float, float]]
+) -> Iterator[_Event]:
+    ends = [(e.what[0], e.t + e.skipped, *window) for e, window in zip(sums, windows, strict=True)]
+    for event in events:
+        left = [
+            (end - event.t, least, most)
+            for region, end, least, most in ends
+            if region == event.what[0]
+        ]
+        if any(least <= time <= most for time, least, most in left):
+            continue
+        if any(abs(time) < least for time, least, _ in left):
+            # Where the bounces end the state just before is that of the last one resolved.
+            n = len(event.numbers) // 2
+            after = event.numbers[n + 1 :]
+            event = replace(event, numbers=np.concatenate([event.numbers[:1], after, after]))
+        yield event
+
+
+def _shortened(story: _Story, t: float, state: Array) -> _Story:
+    events = tuple(event for event in story.events if event.t <= t)
+    mode = events[-1].what[3] if events else story.events[0].what[2] if story.events else story.mode
+    return replace(story, events=events, mode=mode, end=np.concatenate([[t], state, state]))
+
+
+def _allowed(
+    event: _Event, near: Sequence[Array], story: _Story, error: float, floor: Array
+) -> Array:
+    """Return how far numbers may differ: the error, grown as a nudge grows, and rounding."""
+    grown = np.zeros(len(event.numbers))
+    for numbers in near:
+        grown = np.maximum(grown, np.abs(numbers - event.numbers) / NUDGE)
+    allowed = error * (grown + story.sizes)
+    if (allowed > _LARGE * story.sizes + floor).any():
+        raise Undecidable(f"by t = {event.t:.6g} errors of {error:.0e} have grown too large")
+    return allowed + floor
+
+
+def _close(
+    mine: Array, its: Array, allowed: Array, story: _Story, trace: Trace, place: str
+) -> None:
+    off = np.abs(mine - its)
+    worst = int(np.argmax(np.where(allowed > 0, off / np.where(allowed > 0, allowed, 1), off)))
+    if not (off <= allowed).all():
+        names = ["the time", *(f"{v} before" for v in trace.variables), *trace.variables]
+        raise AssertionError(
+            f"{place}: {names[worst]} is {mine[worst]:.17g} in one run and {its[worst]:.17g} in "
+            f"the other; their errors explain {allowed[worst]:.1e}"
+        )
+
+
+def _part(
+    first: _Story,
+    second: _Story,
+    near: Sequence[_Story],
+    i: int,
+    error: float,
+    traces: tuple[Trace, Trace],
+) -> None:
+    """Event `i` differs: raise what that means."""
+    own, others = first.events[i : i + 1], second.events[i : i + 1]
+    place = _place(i, (own or others)[0])
+    what = tuple(event.what for event in own)
+    if any(tuple(e.what for e in story.events[i : i + 1]) != what for story in near):
+        raise Undecidable(f"{place}: a change of {NUDGE:g} takes another course")
+    instant = error * float(first.end[0])
+    if own:
+        numbers = [story.events[i].numbers for story in near]
+        instant = float(_allowed(own[0], numbers, first, error, np.zeros(len(first.end)))[0])
+    for story, end in ((first, second.end[0]), (second, first.end[0])):
+        times = [event.t for event in story.events[max(i - 1, 0) : i + 2]]
+        at_end = any(abs(event.t - end) <= instant for event in story.events[i : i + 1])
+        if at_end or any(b - a <= instant for a, b in pairwise(times)):
+            raise Undecidable(f"{place}: events closer than {instant:.1e} in time")
+    if not all(trace.certified for trace in traces):
+        raise Undecidable(f"{place}: a guard could not be decided")
+    shown = [
+        f"{e[0].what[0]} {e[0].what[1]} to {' '.join(e[0].what[3])}" if e else "nothing more"
+        for e in (own, others)
+    ]
+    raise AssertionError(f"{place}: {shown[0]} in one run, {shown[1]} in the other")
+
+
+def _place(i: int, event: _Event) -> str:
+    return f"event {i + 1} ({event.what[0]} {event.what[1]}, t = {event.t:.17g})"

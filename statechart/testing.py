@@ -1,0 +1,553 @@
+"""Properties that every run of every automaton has, for the tests of models.
+
+::
+
+    from statechart.testing import Subject, generic
+
+    subject = Subject(load("my_model.yaml"))        # compiled once, for any number of cases
+    case = subject.case({"k": 0.5})                 # runs are made when a property asks for them
+    for item in generic(subject):
+        item.holds(case)                            # AssertionError or Undecidable
+
+`parameters` is the Hypothesis strategy over what a model declares under `ranges`. Nothing here
+knows of bodies; `contacts.testing` has what holds for contacts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from statechart.automaton import Automaton, Margin, Setup
+from statechart.comparison import NUDGE, Reading, Undecidable, assert_same
+from statechart.compose import Mode
+from statechart.declaration import Declaration
+from statechart.engines import choose
+from statechart.errors import DeclarationError, DeclarationProblem
+from statechart.formula import parse
+from statechart.kinds import kind
+from statechart.simulate import Simulator
+from statechart.tape import Tape, compile_tape
+from statechart.trace import Arc, Outcome, Trace
+
+if TYPE_CHECKING:
+    from hypothesis.strategies import SearchStrategy
+
+__all__ = [
+    "Case",
+    "Property",
+    "Reading",
+    "Subject",
+    "Undecidable",
+    "assert_continuous",
+    "assert_edges",
+    "assert_ended",
+    "assert_engines_agree",
+    "assert_invariants",
+    "assert_margins",
+    "assert_ordered",
+    "assert_prefix",
+    "assert_start",
+    "dense",
+    "generic",
+    "parameters",
+    "ranges",
+]
+
+Array = NDArray[np.float64]
+
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+_PER_STEP = 9
+_KEPT = 64  # cases whose runs are kept for the next property
+# What is added up from terms is off by some units in the last place of them.
+_ROUNDING = 1e-13
+_CONTINUOUS = 100.0
+# A start that is inside a constraint by so little is brought onto it.
+_START = 1e-8
+
+
+@dataclass(frozen=True)
+class Property:
+    """Something that must hold for every choice of the parameters.
+
+    Attributes
+    ----------
+    name : str
+        What holds, in words.
+    holds : callable
+        Case -> None; raises AssertionError where it does not hold, `Undecidable` where that
+        cannot be told.
+    skipped : str
+        Why the model has nothing that it could be tested on; empty where it has.
+    """
+
+    name: str
+    holds: Callable[[Case], None]
+    skipped: str = ""
+
+
+class Subject:
+    """A model compiled once for each engine, for any number of runs.
+
+    Parameters
+    ----------
+    model : Declaration
+        What to test.
+    automaton : Automaton, optional
+        That of the model by default.
+    """
+
+    def __init__(self, model: Declaration, automaton: Automaton | None = None) -> None:
+        self.model = model
+        self.automaton = automaton or cast(
+            Automaton,
+            kind(model.kind).automaton(model),  # type: ignore[attr-defined]
+        )
+        self.simulators: dict[str, Simulator] = {}
+        self.missing: dict[str, str] = {}
+        method = model.settings.method
+        for name in ("taylor", "scipy"):
+            try:
+                engine, _ = choose(engine=name, method=method if name == "scipy" else None)
+            except DeclarationError as error:
+                self.missing[name] = error.message
+            else:
+                self.simulators[name] = Simulator(self.automaton, engine)
+        self._cases: OrderedDict[tuple[tuple[str, float], ...], Case] = OrderedDict()
+        self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None], Tape] = {}
+
+    def case(self, parameters: Mapping[str, float]) -> Case:
+        """Return the case of some parameters; the same one when asked for again soon."""
+        key = tuple(sorted(parameters.items()))
+        found = self._cases.pop(key, None) or Case(self, dict(parameters))
+        self._cases[key] = found
+        if len(self._cases) > _KEPT:
+            self._cases.popitem(last=False)
+        return found
+
+    def end(self, parameters: Mapping[str, float]) -> float:
+        """Return when a run ends.
+
+        Raises
+        ------
+        DeclarationError
+            If the model does not say so.
+        """
+        if self.model.stop.time is None:
+            raise DeclarationError("the run has no end", advice="write stop: {time: 10}")
+        return parse(self.model.stop.time).value(self.model.values(parameters))
+
+    def mode(self, trace: Trace, arc: Arc) -> Mode | None:
+        """Return the equations that moved an arc; None where the state was held."""
+        if arc.flow is None:
+            return None
+        values = np.fromiter(trace.parameters.values(), float, len(trace.parameters))
+        setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
+        simulator = self.simulators[trace.engine.split()[0]]
+        return simulator.compiled(arc.flow, setup).mode
+
+    def values(
+        self,
+        trace: Trace,
+        expressions: Sequence[sp.Expr],
+        states: Array,
+        times: Array,
+        mode: Mode | None = None,
+    ) -> Array:
+        """Evaluate expressions in the automaton's symbols.
+
+        Parameters
+        ----------
+        trace : Trace
+            Whose parameters.
+        expressions : sequence of Expr
+            In variables, parameters and time; with `mode` also in unknowns.
+        states : (m, n) array
+        times : (m,) array
+            Absolute.
+        mode : Mode, optional
+            What solves for the unknowns.
+
+        Returns
+        -------
+        (m, f) array
+        """
+        key = (tuple(expressions), mode)
+        if key not in self._tapes:
+            self._tapes[key] = compile_tape(
+                expressions,
+                variables=self.automaton.variables,
+                parameters=self.automaton.parameters,
+                time=self.automaton.time,
+                definitions=mode.definitions if mode else (),
+            )
+        values = np.fromiter(trace.parameters.values(), float, len(trace.parameters))
+        return self._tapes[key].table(states, values, times)
+
+
+class Case:
+    """One choice of parameters of a subject, and its runs, made when asked for.
+
+    Parameters
+    ----------
+    subject : Subject
+        What is run.
+    parameters : mapping of str to float
+        What replaces the declared values.
+    """
+
+    def __init__(self, subject: Subject, parameters: Mapping[str, float]) -> None:
+        self.subject = subject
+        self.parameters = parameters
+        self._traces: dict[str, Trace] | None = None
+
+    @property
+    def traces(self) -> Mapping[str, Trace]:
+        """Engine -> run, the most accurate first; engines that cannot run the model left out."""
+        if self._traces is None:
+            made = {n: self._run(n, self.parameters) for n in tuple(self.subject.simulators)}
+            self._traces = {name: trace for name, trace in made.items() if trace is not None}
+        return self._traces
+
+    @property
+    def trace(self) -> Trace:
+        """The run of the most accurate engine."""
+        return next(iter(self.traces.values()))
+
+    @property
+    def sound(self) -> tuple[Trace, ...]:
+        """The runs that came to their end, all or none.
+
+        Raises
+        ------
+        Undecidable
+            If one did not: `assert_ended` reports it.
+        """
+        for trace in self.traces.values():
+            if not trace.outcome.succeeded:
+                raise Undecidable("a run did not come to its end")
+        return tuple(self.traces.values())
+
+    @cached_property
+    def nudged(self) -> tuple[Trace, ...]:
+        """The run with all parameters changed by a relative `NUDGE`, in three ways."""
+        values = self.subject.model.values(self.parameters)
+        names = [
+            name
+            for name, text in self.subject.model.parameters.items()
+            if name in self.parameters or not parse(text).names
+        ]
+        found = []
+        for signs in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0)):
+            changed = {
+                name: values[name] * (1.0 + NUDGE * signs[i % 2])
+                for i, name in enumerate(names)
+                if math.isfinite(values[name])
+            }
+            try:
+                trace = self._run(next(iter(self.traces)), changed)
+            except (DeclarationError, DeclarationProblem):
+                continue  # an edge of what the model allows: the other ways tell
+            if trace is not None and trace.outcome.succeeded:
+                found.append(trace)
+        if not found:
+            raise Undecidable("no run with slightly changed parameters comes to its end")
+        return tuple(found)
+
+    def shorter(self, until: float) -> Trace:
+        """Return the run of the most accurate engine up to `until`."""
+        simulator = next(iter(self.subject.simulators.values()))
+        limit = self.subject.model.settings.max_jumps
+        return simulator.run(self.parameters, until=until, max_jumps=limit, throw=False)
+
+    def _run(self, name: str, parameters: Mapping[str, float]) -> Trace | None:
+        subject = self.subject
+        limit = subject.model.settings.max_jumps
+        try:
+            return subject.simulators[name].run(
+                parameters, until=subject.end(parameters), max_jumps=limit, throw=False
+            )
+        except Exception as error:
+            # Taylor series do not exist for every formula; importing heyoka to name its error
+            # would be wrong where it is not installed.
+            if type(error).__name__ != "Unsupported":
+                raise
+            subject.missing[name] = str(error)
+            del subject.simulators[name]
+            return None
+
+
+def ranges(model: Declaration) -> dict[str, tuple[float, float]]:
+    """Return what a check varies: parameter -> least and greatest value.
+
+    Those that the model declares; if it declares none, from half to twice the value of every
+    parameter that is a number other than 0 and inf, less far where the model would be wrong
+    there (a restitution of 0.9 cannot be 1.8).
+    """
+    if model.ranges:
+        return dict(model.ranges)
+    values = model.values()
+    found = {}
+    for name, text in model.parameters.items():
+        value = values[name]
+        if parse(text).names or value == 0.0 or math.isinf(value):
+            continue
+        ends = [_valid_towards(model, name, value, factor * value) for factor in (0.5, 2.0)]
+        found[name] = (min(ends), max(ends))
+    return found
+
+
+def _valid_towards(model: Declaration, name: str, value: float, end: float) -> float:
+    for halvings in range(8):
+        candidate = value + (end - value) * 0.5**halvings
+        try:
+            changed = {**model.parameters, name: candidate}
+            type(model).model_validate(
+                {**model.model_dump(by_alias=True), "parameters": changed}, by_alias=True
+            )
+        except ValidationError:
+            continue
+        return candidate
+    return value
+
+
+def parameters(model: Declaration) -> SearchStrategy[dict[str, float]]:
+    """Return the strategy over the `ranges` of a model.
+
+    Shrinking leads to the declared values: what differs from them in a failing example matters.
+    """
+    from hypothesis import strategies as st
+
+    values = model.values()
+    choices: dict[str, SearchStrategy[float]] = {}
+    for name, (least, greatest) in ranges(model).items():
+        # Numbers below 2e-308 in size have few digits, and measure nothing.
+        within = st.floats(least, greatest, allow_subnormal=False)
+        declared = values[name]
+        inside = least <= declared <= greatest
+        choices[name] = st.one_of(st.just(declared), within) if inside else within
+    return st.fixed_dictionaries(choices)
+
+
+def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
+    """Yield every arc with local times that no integrator used.
+
+    The places in the steps are multiples of the golden ratio: never an end, never the same ones.
+    """
+    for arc in trace.arcs:
+        steps = np.diff(arc.times)
+        places = (np.arange(1, _PER_STEP * len(steps) + 1) * _GOLDEN) % 1.0
+        places = np.sort(places.reshape(len(steps), _PER_STEP), axis=1)
+        yield arc, (arc.times[:-1, None] + places * steps[:, None]).ravel()
+
+
+def assert_ended(case: Case) -> None:
+    """Check that every run comes to an end that the model declares."""
+    for trace in case.traces.values():
+        if not trace.outcome.succeeded:
+            raise AssertionError(
+                f"run ended: {trace.outcome.name} ({trace.engine}): {trace.message}"
+            )
+
+
+def assert_start(case: Case) -> None:
+    """Check that runs start in the declared state, but for rounding on constraints."""
+    for trace in case.traces.values():
+        laws = case.subject.automaton.laws
+        declared = laws.setup(case.parameters, trace.tolerance).initial
+        projected = trace.tolerances.get("gap", 0.0) + trace.tolerances.get("speed", 0.0)
+        size = np.abs(declared).max(initial=0.0)
+        off = np.abs(trace.initial - declared)
+        worst = int(np.argmax(off))
+        if off[worst] > _START * size + projected:
+            raise AssertionError(
+                f"{trace.engine}: {trace.variables[worst]} starts at {trace.initial[worst]:.17g}, "
+                f"declared is {declared[worst]:.17g}"
+            )
+
+
+def assert_ordered(trace: Trace) -> None:
+    """Check that arcs and jumps follow one another on hybrid time (t, j)."""
+    t, j = 0.0, 0
+    points = sorted(
+        [(arc.j, 1, arc.start.high, arc.end.high) for arc in trace.arcs]
+        + [(jump.j, 2, jump.t, jump.t) for jump in trace.jumps],
+        key=lambda point: point[:2],
+    )
+    for of, what, start, end in points:
+        place = f"{('arc', 'jump')[what - 1]} at t = {start:.17g}, j = {of}"
+        assert start == t, f"{place} does not begin where the run was, t = {t:.17g}"
+        assert end >= start, f"{place} ends before it begins, at t = {end:.17g}"
+        assert of == j, f"{place} comes after {j} jumps"
+        t, j = end, of + (what == 2)
+    assert t == trace.t_end, f"the run ends at t = {trace.t_end:.17g}, its parts at {t:.17g}"
+
+
+def assert_edges(automaton: Automaton, trace: Trace) -> None:
+    """Check that every jump is an edge of the automaton, region by region."""
+    mode = trace.start_mode
+    for jump in trace.jumps:
+        place = f"jump {jump.j} at t = {jump.t:.17g} ({jump.region} {jump.cause})"
+        assert jump.source == mode, f"{place} leaves {jump.source}, but the mode was {mode}"
+        mode = jump.target
+        for region, before, after in zip(automaton.regions, jump.source, mode, strict=True):
+            edges = {(e.source, e.target, e.cause) for e in region.edges}
+            if region.name == jump.region:
+                known = (before, after, jump.cause) in edges
+            else:
+                known = before == after or any(e[:2] == (before, after) for e in edges)
+            assert known, f"{place}: {region.name} has no such edge from {before} to {after}"
+    assert mode == trace.final_mode, f"the run ends in {trace.final_mode}, its jumps in {mode}"
+    for arc in trace.arcs:
+        mode = trace.jumps[arc.j - 1].target if arc.j else trace.start_mode
+        assert arc.mode == mode, (
+            f"the arc at t = {arc.start.high:.17g} shows {arc.mode}, not {mode}"
+        )
+
+
+def assert_continuous(trace: Trace) -> None:
+    """Check that states change only by jumps, and that steps of an arc join."""
+    visited = [arc.coefficients[:, :, 0] for arc in trace.arcs]
+    sizes = np.abs(np.concatenate([*visited, trace.initial[None], trace.final[None]])).max(axis=0)
+    # States are brought back onto constraints between steps, within these tolerances.
+    projected = trace.tolerances.get("gap", 0.0) + trace.tolerances.get("speed", 0.0)
+    allowed = _CONTINUOUS * max(trace.tolerance, _ROUNDING) * sizes + projected
+    state, j = trace.initial, 0
+    for arc in trace.arcs:
+        state = _through(trace, state, j, arc.j, allowed)
+        j = arc.j
+        starts, ends = arc.coefficients[:, :, 0], arc.coefficients.sum(axis=2)
+        before = np.concatenate([state[None], ends[:-1]])
+        _join(trace, before, starts, arc.start.high, allowed)
+        state = ends[-1]
+    state = _through(trace, state, j, len(trace.jumps), allowed)
+    _join(trace, state[None], trace.final[None], trace.t_end, allowed)
+
+
+def _through(trace: Trace, state: Array, first: int, last: int, allowed: Array) -> Array:
+    for jump in trace.jumps[first:last]:
+        _join(trace, state[None], jump.before[None], jump.t, allowed)
+        state = jump.after
+    return state
+
+
+def _join(trace: Trace, before: Array, after: Array, t: float, allowed: Array) -> None:
+    off = np.abs(after - before)
+    if not (off <= allowed).all():
+        step, variable = np.unravel_index(int(np.argmax(off / (allowed + 1e-300))), off.shape)
+        raise AssertionError(
+            f"{trace.variables[variable]} changes by {off[step, variable]:.3g} without a jump "
+            f"in the arc from t = {t:.17g}"
+        )
+
+
+def assert_margins(subject: Subject, trace: Trace) -> None:
+    """Check that no guard's margin is negative between events, on a grid of its own."""
+    for arc, tau in dense(trace):
+        mode = subject.mode(trace, arc)
+        if mode is not None and mode.margins:
+            _assert_margins(subject, trace, arc, tau, mode.margins, mode)
+
+
+def assert_invariants(subject: Subject, trace: Trace) -> None:
+    """Check that declared invariants hold in their states, on a grid of its own."""
+    for arc, tau in dense(trace):
+        mode = subject.mode(trace, arc)
+        margins = [
+            margin
+            for region, state in zip(subject.automaton.regions, arc.mode, strict=True)
+            for margin in region.build(state).invariants
+        ]
+        if margins:
+            _assert_margins(subject, trace, arc, tau, margins, mode)
+
+
+def _assert_margins(
+    subject: Subject,
+    trace: Trace,
+    arc: Arc,
+    tau: Array,
+    margins: Sequence[Margin],
+    mode: Mode | None,
+) -> None:
+    expressions = [margin.expression for margin in margins]
+    states, times = arc.states(tau), arc.start.high + (arc.start.low + tau)
+    values = subject.values(trace, expressions, states, times, mode)
+    rounding = np.zeros(values.shape)
+    for i in range(states.shape[1]):
+        changed = states.copy()
+        changed[:, i] *= 1.0 + NUDGE
+        moved = subject.values(trace, expressions, changed, times, mode)
+        rounding += np.abs(moved - values) * (max(trace.tolerance, _ROUNDING) / NUDGE)
+    allowed = rounding + [trace.tolerances.get(margin.kind, 0.0) for margin in margins]
+    if not (values >= -allowed).all():
+        m, k = np.unravel_index(int(np.argmin(values + allowed)), values.shape)
+        raise AssertionError(
+            f"{margins[int(k)].name} is {values[m, k]:.6g} at t = {times[m]:.17g} in "
+            f"{subject.automaton.label(arc.mode)}"
+        )
+
+
+def assert_engines_agree(case: Case) -> None:
+    """Check that all engines take the same modes at the same times through the same states."""
+    first, *others = case.sound
+    for other in others:
+        assert_same(first, other, case.nudged)
+
+
+def assert_prefix(case: Case) -> None:
+    """Check that a shorter run is the beginning of the run: the future changes nothing."""
+    trace = case.sound[0]
+    if not trace.arcs:
+        raise Undecidable("nothing flows")
+    until = _GOLDEN * trace.t_end
+    arc = next(a for a in reversed(trace.arcs) if a.start.high <= until)
+    state = arc.states(np.array([min(until - arc.start.high, arc.duration)]))[0]
+    shorter = case.shorter(until)
+    assert shorter.outcome is Outcome.HORIZON, f"run ended: {shorter.outcome.name}"
+    assert_same(trace, shorter, case.nudged, until=(until, state))
+
+
+def _each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
+    def holds(case: Case) -> None:
+        for trace in case.traces.values():
+            try:
+                check(case.subject, trace)
+            except AssertionError as error:
+                raise AssertionError(f"{trace.engine}: {error}") from None
+
+    return holds
+
+
+def generic(subject: Subject) -> tuple[Property, ...]:
+    """Return what holds for every automaton."""
+    states = [(region, state) for region in subject.automaton.regions for state in region.states]
+    no_invariants = not any(region.build(state).invariants for region, state in states)
+    alone = "; ".join(f"{name}: {reason}" for name, reason in subject.missing.items())
+    return (
+        Property("runs come to their end", assert_ended),
+        Property("runs start as declared", assert_start),
+        Property("events are ordered in time", _each(lambda _, trace: assert_ordered(trace))),
+        Property(
+            "every jump is an edge",
+            _each(lambda subject, trace: assert_edges(subject.automaton, trace)),
+        ),
+        Property("arcs are continuous", _each(lambda _, trace: assert_continuous(trace))),
+        Property("no guard is passed", _each(assert_margins)),
+        Property(
+            "declared invariants hold",
+            _each(assert_invariants),
+            skipped="no invariants are declared" if no_invariants else "",
+        ),
+        Property("engines agree", assert_engines_agree, skipped=alone),
+        Property("a shorter run is the beginning of a longer one", assert_prefix),
+    )

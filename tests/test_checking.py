@@ -1,0 +1,420 @@
+"""Whether properties fail where they must: broken laws and automata are caught and shrunk."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from contacts.kind import automaton as scene_automaton
+from contacts.symmetry import LENGTH, TIMES, mirrored, rescaled
+from contacts.testing import properties as contact_properties
+from statechart.automaton import State
+from statechart.chart import Chart
+from statechart.checking import check, examine
+from statechart.comparison import Reading
+from statechart.document import interpret, load, read_text
+from statechart.testing import Subject, dense, generic, ranges
+
+
+def model(text):
+    return interpret(read_text(text))
+
+
+BALL = """
+kind: chart
+name: ball
+parameters: {height: 1, g: 9.81, k: 0.5}
+ranges: {height: [0.5, 2], k: [0.1, 0.9]}
+variables: {x: height, v: 0}
+regions:
+  ball:
+    initial: flight
+    states:
+      flight:
+        flows: {x: v, v: -g}
+        invariants: {above ground: x >= 0, not too fast: v**2 + 2*g*x <= 2.001*g*height}
+      rest: {}
+    transitions:
+      - {name: bounce, from: flight, to: flight, guard: x <= 0, updates: {x: 0, v: -k*v}}
+      - {name: settle, from: flight, to: rest, on: zeno, updates: {x: 0, v: 0}}
+stop: {time: 2}
+"""
+
+ROD = """
+kind: scene
+name: block
+parameters: {v0: 1, vy: -1, mu: 0.3, e: 0.5, g: 9.81}
+ranges: {v0: [-2, 2], vy: [-3, 3], e: [0, 0.8]}
+gravity: g
+bodies:
+  block: {mass: 2, start: {x: 1, y: 1, dx: v0, dy: vy}}
+surfaces:
+  ground: {height: 0}
+contacts:
+  base:
+    point: {body: block}
+    surface: ground
+    friction: mu
+    restitution: e
+stop: {time: 1}
+"""
+
+SLIDING = ROD.replace("y: 1, dx: v0, dy: vy", "dx: v0").replace("v0: [-2, 2]", "v0: [1, 5]")
+
+UNSTABLE = """
+kind: chart
+name: unstable
+parameters: {a: 0.7, b: 0.7}
+ranges: {a: [0.5, 0.9]}
+variables: {x: a - b, y: b}
+regions:
+  r:
+    initial: s
+    states: {s: {flows: {x: 30*x + sin(y) - sin(b), y: 0}}}
+stop: {time: 1}
+"""
+
+
+def report_on(subject, name, examples=15, seed=3):
+    everything = (
+        *generic(subject),
+        *(contact_properties(subject.model) if subject.model.kind == "scene" else ()),
+    )
+    chosen = [item for item in everything if item.name == name]
+    assert len(chosen) == 1
+    return examine(subject, chosen, examples=examples, seed=seed)
+
+
+def failure(subject, name, **options):
+    report = report_on(subject, name, **options)
+    assert not report.passed
+    return report.properties[0].failure
+
+
+class Altered:
+    """Laws of which one thing was changed."""
+
+    def __init__(self, laws, **changes):
+        self._laws = laws
+        self._changes = changes
+
+    def __getattr__(self, name):
+        if name in self._changes:
+            return lambda *arguments: self._changes[name](
+                getattr(self._laws, name)(*arguments), *arguments
+            )
+        return getattr(self._laws, name)
+
+
+def scene_with(changed_jump):
+    scene = model(ROD)
+    automaton = scene_automaton(scene)
+    laws = Altered(automaton.laws, jump=changed_jump)
+    return Subject(scene, dataclasses.replace(automaton, laws=laws))
+
+
+def with_jump(**fields):
+    def change(made, *arguments):
+        if made is None:
+            return None
+        jump, flow = made
+        return dataclasses.replace(
+            jump, **{key: compute(jump) for key, compute in fields.items()}
+        ), flow
+
+    return change
+
+
+def with_states(scene, change):
+    automaton = scene_automaton(scene)
+    regions = tuple(
+        dataclasses.replace(
+            region, build=lambda name, build=region.build: change(name, build(name))
+        )
+        for region in automaton.regions
+    )
+    return Subject(scene, dataclasses.replace(automaton, regions=regions))
+
+
+def test_a_good_chart_passes_every_property():
+    report = check(model(BALL), examples=6, seed=1)
+    assert report.passed, report.text()
+    assert not any(result.skipped for result in report.properties)
+
+
+def test_a_good_scene_passes_every_property():
+    report = check(model(ROD), examples=6, seed=1)
+    assert report.passed, report.text()
+
+
+def test_a_reset_that_gains_speed_breaks_the_invariant():
+    faulty = model(BALL.replace("v: -k*v", "v: -k*v*2.2"))
+    found = failure(Subject(faulty), "declared invariants hold")
+    assert "ball.not too fast" in found.message
+
+
+def test_a_dropped_guard_breaks_the_invariant_with_all_parameters_as_declared():
+    text = "\n".join(line for line in BALL.splitlines() if "name: bounce" not in line)
+    found = failure(Subject(model(text)), "declared invariants hold")
+    assert "above ground" in found.message
+    assert found.parameters == {}
+
+
+def test_a_failure_is_shrunk_and_its_yaml_fails_alike():
+    faulty = model(BALL.replace("v: -k*v", "v: '-k*v*(1 + 9*max(0, k - 0.7))'"))
+    found = failure(Subject(faulty), "declared invariants hold", examples=60)
+    assert set(found.parameters) == {"k"}  # height does not matter and is as declared
+    assert 0.7 < found.parameters["k"] <= 0.9
+    again = model(found.reproduction)
+    assert isinstance(again, Chart)
+    assert again.values()["k"] == found.parameters["k"]
+    assert failure(Subject(again), "declared invariants hold", examples=1).parameters == {}
+
+
+def test_an_impact_that_gains_energy_is_caught():
+    def faster(jump):
+        after = jump.after.copy()
+        if jump.cause == "touchdown":
+            after[3] *= 1.5
+        return after
+
+    change = with_jump(after=faster)
+
+    def energetic(made, *arguments):
+        return change(made, *arguments)
+
+    scene = model(ROD.replace("e: [0, 0.8]", "e: [0.75, 0.8]"))
+    automaton = scene_automaton(scene)
+    laws = Altered(automaton.laws, jump=energetic)
+    subject = Subject(scene, dataclasses.replace(automaton, laws=laws))
+    assert "energy grows" in failure(subject, "energy never grows").message
+
+
+def test_energy_that_only_the_drive_supplies_is_no_failure():
+    driven = ROD + "forces:\n  push: {body: block, force: [30*sin(5*time), 0]}\n"
+    assert report_on(Subject(model(driven)), "energy never grows").passed
+
+
+def test_a_removed_gap_guard_tunnels():
+    def blind(name, state):
+        return State(state.equations, ()) if name == "free" else state
+
+    found = failure(with_states(model(ROD), blind), "no contact is inside its surface")
+    assert "deep in its surface" in found.message
+
+
+def test_adhesion_is_caught():
+    def sticky(name, state):
+        margins = tuple(
+            dataclasses.replace(margin, expression=margin.expression + 1000)
+            if margin.kind == "force"
+            else margin
+            for margin in state.margins
+        )
+        return State(state.equations, margins)
+
+    pulled = model(SLIDING + "forces:\n  lift: {body: block, force: [0, 100*time]}\n")
+    found = failure(with_states(pulled, sticky), "V >= 0 and |H| <= mu V")
+    assert "base.V is -" in found.message
+
+
+def test_a_force_outside_the_cone_is_caught():
+    def rough(name, state):
+        # Twice the friction that was declared.
+        if not name.startswith("slide"):
+            return state
+        normal, edge = state.equations
+        H = next(s for s in edge.free_symbols if s.name.startswith("H"))
+        return State((normal, edge - edge.coeff(H) * H / 2), state.margins)
+
+    found = failure(with_states(model(SLIDING), rough), "V >= 0 and |H| <= mu V")
+    assert "mu V - |H|" in found.message
+
+
+def test_a_pulling_impulse_is_caught():
+    subject = scene_with(
+        with_jump(impulse=lambda jump: {k: (-n, t) for k, (n, t) in jump.impulse.items()})
+    )
+    assert "pulls" in failure(subject, "impulses push, within friction").message
+
+
+def test_an_impulse_outside_the_cone_is_caught():
+    subject = scene_with(
+        with_jump(impulse=lambda jump: {k: (n, 0.31 * n) for k, (n, _) in jump.impulse.items()})
+    )
+    assert "outside the cone" in failure(subject, "impulses push, within friction").message
+
+
+def test_a_force_without_contact_is_caught():
+    def pushing(name, state):
+        if name != "free":
+            return state
+        V, H = state.equations
+        return State((V - 1, H), state.margins)
+
+    found = failure(with_states(model(ROD), pushing), "no force without contact")
+    assert "has a force" in found.message
+
+
+def test_a_jump_that_is_no_edge_is_caught():
+    subject = scene_with(with_jump(cause=lambda jump: "teleport"))
+    assert "no such edge" in failure(subject, "every jump is an edge").message
+
+
+def test_a_jump_back_in_time_is_caught():
+    subject = scene_with(with_jump(t=lambda jump: jump.t / 2))
+    assert "does not begin" in failure(subject, "events are ordered in time").message
+
+
+def test_a_state_that_changes_without_a_jump_is_caught():
+    subject = scene_with(with_jump(before=lambda jump: jump.before + 1e-6))
+    assert "without a jump" in failure(subject, "arcs are continuous").message
+
+
+def test_a_start_that_is_not_the_declared_one_is_caught():
+    scene = model(ROD)
+    automaton = scene_automaton(scene)
+
+    def stopped(began, *arguments):
+        flow, state = began
+        return flow, np.concatenate([state[:2], np.zeros(2)])
+
+    laws = Altered(automaton.laws, begin=stopped)
+    subject = Subject(scene, dataclasses.replace(automaton, laws=laws))
+    assert "starts at 0" in failure(subject, "runs start as declared").message
+
+
+def test_an_asymmetric_law_breaks_the_mirror():
+    # Friction that pushes to the right only: the declared scene cannot say so, its laws can.
+    def drifting(name, state):
+        if name != "free":
+            return state
+        V, H = state.equations
+        return State((V, H - sp.Rational(1, 100)), state.margins)
+
+    found = failure(with_states(model(ROD), drifting), "the mirror image moves as the image")
+    assert "block" in found.message
+
+
+def test_a_hidden_speed_breaks_other_units():
+    def dragged(made, *arguments):
+        if made is None:
+            return None
+        jump, flow = made
+        after = jump.after.copy()
+        if jump.cause == "touchdown":
+            after[3] *= 1 - 0.1 * np.tanh(abs(after[3]))
+        return dataclasses.replace(jump, after=after), flow
+
+    found = failure(scene_with(dragged), "other units give the same motion")
+    assert "their errors explain" in found.message
+
+
+def test_engines_that_disagree_are_caught():
+    subject = Subject(model(BALL))
+    other = Subject(model(BALL.replace("g: 9.81", "g: 9.8100001")))
+    subject.simulators["scipy"] = other.simulators["scipy"]
+    found = failure(subject, "engines agree")
+    assert "bounce" in found.message or "end" in found.message
+
+
+def test_grown_errors_are_undecidable_and_counted():
+    # An error grows by e^30 = 1e13 in the run: two runs can differ by anything.
+    report = report_on(Subject(model(UNSTABLE)), "engines agree", examples=1)
+    assert report.passed
+    (result,) = report.properties
+    assert result.undecidable == result.examples > 0
+    assert "grown too large" in result.reason
+    assert "undecidable" in report.text()
+
+
+def test_errors_that_stay_small_are_decided():
+    steady = model(
+        UNSTABLE.replace("a: 0.7", "a: 0.9").replace("ranges: {a: [0.5", "ranges: {a: [0.8")
+    )
+    report = report_on(Subject(steady), "engines agree")
+    assert report.properties[0].undecidable == 0
+
+
+def test_ranges_that_allow_no_model_are_a_failure_of_the_ranges():
+    scene = model(ROD.replace("mass: 2", "mass: mu").replace("e: [0, 0.8]", "mu: [0, 0.5]"))
+    report = check(scene, examples=30, seed=2)
+    first = report.properties[0]
+    assert first.failure is not None
+    assert "the ranges allow what is no model" in first.failure.message
+    assert "mass" in first.failure.message
+    assert first.failure.parameters == {"mu": 0.0}
+
+
+def test_a_run_that_cannot_go_on_is_a_failure():
+    stuck = BALL.replace("on: zeno", "guard: x >= 5")
+    found = failure(Subject(model(stuck)), "runs come to their end")
+    assert found.message.startswith("run ended: ZENO")
+
+
+def test_ranges_are_derived_where_none_are_declared():
+    scene = model("\n".join(line for line in ROD.splitlines() if not line.startswith("ranges")))
+    found = ranges(scene)
+    assert found["v0"] == (0.5, 2.0)
+    assert found["vy"] == (-2.0, -0.5)
+    assert found["e"] == (0.25, 1.0)  # a restitution of 1.0 is the largest there is
+    assert check(scene, examples=3, seed=1).passed
+
+
+def test_the_same_seed_gives_the_same_report():
+    one, other = (check(model(BALL), examples=4, seed=7).to_json() for _ in range(2))
+    assert one == other
+    json.dumps(one)
+
+
+def test_the_text_tells_what_was_skipped_and_what_failed():
+    faulty = model(BALL.replace("v: -k*v", "v: -k*v*2.2"))
+    text = check(faulty, examples=3, seed=1).text()
+    assert "FAILED" in text
+    assert "with the declared parameters" in text or "with k" in text
+    scene = check(model(ROD), examples=2, seed=1).text()
+    assert "skipped: no invariants are declared" in scene
+    assert scene.endswith("passed\n")
+
+
+def test_the_number_of_examples_is_positive():
+    with pytest.raises(ValueError, match="examples"):
+        check(model(BALL), examples=0)
+
+
+def test_the_dense_grid_has_no_step_end():
+    trace = Subject(model(ROD)).case({}).trace
+    for arc, tau in dense(trace):
+        assert (np.diff(tau) > 0).all()
+        assert not set(tau) & set(arc.times)
+
+
+def test_mirroring_twice_gives_the_run_itself():
+    scene = load("toppling_stick")
+    once, reading = mirrored(scene)
+    twice, _ = mirrored(once)
+    assert (reading.factors == [-1, 1, -1, -1, 1, -1]).all()
+    start = Subject(scene).case({}).trace
+    assert (Subject(twice).case({}).trace.final == start.final).all()
+    assert (Subject(once).case({}).trace.initial * reading.factors == start.initial).all()
+
+
+def test_a_terrain_is_rescaled_whatever_lengths_it_hides():
+    scene, reading = rescaled(load("bouncing_ball_hills"))
+    assert reading.time == 1 / TIMES
+    assert f"x/({LENGTH!r})" in scene.surfaces["hills"].height
+
+
+def test_a_formula_too_long_to_transform_is_skipped_with_the_reason():
+    long = " + ".join(["x"] * 130)
+    scene = model(ROD.replace("height: 0", f"height: {long}"))
+    skipped = {item.name: item.skipped for item in contact_properties(scene)}
+    assert "cannot be transformed" in skipped["other units give the same motion"]
+    assert not skipped["energy never grows"]
+
+
+def test_readings_are_the_identity_by_default():
+    assert Reading().factors == 1.0
+    assert Reading().time == 1.0

@@ -1,0 +1,51 @@
+"""Every shipped model, on every engine, has every property."""
+
+import numpy as np
+import pytest
+
+import models
+from statechart.checking import check
+from statechart.comparison import Undecidable, assert_same
+from statechart.document import load
+from statechart.engines import choose
+from statechart.engines.scipy import METHODS
+from statechart.simulate import Simulator
+from statechart.testing import Subject
+
+NAMES = models.names()
+EXAMPLES = 6
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_model_has_every_property(name):
+    report = check(load(name), examples=EXAMPLES, seed=1)
+    assert report.engines == ("taylor", "scipy")
+    assert report.passed, report.text()
+    for result in report.properties:
+        assert result.skipped or result.undecidable < result.examples, report.text()
+
+
+@pytest.mark.parametrize("method", ["RK45", "DOP853", "Radau", "LSODA"])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_model_runs_alike_by_every_method(name, method):
+    model = load(name)
+    subject = Subject(model)
+    case = subject.case({})
+    engine, _ = choose(engine="scipy", method=method, tolerance=1e-9)
+    trace = Simulator(subject.automaton, engine).run(until=subject.end({}), throw=False)
+    assert trace.outcome is case.trace.outcome, trace.message
+    try:
+        assert_same(case.trace, trace, case.nudged)
+    except Undecidable:
+        assert name == "bouncing_ball_hills"  # errors grow from bounce to bounce
+
+
+def test_no_method_is_missing():
+    assert set(METHODS) == {"RK45", "DOP853", "Radau", "LSODA"}
+
+
+def test_every_shipped_model_declares_what_checks_vary_and_its_end():
+    for name in NAMES:
+        model = load(name)
+        assert model.ranges, name
+        assert np.isfinite(Subject(model).end({})), name
