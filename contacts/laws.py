@@ -23,6 +23,12 @@ __all__ = ["SceneLaws"]
 
 Array = NDArray[np.float64]
 
+_EPS = float(np.finfo(float).eps)
+# Bounces lower than this many roundings of the gap are summed. The sum's error is of the third
+# order in their speed: 1e-12 of the scene's time where coordinates are of its size.
+_DIGITS = 1e8
+# No bounce this fast, in the scene's own speed, is summed.
+_FAST = 1e-3
 # An impact may raise the energy by rounding, in units of the scene's.
 _ENERGY_ROUNDING = 1e-12
 # A start may be inside a surface by so much of the scene's length (and is projected out).
@@ -107,7 +113,13 @@ class SceneLaws:
     ) -> tuple[Jump, Flow] | None:
         """Classify every contact from the state; see `contacts.classify`."""
         assert isinstance(setup, SceneSetup)
+        before = state
         snapshot = self._tape.at(setup.values, state, clock.high)
+        # Between steps a dense output leaves the constraints by its own error: a contact that the
+        # flow kept closed is judged as closed.
+        state = landed(flow.flow, snapshot, state, setup.tolerances)
+        if state is not before:
+            snapshot = self._tape.at(setup.values, state, clock.high)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         closed = [c.gap <= close for c in snapshot.contacts]
         hitting = [i for i, c in enumerate(snapshot.contacts) if closed[i] and c.gap_rate < -slow]
@@ -130,7 +142,7 @@ class SceneLaws:
             *self._cause(flow.mode, target, skipping),
             flow.mode,
             target,
-            state,
+            before,
             after,
             fired,
             considered=choice.considered,
@@ -167,7 +179,7 @@ class SceneLaws:
         after = np.concatenate([coordinates, result.velocity])
         following = self._tape.at(setup.values, after, clock.high)
         rebound = following.contacts[place].gap_rate
-        rest = self._rest_of_bounces(setup, following, place, rebound)
+        rest = self._rest_of_bounces(setup, following, coordinates, place, rebound)
         considered: Mapping[str, str] = {}
         warning = ""
         target = moving = tuple("free" if i == place else name for i, name in enumerate(flow.mode))
@@ -203,22 +215,35 @@ class SceneLaws:
         return jump, self._flow(setup, target, moving, rest, warning)
 
     def _rest_of_bounces(
-        self, setup: SceneSetup, landed: Snapshot, place: int, rebound: float
+        self,
+        setup: SceneSetup,
+        landed: Snapshot,
+        coordinates: Array,
+        place: int,
+        rebound: float,
     ) -> float | None:
         """Return how long the bounces after this one would take, where they need no resolving.
 
         They sum to ``2 v / (g_n (1 - e))`` (equation 5); the impulse of a plastic impact plus the
-        weight over that time equals the exact sum of theirs.
+        weight over that time equals the exact sum of theirs. A bounce is resolved as long as its
+        height is known to some digits; below, its duration would be noise.
         """
         e = setup.contacts[place].restitution
-        if not 0.0 < rebound < setup.capture or not 0.0 < e < 1.0:
+        if not rebound > 0.0 or not 0.0 < e < 1.0 or rebound > _FAST * setup.scales.speed:
             return None
         free = choose(
             landed, setup.contacts, [False] * len(setup.contacts), setup.scales, 0.0, 0.0
         ).taken
         contact = landed.contacts[place]
         falling = -(float(contact.jacobian[0] @ free.accelerations) + contact.bias_n)
-        return 2.0 * rebound / (falling * (1.0 - e)) if falling > 0.0 else None
+        if falling <= 0.0:
+            return None
+        # How high it bounces, against what rounding of the coordinates does to the gap.
+        height = rebound**2 / (2.0 * falling)
+        rounding = _EPS * float(np.abs(contact.jacobian[0]) @ np.abs(coordinates))
+        if rebound > setup.capture and height > _DIGITS * rounding:
+            return None
+        return 2.0 * rebound / (falling * (1.0 - e))
 
     def _choose(self, setup: SceneSetup, snapshot: Snapshot, touching: list[bool]) -> Choice:
         tie = 0.5 * setup.tolerances["force"] / setup.scales.force

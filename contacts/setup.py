@@ -175,7 +175,7 @@ class SceneNumbers:
         scales = self._scales.at(values, initial)
         margins = self._stop_tape.at(initial, values, 0.0).tolist()
         tolerances = {
-            "gap": max(3.0 * relative, _ROUNDING) * scales.length,
+            "gap": max(10.0 * relative, _ROUNDING) * scales.length,
             "speed": max(10.0 * relative, 10.0 * _ROUNDING) * scales.speed,
             "force": max(10.0 * relative, _FORCE_BAND) * scales.force,
             "plain": 0.0,
