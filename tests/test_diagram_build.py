@@ -106,4 +106,4 @@ def test_a_jump_of_several_regions_at_once_is_a_link_of_its_own() -> None:
     (link,) = [
         link for link in diagram.links if link.source == "off off" and link.target == "on on"
     ]
-    assert (link.cause, link.visits) == ("turn", 1)
+    assert (link.cause, link.visits) == ("a turn", 1)

@@ -137,12 +137,14 @@ class _Run:
 
         path: list[Key] = [shown(trace.start_mode)]
         self.taken: Counter[_Ends] = Counter()
+        self.regions: dict[_Ends, str] = {}
         self.linked: set[_Ends] = set()
         for jump in trace.jumps:
             if not jump.region:
                 continue  # a stop condition, which ends the run and leads nowhere
             source, target = shown(jump.source), shown(jump.target)
             self.taken[source, target, jump.cause] += 1
+            self.regions.setdefault((source, target, jump.cause), jump.region)
             if target != path[-1]:
                 path.append(target)
         self.path = tuple(path)
@@ -168,13 +170,13 @@ def _link(source: Key, target: Key, edges: Iterable[Edge], region: str, run: _Ru
 
 
 def _unlisted(run: _Run | None) -> tuple[Link, ...]:
-    """Return links for jumps that no single edge describes: several regions changed at once."""
+    """Return links for jumps not drawn yet, such as those of several regions at once."""
     if run is None:
         return ()
     return tuple(
-        Link(_name(source), _name(target), cause, "", "", count)
-        for (source, target, cause), count in run.taken.items()
-        if (source, target, cause) not in run.linked
+        Link(_name(ends[0]), _name(ends[1]), f"{run.regions[ends]} {ends[2]}", "", "", count)
+        for ends, count in run.taken.items()
+        if ends not in run.linked
     )
 
 
