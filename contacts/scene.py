@@ -18,6 +18,12 @@ __all__ = ["Body", "Contact", "Coordinate", "Force", "Point", "Scene", "Surface"
 
 Pair = tuple[FormulaText, FormulaText]
 
+_DeclaredMode = Annotated[
+    ContactMode,
+    BeforeValidator(as_mode, json_schema_input_type=ContactMode | Literal["free", "slide", "pin"]),
+]
+"""A mode, or its name."""
+
 
 class Coordinate(Part):
     """A generalised coordinate that positions of bodies are formulas of."""
@@ -142,9 +148,7 @@ class Contact(Part):
 
     point: Point
     surface: str
-    modes: Annotated[
-        tuple[Annotated[ContactMode, BeforeValidator(as_mode)], ...], Field(min_length=1)
-    ] = (Free(), Slide(), Pin())
+    modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = (Free(), Slide(), Pin())
     friction: FormulaText | None = Field(
         default=None, description="Coulomb's coefficient, 0 to inf; needed with slide."
     )

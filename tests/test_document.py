@@ -213,7 +213,7 @@ def test_positions_are_those_of_the_text() -> None:
         ("time: 10", "time: -10", "16:14", "must not be negative"),
         ("time: 10", "time: x", "16:14", "unknown name 'x'"),
         ("x >= 100", "z >= 100", "16:36", "unknown name 'z'"),
-        ("count: bounce", "count: bonce", "18:20", "no cause or state 'bonce'; did you mean 'bounce'?"),
+        ("count: bounce", "count: bonce", "18:20", "'bonce'; did you mean 'bounce'?"),
         ("count: bounce", "count: bal.bounce", "18:20", "no region 'bal'"),
         ("count: bounce", "count: bounce, at: end", "18:28", "unknown key 'at'; known keys: count"),
         ("count: bounce", "cuont: bounce", "18:12", "has one of the keys"),

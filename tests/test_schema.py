@@ -49,14 +49,7 @@ def test_shipped_models_agree_with_the_schema_that_they_name(name: str) -> None:
     prefix = "# yaml-language-server: $schema="
     assert first.startswith(prefix)
     named = (path.parent / first.removeprefix(prefix)).resolve()
-    if named.name == "scene.json" and _takes_modes_as_objects_only(named):
-        pytest.xfail("the schema of a contact's modes lacks their short form")
     jsonschema.validate(read(path).data, json.loads(named.read_text(encoding="utf-8")))
-
-
-def _takes_modes_as_objects_only(path: Path) -> bool:
-    items = json.loads(path.read_text(encoding="utf-8"))["$defs"]["Contact"]["properties"]["modes"]
-    return "oneOf" in items["items"]
 
 
 def test_an_unknown_kind_is_refused_with_those_there_are() -> None:
