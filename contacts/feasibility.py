@@ -1,0 +1,360 @@
+"""Which product modes of closed contacts some velocity satisfies, and why the others have none.
+
+A mode is a set of conditions on each contact's normal and tangential velocity, v_n = Jn v and
+v_t = Jt v, so at one configuration it is a linear system: equations, and strict inequalities.
+By Motzkin's theorem of the alternative either a velocity solves it, or weights >= 0, not all
+zero, combine its inequalities to something that the equations hold at zero; the latter is the
+certificate, which deletion reduces to conditions of which none can be spared (Chinneck,
+Feasibility and Infeasibility in Optimization, 2008, section 2). The answer holds at the
+configuration alone: it changes where a contact's normal passes through another contact.
+
+Surfaces that move enter as one more coordinate, their own: its column holds the velocities that
+it gives, and a row that selects it, with the one state "free", says that it moves forwards.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Feasibility", "feasible_modes", "report"]
+
+Array = NDArray[np.float64]
+
+Condition = tuple[int, int, int]
+"""Contact, row (0: normal, 1: tangential), sign of the velocity."""
+
+_CONDITIONS: Mapping[str, tuple[tuple[int, int], ...]] = {
+    "free": ((0, 1),),
+    "pin": ((0, 0), (1, 0)),
+    "slide": ((0, 0),),
+    "slide+": ((0, 0), (1, 1)),
+    "slide-": ((0, 0), (1, -1)),
+}
+# What the conditions leave to a row of length 1 counts from here on. Equations that depend on
+# each other but for d leave what they do with an error of 1e-16 / d: less cannot be told.
+_ZERO = 1e-8
+# Entries so far below the largest of their contact are rounding, such as cos(pi/2) = 6e-17.
+# Units put entries this far apart only where lengths are below 1e-14 or angles are not radians.
+_ROUNDING = 1e-14
+_MOST_MODES = 4096
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """Whether a mode is kinematically possible.
+
+    Attributes
+    ----------
+    states : tuple of str
+        Per contact.
+    feasible : bool
+    reason : str
+        Why it is not feasible, in words; "" where it is.
+    conflict : tuple of (int, str)
+        Contacts and their conditions that exclude one another, none of which can be spared.
+    """
+
+    states: tuple[str, ...]
+    feasible: bool
+    reason: str
+    conflict: tuple[tuple[int, str], ...] = ()
+
+
+def feasible_modes(
+    jacobians: ArrayLike, options: Sequence[Sequence[str]], names: Sequence[str] | None = None
+) -> tuple[Feasibility, ...]:
+    """Judge every combination of `options`.
+
+    Parameters
+    ----------
+    jacobians : (c, 2, n) array
+        Normal and tangential row of every closed contact, in any consistent units.
+    options : sequence of sequence of str
+        States per contact: free (v_n > 0), pin (v_n = v_t = 0), slide+ (v_n = 0, v_t > 0),
+        slide- (v_n = 0, v_t < 0), slide (v_n = 0, of a frictionless contact). One state per
+        contact asks for one mode.
+    names : sequence of str, optional
+        Contacts as the reasons call them; "contact 1" and so on if not given.
+
+    Returns
+    -------
+    tuple of Feasibility
+        In the order of ``itertools.product(*options)``. A mode that is possible only by a margin
+        of less than 1e-8, with rows and columns of the Jacobian scaled to 1, is infeasible.
+
+    Raises
+    ------
+    ValueError
+        If there are more than 4096 combinations, a state is unknown, or a number is not finite.
+
+    Examples
+    --------
+    A stick that lies on its two ends can lift one of them, but not slip at one alone.
+
+    >>> ends = [[[0, 1, -1], [1, 0, 0]], [[0, 1, 1], [1, 0, 0]]]
+    >>> for mode in feasible_modes(ends, [["free", "pin"], ["pin", "slide+"]], ["A", "B"]):
+    ...     print(*mode.states, mode.reason or "feasible", sep=" | ")
+    free | pin | feasible
+    free | slide+ | feasible
+    pin | pin | feasible
+    pin | slide+ | A without slip leaves B no slip
+    """
+    total = math.prod(len(states) for states in options)
+    if total > _MOST_MODES:
+        raise ValueError(
+            f"{total} modes are too many to judge them all (most: {_MOST_MODES}); "
+            "give fewer states per contact, or one each for a single mode"
+        )
+    if names is None:
+        names = [f"contact {i + 1}" for i in range(len(options))]
+    return _judged(jacobians, product(*options), names)
+
+
+def report(
+    names: Sequence[str],
+    jacobians: ArrayLike,
+    options: Sequence[Sequence[str]],
+    asked: Iterable[Sequence[str]] = (),
+) -> dict[str, Any]:
+    """Return what is declared and what is feasible, with and without direction of sliding.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the contacts.
+    jacobians, options
+        As for `feasible_modes`.
+    asked : iterable of sequence of str
+        Modes to judge where there are too many to judge all.
+
+    Returns
+    -------
+    dict
+        Ready for JSON: `contacts` (names), `enumerated` (whether all modes were judged), and
+        under `with_direction` and `without_direction` each `declared` (number of modes),
+        `feasible` (modes, as lists of states), `infeasible` (`mode` and `reason`). Without
+        direction a mode is infeasible where all its directions are known to be.
+    """
+    total = math.prod(len(states) for states in options)
+    enumerated = total <= _MOST_MODES
+    modes = product(*options) if enumerated else map(tuple, asked)
+    judged = _judged(jacobians, modes, names)
+    undirected = [[_undirected(state) for state in states] for states in options]
+    groups: dict[tuple[str, ...], list[Feasibility]] = {}
+    for mode in judged:
+        groups.setdefault(tuple(map(_undirected, mode.states)), []).append(mode)
+    possible = {key for key, group in groups.items() if any(mode.feasible for mode in group)}
+    impossible = {
+        key: _reason(group)
+        for key, group in groups.items()
+        if key not in possible
+        and len(group) == math.prod(map(list.count, undirected, key))  # all directions are known
+    }
+    return {
+        "contacts": list(names),
+        "enumerated": enumerated,
+        "with_direction": {
+            "declared": total,
+            "feasible": [list(mode.states) for mode in judged if mode.feasible],
+            "infeasible": [
+                {"mode": list(mode.states), "reason": mode.reason}
+                for mode in judged
+                if not mode.feasible
+            ],
+        },
+        "without_direction": {
+            "declared": math.prod(len(set(states)) for states in undirected),
+            "feasible": [list(key) for key in groups if key in possible],
+            "infeasible": [
+                {"mode": list(key), "reason": reason} for key, reason in impossible.items()
+            ],
+        },
+    }
+
+
+def _judged(
+    jacobians: ArrayLike, modes: Iterable[tuple[str, ...]], names: Sequence[str]
+) -> tuple[Feasibility, ...]:
+    rows = _scaled(np.asarray(jacobians, float))
+    conflicts: set[frozenset[Condition]] = set()
+    held: dict[tuple[str, ...], frozenset[Condition] | None] = {}
+    for states in modes:
+        conditions = _conditions(states, len(rows))
+        held[states] = whole = frozenset(conditions)
+        # Modes share their conflicts: most are refused by one that is already known.
+        if not any(known <= whole for known in conflicts):
+            conflict = _conflict(rows, conditions)
+            if conflict is None:
+                held[states] = None
+            else:
+                conflicts.add(frozenset(conflict))
+    # Of the conflicts in a mode the shortest says most.
+    refusals = [
+        (frozenset(conflict), _words(conflict, names), _formulas(conflict))
+        for conflict in sorted(
+            map(sorted, conflicts), key=lambda conflict: (len(conflict), conflict)
+        )
+    ]
+    return tuple(
+        Feasibility(states, True, "")
+        if conditions is None
+        else next(
+            Feasibility(states, False, reason, formulas)
+            for conflict, reason, formulas in refusals
+            if conflict <= conditions
+        )
+        for states, conditions in held.items()
+    )
+
+
+def _reason(directions: Iterable[Feasibility]) -> str:
+    """Join the reasons of all directions, unless one of them asks for no direction."""
+    reasons = {
+        mode.reason: any(formula in ("v_t > 0", "v_t < 0") for _, formula in mode.conflict)
+        for mode in directions
+    }
+    return next(
+        (reason for reason, directed in reasons.items() if not directed), "; ".join(reasons)
+    )
+
+
+def _conditions(states: Sequence[str], count: int) -> list[Condition]:
+    if len(states) != count or not _CONDITIONS.keys() >= set(states):
+        raise ValueError(
+            f"mode {' '.join(states)!r}: expected one state for each of {count} contacts, "
+            f"of {', '.join(_CONDITIONS)}"
+        )
+    return [(c, row, sign) for c, state in enumerate(states) for row, sign in _CONDITIONS[state]]
+
+
+def _undirected(state: str) -> str:
+    return state.rstrip("+-")
+
+
+def _scaled(jacobians: Array) -> Array:
+    """Scale columns and rows to a size of 1: units of coordinates and velocities drop out."""
+    if not np.isfinite(jacobians).all():
+        raise ValueError("the contacts' Jacobians are not finite at this configuration")
+    if not jacobians.size:
+        return jacobians
+    size = np.abs(jacobians)
+    rows = np.where(size <= _ROUNDING * size.max(axis=(1, 2), keepdims=True), 0.0, jacobians)
+    rows /= _divisors(np.abs(rows).max(axis=(0, 1)))
+    rows /= _divisors(np.abs(rows).max(axis=(1, 2), keepdims=True))
+    sizes = np.linalg.norm(rows, axis=2, keepdims=True)
+    # Both rows are velocities of one point, so that each tells when the other is zero.
+    scaled: Array = np.where(sizes <= _ZERO, 0.0, rows / _divisors(sizes))
+    return scaled
+
+
+def _divisors(sizes: Array) -> Array:
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
+def _conflict(rows: Array, conditions: list[Condition]) -> list[Condition] | None:
+    """Return a minimal part of the conditions that no velocity satisfies, None if there is none."""
+    kept = _certificate(rows, conditions)
+    if kept is None:
+        return None
+    for condition in list(kept):
+        if condition in kept:
+            smaller = _certificate(rows, [other for other in kept if other != condition])
+            kept = kept if smaller is None else smaller
+    return sorted(kept)
+
+
+def _certificate(rows: Array, conditions: list[Condition]) -> list[Condition] | None:
+    """Return conditions that no velocity satisfies, None if one satisfies all."""
+    equations = [condition for condition in conditions if condition[2] == 0]
+    strict = [condition for condition in conditions if condition[2] != 0]
+    if not strict:
+        return None
+    basis = _null_space(np.array([rows[c, row] for c, row, _ in equations]), rows.shape[2])
+    left = np.array([sign * rows[c, row] for c, row, sign in strict]) @ basis
+    sizes = np.linalg.norm(left, axis=1)
+    at = int(sizes.argmin())
+    if sizes[at] <= _ZERO:
+        return [*equations, strict[at]]
+    left /= sizes[:, None]
+    guess = np.linalg.lstsq(left, np.ones(len(left)), rcond=_ZERO)[0]
+    if (left @ guess).min() > _ZERO * np.linalg.norm(guess):
+        return None
+    weights = _weights(left)
+    if weights is None:
+        return None
+    return [*equations, *(c for c, weight in zip(strict, weights, strict=True) if weight > 0.0)]
+
+
+def _null_space(rows: Array, n: int) -> Array:
+    """Return an orthonormal basis (n, k) of the velocities that the rows (m, n) leave."""
+    if not rows.size:
+        return np.eye(n)
+    _, values, right = np.linalg.svd(rows)
+    return right[np.count_nonzero(values > _ZERO) :].T
+
+
+def _weights(left: Array) -> Array | None:
+    """Return weights >= 0 that combine the rows (m, k) to zero, None if some w has left w > 0.
+
+    Largest s with left w >= s, |w| <= 1; the weights are the dual solution. HiGHS keeps the
+    conditions to 1e-10 at best, so that the sign of s is read from w itself.
+    """
+    from scipy.optimize import linprog
+
+    m, k = left.shape
+    result = linprog(
+        np.append(np.zeros(k), -1.0),
+        A_ub=np.hstack([-left, np.ones((m, 1))]),
+        b_ub=np.zeros(m),
+        bounds=[*[(-1.0, 1.0)] * k, (None, None)],
+        method="highs-ds",
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    )
+    if not result.success:
+        raise ArithmeticError(f"feasibility of a mode is undecided: {result.message}")
+    if (left @ result.x[:k]).min() > _ZERO:
+        return None
+    weights: Array = -result.ineqlin.marginals
+    return weights
+
+
+def _formulas(conflict: Sequence[Condition]) -> tuple[tuple[int, str], ...]:
+    return tuple((c, f"v_{'nt'[row]} {'=><'[sign]} 0") for c, row, sign in conflict)
+
+
+def _words(conflict: Sequence[Condition], names: Sequence[str]) -> str:
+    """Put a minimal conflict into words: what is held, and what that excludes."""
+    zero: dict[int, set[int]] = {}
+    for c, row, sign in conflict:
+        if sign == 0:
+            zero.setdefault(c, set()).add(row)
+    strict = [condition for condition in conflict if condition[2] != 0]
+    if len(strict) == 1:
+        c, row, _ = strict[0]
+        lost = ("separation", "slip")[row]
+        if not zero:
+            return f"no motion gives {names[c]} any {lost}"
+        verb = "leaves" if len(zero) == 1 else "leave"
+        return f"{_held(zero, names)} {verb} {names[c]} no {lost}"
+    moving = []
+    for c, row, sign in strict:
+        verb = "slide" if zero.pop(c, None) else "slip"
+        moving.append(f"{names[c]} " + (f"{verb}{'+' if sign > 0 else '-'}" if row else "free"))
+    given = f" with {_held(zero, names)}" if zero else ""
+    return f"{_listed(moving)} exclude one another{given}"
+
+
+def _held(zero: Mapping[int, set[int]], names: Sequence[str]) -> str:
+    words = {(0,): "closed", (1,): "without slip", (0, 1): "pin"}
+    return _listed([f"{names[c]} {words[tuple(sorted(rows))]}" for c, rows in zero.items()])
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
