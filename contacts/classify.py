@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,8 +84,7 @@ Undetermined = tuple[tuple[str, ...], str]
 """States per contact, and why they determine no motion."""
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
+class Candidate(NamedTuple):
     """One assignment of modes to the contacts, solved.
 
     Attributes
@@ -186,8 +186,7 @@ def candidates(
     list
         A `Candidate`, or (states, reason) where the combination determines no motion.
     """
-    combinations = list(product(*options))
-    codes = np.array([[_CODES[state] for state in states] for states in combinations])
+    combinations, codes = _combinations(tuple(options))
     cones = np.array([(law.cone_n, law.cone_t) for law in laws])
     status, accelerations, forces, verdicts = solve_modes(
         snapshot.mass,
@@ -212,6 +211,15 @@ def candidates(
         broken = (laws[int(contact)].name, int(which), number)
         found.append(Candidate(states, accelerations[k], forces[k], violation, broken))
     return found
+
+
+@lru_cache(maxsize=1024)
+def _combinations(
+    options: tuple[Sequence[str], ...],
+) -> tuple[tuple[tuple[str, ...], ...], NDArray[np.int64]]:
+    """Return every combination of states, in names and as the kernel numbers them."""
+    combinations = tuple(product(*options))
+    return combinations, np.array([[_CODES[state] for state in s] for s in combinations])
 
 
 def choose(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -169,9 +169,10 @@ class SceneNumbers:
         if overrides and key not in self._physical:
             self._scene.check_numbers(self._scene.values(overrides))
             self._physical.add(key)
-        if not np.isfinite(initial).all():
+        if not all(map(math.isfinite, initial.tolist())):
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
-        contacts = tuple(read(values) for read in self._contacts)
+        listed = values.tolist()
+        contacts = tuple(read(listed) for read in self._contacts)
         scales = self._scales.at(values, initial)
         margins = self._stop_tape.at(initial, values, 0.0).tolist()
         tolerances = {
@@ -196,7 +197,7 @@ class SceneNumbers:
     def _point_masses(self, values: Array, levers: Array) -> tuple[Array, tuple[str, ...]]:
         """Set to zero the moments of inertia that cannot be told from it."""
         warnings = []
-        for (name, place), lever in zip(self._inertias, levers, strict=True):
+        for (name, place), lever in zip(self._inertias, levers.tolist(), strict=True):
             if place is not None and 0.0 < values[place] < _POINT_MASS * lever:
                 warnings.append(
                     f"the inertia of {name!r}, {values[place]:g}, is below {_POINT_MASS:g} of its "
@@ -206,20 +207,20 @@ class SceneNumbers:
                 values[place] = 0.0
         return values, tuple(warnings)
 
-    def _reader(self, name: str, contact: Contact) -> Callable[[Array], ContactLaw]:
+    def _reader(self, name: str, contact: Contact) -> Callable[[Sequence[float]], ContactLaw]:
         """Return what reads a contact's coefficients off the values of a run."""
         region_states = states(contact)
         n, t, e = (self._places.get(f"{name}.{k}") for k in ("cone_n", "cone_t", "restitution"))
         # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `cones`.
         fixed = (1.0, 0.0) if contact.frictionless else (0.0, 1.0)
 
-        def read(values: Array) -> ContactLaw:
+        def read(values: Sequence[float]) -> ContactLaw:
             return ContactLaw(
                 name,
                 region_states,
-                fixed[0] if n is None else float(values[n]),
-                fixed[1] if t is None else float(values[t]),
-                0.0 if e is None else float(values[e]),
+                fixed[0] if n is None else values[n],
+                fixed[1] if t is None else values[t],
+                0.0 if e is None else values[e],
                 contact.impact,
             )
 

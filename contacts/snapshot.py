@@ -19,7 +19,8 @@ __all__ = ["PerContact", "Snapshot", "SnapshotTape", "solve_kkt"]
 
 Array = NDArray[np.float64]
 
-_PER_CONTACT = 9
+# Of a contact, besides its Jacobian and biases: gap, its rate, slip, point, tangent.
+_SCALARS = 7
 
 
 class PerContact(NamedTuple):
@@ -99,13 +100,15 @@ class SnapshotTape:
         self.count = len(mechanics.scene.contacts)
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *mechanics.generalised_forces]
         outputs.append(mechanics.energy)
-        for name in mechanics.scene.contacts:
-            geometry = mechanics.contact(name)
-            symbols = geometry.symbols
-            outputs += [geometry.distance, symbols.gap_rate, symbols.slip]
-            outputs += [*geometry.point, *geometry.tangent]
-            outputs += [geometry.bias_n, geometry.bias_t]
+        contacts = [mechanics.contact(name) for name in mechanics.scene.contacts]
+        # Numbers of a kind stand side by side, so that arrays of them need no copy.
+        for geometry in contacts:
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t]
+        for geometry in contacts:
+            outputs += [geometry.bias_n, geometry.bias_t]
+        for geometry in contacts:
+            outputs += [geometry.distance, geometry.symbols.gap_rate, geometry.symbols.slip]
+            outputs += [*geometry.point, *geometry.tangent]
         self.tape: Tape = compile_tape(
             outputs,
             variables=(*mechanics.q, *mechanics.v),
@@ -117,22 +120,28 @@ class SnapshotTape:
         """Return the numbers at `state` (2 n,)."""
         n = self.size
         numbers = self.tape.at(state, values, time)
-        at = n * n + n + 1
-        table = numbers[at:].reshape(self.count, _PER_CONTACT + 2 * n)
-        jacobians = table[:, _PER_CONTACT:].copy().reshape(self.count, 2, n)
+        count, at = self.count, n * n + n + 1
+        end = at + 2 * n * count
+        jacobians = numbers[at:end].reshape(count, 2, n)
+        listed = numbers[end:].tolist()
+        biases, scalars = listed[: 2 * count], listed[2 * count :]
         return Snapshot(
             numbers[: n * n].reshape(n, n),
             numbers[n * n : n * n + n],
             state[n:],
             float(numbers[n * n + n]),
             tuple(
-                map(
-                    PerContact._make,
-                    zip(*table[:, :_PER_CONTACT].T.tolist(), jacobians, strict=True),
+                PerContact._make(
+                    (
+                        *scalars[_SCALARS * i : _SCALARS * (i + 1)],
+                        *biases[2 * i : 2 * i + 2],
+                        jacobians[i],
+                    )
                 )
+                for i in range(count)
             ),
             jacobians,
-            table[:, _PER_CONTACT - 2 : _PER_CONTACT].copy(),
+            numbers[end : end + 2 * count].reshape(count, 2),
         )
 
 

@@ -188,9 +188,9 @@ class Flow:
         Region -> when its Zeno sequence, whose rest is skipped, comes to its end.
     tolerances : mapping
         Margin -> its tolerance in this flow, where that of its kind is not the one.
-    sizes : (n,) array or None
-        How large the terms are that each variable was summed from; its rounding is relative to
-        them. Kept by the executor, None before the first flow.
+    terms : (n, k) array or None
+        What each variable was summed from when the last flow ended; None before the first. Kept
+        by the executor.
     """
 
     mode: Key
@@ -200,7 +200,12 @@ class Flow:
     settled: bool = False
     held: Mapping[str, Clock] = field(default_factory=dict)
     tolerances: Mapping[str, float] = field(default_factory=dict)
-    sizes: NDArray[np.float64] | None = None
+    terms: NDArray[np.float64] | None = None
+
+    @property
+    def sizes(self) -> NDArray[np.float64] | None:
+        """How large the terms of each variable are; its rounding is relative to them."""
+        return None if self.terms is None else np.abs(self.terms).sum(axis=1)
 
 
 class Laws(Protocol):

@@ -271,7 +271,7 @@ class ChartLaws:
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the initial states; guards that are true there fire at once."""
         key = tuple(region.initial for region in self._chart.regions.values())
-        flow = Flow(key, key, sizes=np.abs(setup.initial))
+        flow = Flow(key, key, terms=setup.initial[:, None])
         return self._with_tolerances(setup, Clock(), flow, setup.initial), setup.initial
 
     def jump(
@@ -381,4 +381,5 @@ class ChartLaws:
 
 def _sizes(flow: Flow, state: Array) -> Array:
     """Return the size of the terms that the state was summed from, or is itself."""
-    return np.abs(state) if flow.sizes is None else np.maximum(flow.sizes, np.abs(state))
+    sizes = flow.sizes
+    return np.abs(state) if sizes is None else np.maximum(sizes, np.abs(state))

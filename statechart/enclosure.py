@@ -22,7 +22,18 @@ from numpy.typing import ArrayLike, NDArray
 from statechart import kernels
 from statechart.tape import Tape, plain
 
-__all__ = ["Crossing", "Search", "Verdict", "first_crossing", "integrals", "lowest", "sample"]
+__all__ = [
+    "Crossing",
+    "Search",
+    "Verdict",
+    "first_crossing",
+    "integrals",
+    "lowest",
+    "sample",
+    "search",
+]
+
+_BUDGET = 100_000  # boxes; a search that is decided takes a handful a step
 
 
 class Verdict(Enum):
@@ -104,7 +115,7 @@ def first_crossing(
     parameters: ArrayLike,
     start: float,
     *,
-    budget: int = 100_000,
+    budget: int = _BUDGET,
 ) -> Search:
     """Find the first place where an output of the tape falls below minus its tolerance.
 
@@ -150,6 +161,22 @@ def first_crossing(
     tolerances = plain(tolerances)
     if tolerances.shape != tape.outputs.shape:
         raise ValueError(f"the tolerances have shape {tolerances.shape}, not {tape.outputs.shape}")
+    return search(tape, tolerances, times, coeffs, parameters, float(start), budget)
+
+
+def search(
+    tape: Tape,
+    tolerances: NDArray[np.float64],
+    times: NDArray[np.float64],
+    coeffs: NDArray[np.float64],
+    parameters: NDArray[np.float64],
+    start: float,
+    budget: int = _BUDGET,
+) -> Search:
+    """Return `first_crossing` for arrays that are float64, contiguous and of the right shape.
+
+    For inner loops: nothing is checked, and a wrong shape reads beyond the arrays.
+    """
     code, guard, step, s, far_step, far, boxes = kernels.search(
         tape.code,
         tape.constants,
@@ -160,7 +187,7 @@ def first_crossing(
         times,
         coeffs,
         parameters,
-        float(start),
+        start,
         budget,
     )
     verdict = _VERDICTS[code]
@@ -200,18 +227,10 @@ def lowest(
         If a shape does not fit.
     """
     times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
-    return kernels.least_values(
-        tape.code,
-        tape.constants,
-        tape.outputs,
-        tape.reads,
-        tape.n_fixed,
-        times,
-        coeffs,
-        parameters,
-        float(start),
-        per_step,
-    )
+    places = np.broadcast_to(np.arange(per_step + 1) / per_step, (len(coeffs), per_step + 1))
+    ends = np.stack([times[:-1], times[1:]], axis=1)
+    found = _table(tape, ends, coeffs, parameters, start, places)
+    return found.min(axis=(0, 1), initial=np.inf)
 
 
 def integrals(
@@ -243,19 +262,15 @@ def integrals(
         If a shape does not fit.
     """
     times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
-    return kernels.integrate_outputs(
-        tape.code,
-        tape.constants,
-        tape.outputs,
-        tape.reads,
-        tape.n_fixed,
-        times,
-        coeffs,
-        parameters,
-        float(start),
-        float(t_from),
-        float(t_to),
-    )
+    low, high = np.maximum(times[:-1], t_from), np.minimum(times[1:], t_to)
+    met = low < high
+    low, high, begin = low[met], high[met], times[:-1][met]
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    spread = (nodes + 1.0) / 2.0 * (high - low)[:, None]
+    places = ((low - begin)[:, None] + spread) / (times[1:][met] - begin)[:, None]
+    ends = np.stack([begin, times[1:][met]], axis=1)
+    found = _table(tape, ends, coeffs[met], parameters, start, places)
+    return np.einsum("knj,n,k->j", found, weights / 2.0, high - low)
 
 
 def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> NDArray[np.float64]:
@@ -301,6 +316,26 @@ def _arc(
             f"not (n_steps + 1,) and (n_steps, {tape.n_variables}, degree + 1)"
         )
     return times, coeffs, parameters
+
+
+def _table(
+    tape: Tape,
+    ends: NDArray[np.float64],
+    coeffs: NDArray[np.float64],
+    parameters: NDArray[np.float64],
+    start: float,
+    places: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the outputs (k, m, n_out) at places (k, m) of k steps with ends (k, 2)."""
+    begin, end = ends[:, :1], ends[:, 1:]
+    local = np.where(places >= 1.0, end, begin + places * (end - begin))
+    states = np.zeros((*places.shape, coeffs.shape[1]))
+    for coefficient in np.moveaxis(coeffs, 2, 0)[::-1]:
+        states *= places[:, :, None]
+        states += coefficient[:, None, :]
+    flat = states.reshape(-1, coeffs.shape[1])
+    found = tape.table(flat, parameters, (start + local).ravel())
+    return found.reshape(*places.shape, len(tape.outputs))
 
 
 def _time(times: NDArray[np.float64], step: int, s: float) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
-from statechart.enclosure import Crossing, Search, Verdict, first_crossing
+from statechart.enclosure import Crossing, Search, Verdict, search
 from statechart.errors import NonFinite, Undecided
 from statechart.tape import Tape, compile_tape
 
@@ -63,15 +63,15 @@ class Steps:
 
     Attributes
     ----------
-    durations : (k,) array
-        Length of every step.
+    times : (k + 1,) array
+        When every step ends, counted from where the first starts; 0 before.
     coefficients : (k, n, d + 1) array
         As in `Arc`.
     finished : bool
         Whether the last step ends at the end of the duration asked for.
     """
 
-    durations: Array
+    times: Array
     coefficients: Array
     finished: bool
 
@@ -254,21 +254,16 @@ def advance(
         steps = engine.steps(
             compiled.stepper, parameters, start + reached, state, end - reached, count, resume
         )
-        local = np.empty(len(steps.durations) + 1)
-        local[0] = reached
-        np.cumsum(steps.durations, out=local[1:])
-        local[1:] += reached
+        local = steps.times + reached
         if steps.finished:
             local[-1] = end
             horizon *= _GROWTH
-        total += len(steps.durations)
-        search = first_crossing(
-            compiled.guards, tolerances, local, steps.coefficients, parameters, start
-        )
-        boxes += search.boxes
-        crossing = _decide(search, compiled, tolerances, steps, parameters, start + reached)
+        total += len(steps.coefficients)
+        found = search(compiled.guards, tolerances, local, steps.coefficients, parameters, start)
+        boxes += found.boxes
+        crossing = _decide(found, compiled, tolerances, steps, parameters, start + reached)
         if crossing is not None:
-            graze = search.verdict is not Verdict.CROSSING
+            graze = found.verdict is not Verdict.CROSSING
             late = graze or compiled.kinds[crossing.guard] == "force"
             end = crossing.crossed if late else crossing.time
             return _cut(
@@ -297,25 +292,25 @@ def advance(
 
 
 def _decide(
-    search: Search,
+    found: Search,
     compiled: CompiledMode,
     tolerances: Array,
     steps: Steps,
     parameters: Array,
     time: float,
 ) -> Crossing | None:
-    if search.verdict is Verdict.NONE:
+    if found.verdict is Verdict.NONE:
         return None
-    if search.verdict is Verdict.CROSSING:
-        return search.crossing
-    where = search.undecided
+    if found.verdict is Verdict.CROSSING:
+        return found.crossing
+    where = found.undecided
     assert where is not None
-    if search.verdict is Verdict.GRAZE:
+    if found.verdict is Verdict.GRAZE:
         return where
     names = [margin.name for margin in compiled.mode.margins]
-    if search.verdict is Verdict.BUDGET:
+    if found.verdict is Verdict.BUDGET:
         raise Undecided(
-            f"no decision within {search.boxes} boxes on one of the guards {', '.join(names)}"
+            f"no decision within {found.boxes} boxes on one of the guards {', '.join(names)}"
         )
     # An end of the run may lie where the equations end too: the cosine under a force vanishes as
     # the stick lies flat. A margin that is zero there to within its tolerance has been reached.

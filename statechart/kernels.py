@@ -17,6 +17,7 @@ Interval Analysis", 2009, chapters 5 and 9, for the centred forms built on it.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 from numba import njit
@@ -29,9 +30,9 @@ __all__ = [
     "NONE",
     "NON_FINITE",
     "OPCODES",
-    "integrate_outputs",
-    "least_values",
+    "cached",
     "sample_states",
+    "scaled_steps",
     "search",
     "tape_table",
     "tape_values",
@@ -41,8 +42,14 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Marks = NDArray[np.uint8]
 Interval = tuple[float, float]
-Along = tuple[Ints, int, Ints, Floats, Floats, float]
-"""What is evaluated along what: code, n_fixed, reads, times, coeffs, start."""
+Jet = tuple[Interval, Interval, Interval]
+Along = tuple[Ints, int, int, int, Ints, Floats, Floats, float]
+"""What is evaluated along what: code, the register of its first operation, the operations to run
+(from, to), reads, times, coeffs, start."""
+
+# What only kernels call needs nothing to be called by from Python, and compiles sooner without.
+_kernel = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)
+_inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
 NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21)
@@ -61,16 +68,14 @@ LIBM = 4.0 * EPS
 INF = math.inf
 NARROW = 2.0**-48  # of a step: narrower boxes tell nothing new in float64
 BLOCK = 32  # points evaluated side by side; amortises the dispatch of an operation
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_NODES = (_NODES + 1.0) / 2.0
-_WEIGHTS = _WEIGHTS / 2.0
+WHOLE, ZERO, ONE = (-INF, INF), (0.0, 0.0), (1.0, 1.0)
+HALF, MINUS_ONE = (0.5, 0.5), (-1.0, -1.0)
 
 
 # ---------------------------------------------------------------- float values
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
 def _one(op: int, a: float, exponent: int) -> float:
     """One of the functions of one operand that no processor computes side by side."""
     if op == SIN:
@@ -102,7 +107,7 @@ def _one(op: int, a: float, exponent: int) -> float:
     return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else a)  # NaN has no sign
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
 def _two(op: int, a: float, b: float) -> float:
     """One of the less usual functions of two operands."""
     if op == POW:
@@ -116,7 +121,7 @@ def _two(op: int, a: float, b: float) -> float:
     return min(a, b) if op == MIN else max(a, b)
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
 def _run(code: Ints, first: int, last: int, base: int, regs: Floats, count: int) -> None:
     """Run the operations [first, last) on `count` columns of registers."""
     for k in range(first, last):
@@ -155,11 +160,11 @@ def _run(code: Ints, first: int, last: int, base: int, regs: Floats, count: int)
                 out[j] = _one(op, a[j], exponent)
 
 
-@njit(cache=True, error_model="numpy")
-def _registers(
-    code: Ints, constants: Floats, n_fixed: int, parameters: Floats, n_variables: int, width: int
-) -> Floats:
-    """Return registers with parameters, constants and what depends on these alone filled in."""
+@_inner
+def _fill(
+    code: Ints, constants: Floats, parameters: Floats, n_variables: int, width: int
+) -> tuple[int, Floats]:
+    """Return the first register of the operations, and registers with what is known filled in."""
     n_parameters = parameters.shape[0]
     base = n_variables + 1 + n_parameters + constants.shape[0]
     regs = np.empty((base + code.shape[0], width))
@@ -168,34 +173,27 @@ def _registers(
             regs[n_variables + 1 + p, j] = parameters[p]
         for c in range(constants.shape[0]):
             regs[n_variables + 1 + n_parameters + c, j] = constants[c]
-    _run(code, 0, n_fixed, base, regs, width)
-    return regs
+    return base, regs
 
 
-@njit(cache=True, error_model="numpy")
+@_kernel
 def tape_values(
-    code: Ints,
-    constants: Floats,
-    outputs: Ints,
-    n_fixed: int,
-    state: Floats,
-    parameters: Floats,
-    time: float,
+    code: Ints, constants: Floats, outputs: Ints, state: Floats, parameters: Floats, time: float
 ) -> Floats:
     """Values of the outputs at one point; shape (n_out,)."""
     n = state.shape[0]
-    regs = _registers(code, constants, n_fixed, parameters, n, 1)
+    base, regs = _fill(code, constants, parameters, n, 1)
     for v in range(n):
         regs[v, 0] = state[v]
     regs[n, 0] = time
-    _run(code, n_fixed, code.shape[0], regs.shape[0] - code.shape[0], regs, 1)
+    _run(code, 0, code.shape[0], base, regs, 1)
     result = np.empty(outputs.shape[0])
     for i in range(outputs.shape[0]):
         result[i] = regs[outputs[i], 0]
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@_kernel
 def tape_table(
     code: Ints,
     constants: Floats,
@@ -207,23 +205,25 @@ def tape_table(
 ) -> Floats:
     """Values of the outputs at m points; shape (m, n_out)."""
     m, n = states.shape
-    regs = _registers(code, constants, n_fixed, parameters, n, BLOCK)
-    base = regs.shape[0] - code.shape[0]
+    base, regs = _fill(code, constants, parameters, n, BLOCK)
+    first = 0
     result = np.empty((m, outputs.shape[0]))
-    for first in range(0, m, BLOCK):
-        count = min(BLOCK, m - first)
+    for begin in range(0, m, BLOCK):
+        count = min(BLOCK, m - begin)
         for j in range(count):
             for v in range(n):
-                regs[v, j] = states[first + j, v]
-            regs[n, j] = times[first + j]
-        _run(code, n_fixed, code.shape[0], base, regs, count)
+                regs[v, j] = states[begin + j, v]
+            regs[n, j] = times[begin + j]
+        # What depends on parameters alone is computed in the first block; only the last is short.
+        _run(code, first, code.shape[0], base, regs, count)
+        first = n_fixed
         for j in range(count):
             for i in range(outputs.shape[0]):
-                result[first + j, i] = regs[outputs[i], j]
+                result[begin + j, i] = regs[outputs[i], j]
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
 def _horner(coeffs: Floats, step: int, v: int, s: float) -> float:
     value = 0.0
     for k in range(coeffs.shape[2] - 1, -1, -1):
@@ -231,7 +231,7 @@ def _horner(coeffs: Floats, step: int, v: int, s: float) -> float:
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
 def _local(times: Floats, step: int, s: float) -> float:
     """Local time of the place s in a step; exact at both ends."""
     if s >= 1.0:
@@ -239,98 +239,16 @@ def _local(times: Floats, step: int, s: float) -> float:
     return times[step] + s * (times[step + 1] - times[step])
 
 
-@njit(cache=True, error_model="numpy")
-def _run_along(along: Along, step: int, places: Floats, count: int, regs: Floats) -> None:
-    """Run the tape at `count` places of one step."""
-    code, n_fixed, reads, times, coeffs, start = along
-    n = coeffs.shape[1]
-    for r in range(reads.shape[0]):
-        v = reads[r]
-        if v == n:
-            for j in range(count):
-                regs[n, j] = start + _local(times, step, places[j])
-        else:
-            for j in range(count):
-                regs[v, j] = _horner(coeffs, step, v, places[j])
-    _run(code, n_fixed, code.shape[0], regs.shape[0] - code.shape[0], regs, count)
-
-
-@njit(cache=True, error_model="numpy")
-def least_values(
-    code: Ints,
-    constants: Floats,
-    outputs: Ints,
-    reads: Ints,
-    n_fixed: int,
-    times: Floats,
-    coeffs: Floats,
-    parameters: Floats,
-    start: float,
-    per_step: int,
-) -> Floats:
-    """Least value of every output on a grid of per_step + 1 places in every step."""
-    along = (code, n_fixed, reads, times, coeffs, start)
-    regs = _registers(code, constants, n_fixed, parameters, coeffs.shape[1], per_step + 1)
-    places = np.empty(per_step + 1)
-    for j in range(per_step + 1):
-        places[j] = j / per_step
-    result = np.empty(outputs.shape[0])
-    for i in range(outputs.shape[0]):
-        result[i] = INF
-    for step in range(coeffs.shape[0]):
-        _run_along(along, step, places, per_step + 1, regs)
-        for i in range(outputs.shape[0]):
-            for j in range(per_step + 1):
-                value = regs[outputs[i], j]
-                if value < result[i] or value != value:
-                    result[i] = value
-    return result
-
-
-@njit(cache=True, error_model="numpy")
-def integrate_outputs(
-    code: Ints,
-    constants: Floats,
-    outputs: Ints,
-    reads: Ints,
-    n_fixed: int,
-    times: Floats,
-    coeffs: Floats,
-    parameters: Floats,
-    start: float,
-    t_from: float,
-    t_to: float,
-) -> Floats:
-    """Integral of every output over local time [t_from, t_to], 16 Gauss nodes in a step."""
-    along = (code, n_fixed, reads, times, coeffs, start)
-    nodes = _NODES.shape[0]
-    regs = _registers(code, constants, n_fixed, parameters, coeffs.shape[1], nodes)
-    places = np.empty(nodes)
-    result = np.zeros(outputs.shape[0])
-    for step in range(coeffs.shape[0]):
-        low, high = max(t_from, times[step]), min(t_to, times[step + 1])
-        if not low < high:
-            continue
-        span = times[step + 1] - times[step]
-        for j in range(nodes):
-            places[j] = (low - times[step] + _NODES[j] * (high - low)) / span
-        _run_along(along, step, places, nodes, regs)
-        for i in range(outputs.shape[0]):
-            total = 0.0
-            for j in range(nodes):
-                total += _WEIGHTS[j] * regs[outputs[i], j]
-            result[i] += total * (high - low)
-    return result
-
-
-@njit(cache=True, error_model="numpy")
-def scaled_steps(series: Floats, durations: Floats, count: int) -> tuple[int, Floats]:
+@_kernel
+def scaled_steps(series: Floats, durations: Floats, count: int) -> tuple[int, Floats, Floats]:
     """Taylor coefficients in time of `count` steps as coefficients in s = time / duration.
 
-    Returns how many leading steps are finite, and their coefficients.
+    Returns how many leading steps are finite, when they end (with a 0 before), and their
+    coefficients.
     """
     _, n, terms = series.shape
     scaled = np.empty((count, n, terms))
+    times = np.zeros(count + 1)
     for i in range(count):
         finite = True
         for v in range(n):
@@ -341,11 +259,12 @@ def scaled_steps(series: Floats, durations: Floats, count: int) -> tuple[int, Fl
                 factor *= durations[i]
                 finite = finite and abs(value) < INF
         if not finite:
-            return i, scaled[:i].copy()
-    return count, scaled
+            return i, times[: i + 1].copy(), scaled[:i].copy()
+        times[i + 1] = times[i] + durations[i]
+    return count, times, scaled
 
 
-@njit(cache=True, error_model="numpy")
+@_kernel
 def sample_states(coeffs: Floats, times: Floats, tau: Floats) -> Floats:
     """States at local times; shape (m, n)."""
     last = coeffs.shape[0] - 1
@@ -369,98 +288,122 @@ def sample_states(coeffs: Floats, times: Floats, tau: Floats) -> Floats:
 # ---------------------------------------------------------------- intervals
 
 
-@njit(cache=True, error_model="numpy")
-def _wide(low: float, high: float, ulps: float) -> Interval:
-    return low - abs(low) * ulps - TINY, high + abs(high) * ulps + TINY
+@_inner
+def _wide(a: Interval, ulps: float) -> Interval:
+    return a[0] - abs(a[0]) * ulps - TINY, a[1] + abs(a[1]) * ulps + TINY
 
 
-@njit(cache=True, error_model="numpy")
-def _add(al: float, ah: float, bl: float, bh: float) -> Interval:
+@_inner
+def _neg(a: Interval) -> Interval:
+    return -a[1], -a[0]
+
+
+@_inner
+def _times(number: float, a: Interval) -> Interval:
+    """Product with an exact number >= 0 that loses nothing (a power of two)."""
+    return number * a[0], number * a[1]
+
+
+@_inner
+def _add(a: Interval, b: Interval) -> Interval:
     # A sum never underflows inexactly, so that an exact 0 stays one.
-    low, high = al + bl, ah + bh
+    low, high = a[0] + b[0], a[1] + b[1]
     return low - abs(low) * EPS, high + abs(high) * EPS
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
+def _sub(a: Interval, b: Interval) -> Interval:
+    return _add(a, _neg(b))
+
+
+@_inner
+def _hull(p: float, q: float, r: float, s: float) -> Interval:
+    a, b, c, d = min(p, q), max(p, q), min(r, s), max(r, s)
+    return min(a, c), max(b, d)
+
+
+@_inner
 def _hull4(p: float, q: float, r: float, s: float) -> Interval:
     total = p + q + r + s
     if total != total:
-        return -INF, INF
-    low, high = min(p, q, r, s), max(p, q, r, s)
-    return low - abs(low) * EPS - TINY, high + abs(high) * EPS + TINY
+        return WHOLE
+    return _wide(_hull(p, q, r, s), EPS)
 
 
-@njit(cache=True, error_model="numpy")
-def _mul(al: float, ah: float, bl: float, bh: float) -> Interval:
-    return _hull4(al * bl, al * bh, ah * bl, ah * bh)
+@_inner
+def _mul(a: Interval, b: Interval) -> Interval:
+    return _hull4(a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1])
 
 
-@njit(cache=True, error_model="numpy")
-def _div(al: float, ah: float, bl: float, bh: float) -> Interval:
-    if not (bl > 0.0 or bh < 0.0):
-        return -INF, INF
-    return _hull4(al / bl, al / bh, ah / bl, ah / bh)
+@_inner
+def _div(a: Interval, b: Interval) -> Interval:
+    if not (b[0] > 0.0 or b[1] < 0.0):
+        return WHOLE
+    return _hull4(a[0] / b[0], a[0] / b[1], a[1] / b[0], a[1] / b[1])
 
 
-@njit(cache=True, error_model="numpy")
-def _square(low: float, high: float) -> Interval:
-    p, q = low * low, high * high
-    big = max(p, q)
-    small = 0.0 if low <= 0.0 <= high else min(p, q)
-    return max(0.0, small - small * EPS - TINY), big + big * EPS + TINY
+@_inner
+def _even(a: Interval, p: float, q: float, ulps: float) -> Interval:
+    """Range of an even power over `a`, from its values p and q at the ends."""
+    small = 0.0 if a[0] <= 0.0 <= a[1] else min(p, q)
+    low, high = _wide((small, max(p, q)), ulps)
+    return max(0.0, low), high
 
 
-@njit(cache=True, error_model="numpy")
-def _sqrt(low: float, high: float) -> Interval:
-    if not low >= 0.0:
-        return -INF, INF
-    p, q = math.sqrt(low), math.sqrt(high)
+@_inner
+def _square(a: Interval) -> Interval:
+    return _even(a, a[0] * a[0], a[1] * a[1], EPS)
+
+
+@_inner
+def _sqrt(a: Interval) -> Interval:
+    if not a[0] >= 0.0:
+        return WHOLE
+    p, q = math.sqrt(a[0]), math.sqrt(a[1])
     return max(0.0, p - p * EPS), q + q * EPS
 
 
-@njit(cache=True, error_model="numpy")
-def _power(low: float, high: float, exponent: int) -> Interval:
+@_inner
+def _power(a: Interval, exponent: int) -> Interval:
     """Integer power, exponent >= 0."""
     if exponent == 0:
-        return 1.0, 1.0
+        return ONE
     if exponent == 1:
-        return low, high
+        return a
     n = float(exponent)
-    p, q = low**n, high**n
+    p, q = a[0] ** n, a[1] ** n
     if exponent % 2 == 1:
-        return _wide(p, q, LIBM)
-    big = max(p, q)
-    small = 0.0 if low <= 0.0 <= high else min(p, q)
-    return max(0.0, small - small * LIBM - TINY), big + big * LIBM + TINY
+        return _wide((p, q), LIBM)
+    return _even(a, p, q, LIBM)
 
 
-@njit(cache=True, error_model="numpy")
-def _exp(low: float, high: float) -> Interval:
-    p, q = _wide(math.exp(low), math.exp(high), LIBM)
+@_inner
+def _exp(a: Interval) -> Interval:
+    p, q = _wide((math.exp(a[0]), math.exp(a[1])), LIBM)
     return max(0.0, p), q
 
 
-@njit(cache=True, error_model="numpy")
-def _extrema(low: float, high: float, offset: float) -> tuple[float, float]:
-    """How many of the points (k + offset) pi may lie in [low, high] (at most 2), and the last k."""
-    size = max(abs(low), abs(high)) / math.pi
+@_inner
+def _extrema(a: Interval, offset: float) -> tuple[float, float]:
+    """How many of the points (k + offset) pi may lie in an interval (at most 2), and the last k."""
+    size = max(abs(a[0]), abs(a[1])) / math.pi
     if not size < 1e14:
         return 2.0, 0.0
     slack = 4.0 * EPS * (size + 1.0)
-    last = math.floor(high / math.pi - offset + slack)
-    return last - math.floor(low / math.pi - offset - slack), last
+    last = math.floor(a[1] / math.pi - offset + slack)
+    return last - math.floor(a[0] / math.pi - offset - slack), last
 
 
-@njit(cache=True, error_model="numpy")
-def _wave(low: float, high: float, sine: bool) -> Interval:
-    count, last = _extrema(low, high, 0.5 if sine else 0.0)
+@_kernel
+def _wave(a: Interval, sine: bool) -> Interval:
+    count, last = _extrema(a, 0.5 if sine else 0.0)
     if count >= 2.0:
         return -1.0, 1.0
     if sine:
-        p, q = math.sin(low), math.sin(high)
+        p, q = math.sin(a[0]), math.sin(a[1])
     else:
-        p, q = math.cos(low), math.cos(high)
-    p, q = _wide(min(p, q), max(p, q), LIBM)
+        p, q = math.cos(a[0]), math.cos(a[1])
+    p, q = _wide((min(p, q), max(p, q)), LIBM)
     if count >= 1.0:
         if last % 2.0 == 0.0:
             q = 1.0
@@ -469,308 +412,232 @@ def _wave(low: float, high: float, sine: bool) -> Interval:
     return max(p, -1.0), min(q, 1.0)
 
 
-@njit(cache=True, error_model="numpy")
-def _hyperbolic_cosine(low: float, high: float) -> Interval:
-    p, q = math.cosh(low), math.cosh(high)
-    p, q = _wide(1.0 if low <= 0.0 <= high else min(p, q), max(p, q), LIBM)
+@_inner
+def _sinh(a: Interval) -> Interval:
+    return _wide((math.sinh(a[0]), math.sinh(a[1])), LIBM)
+
+
+@_inner
+def _cosh(a: Interval) -> Interval:
+    p, q = math.cosh(a[0]), math.cosh(a[1])
+    p, q = _wide((1.0 if a[0] <= 0.0 <= a[1] else min(p, q), max(p, q)), LIBM)
     return max(1.0, p), q
 
 
-@njit(cache=True, error_model="numpy")
-def _whole(bounds: Interval) -> Interval:
+@_inner
+def _whole(a: Interval) -> Interval:
     """Return the interval, or the whole line where a bound was lost."""
-    if bounds[0] <= bounds[1]:
-        return bounds
-    return -INF, INF
+    if a[0] <= a[1]:
+        return a
+    return WHOLE
 
 
 # ---------------------------------------------------------------- jets
 
 
-@njit(cache=True, error_model="numpy")
-def _unary(
-    op: int, exponent: int, low: float, high: float, order: int
-) -> tuple[float, float, float, float, float, float]:
-    """Enclosures of f, f' and f'' over [low, high] (the derivatives up to `order`)."""
-    f: Interval = (-INF, INF)
-    d: Interval = (-INF, INF)
-    e: Interval = (-INF, INF)
-    if op in (SIN, COS):
-        f = _wave(low, high, op == SIN)
+@_inner
+def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
+    """Enclosures over an interval of f and, unless the order is 0, of f' and f''."""
+    f = d = e = WHOLE
+    if op == SIN:
+        f = _wave(a, True)
         if order > 0:
-            d = _wave(low, high, op == COS)
-            if op == COS:
-                d = (-d[1], -d[0])
-            e = (-f[1], -f[0])
+            d, e = _wave(a, False), _neg(f)
+    elif op == COS:
+        f = _wave(a, False)
+        if order > 0:
+            d, e = _neg(_wave(a, True)), _neg(f)
     elif op == SQRT:
-        f = _sqrt(low, high)
+        f = _sqrt(a)
         if order > 0:
-            d = _div(0.5, 0.5, f[0], f[1])
-            e = _div(-0.5 * d[1], -0.5 * d[0], low, high)
+            d = _div(HALF, f)
+            e = _div(_times(0.5, _neg(d)), a)
     elif op == EXP:
-        f = _exp(low, high)
-        d = f
-        e = f
+        f = d = e = _exp(a)
     elif op == POWI:
-        f = _power(low, high, exponent)
+        f = _power(a, exponent)
         if order > 0:
             n = float(exponent)
-            p = _power(low, high, exponent - 1)
-            d = _mul(p[0], p[1], n, n)
-            p = _power(low, high, exponent - 2)
-            e = _mul(p[0], p[1], n * (n - 1.0), n * (n - 1.0))
+            d = _mul(_power(a, exponent - 1), (n, n))
+            n *= n - 1.0
+            e = _mul(_power(a, exponent - 2), (n, n))
     elif op == LOG:
-        if low > 0.0:
-            f = _wide(math.log(low), math.log(high), LIBM)
-            if order > 0:
-                d = _div(1.0, 1.0, low, high)
-                p = _square(d[0], d[1])
-                e = (-p[1], -p[0])
+        if a[0] > 0.0:
+            f = _wide((math.log(a[0]), math.log(a[1])), LIBM)
+            d = _div(ONE, a)
+            e = _neg(_square(d))
     elif op == ABS:
-        if low >= 0.0:
-            f, d, e = (low, high), (1.0, 1.0), (0.0, 0.0)
-        elif high <= 0.0:
-            f, d, e = (-high, -low), (-1.0, -1.0), (0.0, 0.0)
+        if a[0] >= 0.0:
+            f, d, e = a, ONE, ZERO
+        elif a[1] <= 0.0:
+            f, d, e = _neg(a), MINUS_ONE, ZERO
         else:
-            f, d = (0.0, max(-low, high)), (-1.0, 1.0)
+            f, d = (0.0, max(-a[0], a[1])), (-1.0, 1.0)
     elif op == SIGN:
-        if low > 0.0:
-            f, d, e = (1.0, 1.0), (0.0, 0.0), (0.0, 0.0)
-        elif high < 0.0:
-            f, d, e = (-1.0, -1.0), (0.0, 0.0), (0.0, 0.0)
+        if a[0] > 0.0:
+            f, d, e = ONE, ZERO, ZERO
+        elif a[1] < 0.0:
+            f, d, e = MINUS_ONE, ZERO, ZERO
         else:
             f = (-1.0, 1.0)
     elif op == TAN:
-        if _extrema(low, high, 0.5)[0] < 1.0:
-            f = _wide(math.tan(low), math.tan(high), LIBM)
-            if order > 0:
-                p = _square(f[0], f[1])
-                d = _add(p[0], p[1], 1.0, 1.0)
-                e = _mul(2.0 * f[0], 2.0 * f[1], d[0], d[1])
+        if _extrema(a, 0.5)[0] < 1.0:
+            f = _wide((math.tan(a[0]), math.tan(a[1])), LIBM)
+            d = _add(_square(f), ONE)
+            e = _mul(_times(2.0, f), d)
     elif op == ATAN:
-        f = _wide(math.atan(low), math.atan(high), LIBM)
-        if order > 0:
-            p = _square(low, high)
-            p = _add(p[0], p[1], 1.0, 1.0)
-            d = _div(1.0, 1.0, p[0], p[1])
-            p = _square(d[0], d[1])
-            e = _mul(-2.0 * high, -2.0 * low, p[0], p[1])
+        f = _wide((math.atan(a[0]), math.atan(a[1])), LIBM)
+        d = _div(ONE, _add(_square(a), ONE))
+        e = _mul(_times(2.0, _neg(a)), _square(d))
     elif op in (ASIN, ACOS):
-        if low >= -1.0 and high <= 1.0:
+        if a[0] >= -1.0 and a[1] <= 1.0:
+            p = _sub(ONE, _square(a))
+            d = _div(ONE, _sqrt(p))
+            e = _div(_mul(a, d), p)
             if op == ASIN:
-                f = _wide(math.asin(low), math.asin(high), LIBM)
+                f = _wide((math.asin(a[0]), math.asin(a[1])), LIBM)
             else:
-                f = _wide(math.acos(high), math.acos(low), LIBM)
-            if order > 0:
-                p = _square(low, high)
-                p = _add(1.0, 1.0, -p[1], -p[0])
-                q = _sqrt(p[0], p[1])
-                d = _div(1.0, 1.0, q[0], q[1])
-                q = _mul(low, high, d[0], d[1])
-                e = _div(q[0], q[1], p[0], p[1])
-                if op == ACOS:
-                    d, e = (-d[1], -d[0]), (-e[1], -e[0])
+                f = _wide((math.acos(a[1]), math.acos(a[0])), LIBM)
+                d, e = _neg(d), _neg(e)
     elif op == SINH:
-        f = _wide(math.sinh(low), math.sinh(high), LIBM)
-        if order > 0:
-            d = _hyperbolic_cosine(low, high)
-            e = f
+        f = e = _sinh(a)
+        d = _cosh(a)
     elif op == COSH:
-        f = _hyperbolic_cosine(low, high)
-        if order > 0:
-            d = _wide(math.sinh(low), math.sinh(high), LIBM)
-            e = f
+        f = e = _cosh(a)
+        d = _sinh(a)
     elif op == TANH:
-        f = _wide(math.tanh(low), math.tanh(high), LIBM)
+        f = _wide((math.tanh(a[0]), math.tanh(a[1])), LIBM)
         f = (max(f[0], -1.0), min(f[1], 1.0))
-        if order > 0:
-            p = _square(f[0], f[1])
-            d = _add(1.0, 1.0, -p[1], -p[0])
-            e = _mul(-2.0 * f[1], -2.0 * f[0], d[0], d[1])
-    return f[0], f[1], d[0], d[1], e[0], e[1]
+        d = _sub(ONE, _square(f))
+        e = _mul(_times(2.0, _neg(f)), d)
+    return f, d, e
 
 
-@njit(cache=True, error_model="numpy")
-def _polar(
-    op: int, y: Floats, x: Floats, order: int
-) -> tuple[float, float, float, float, float, float]:
+@_inner
+def _polar(op: int, y: Jet, x: Jet) -> Jet:
     """Jets of hypot(y, x) and atan2(y, x)."""
-    p, q = _square(y[0], y[1]), _square(x[0], x[1])
-    qq = _add(p[0], p[1], q[0], q[1])
-    f: Interval = (-INF, INF)
-    d: Interval = (-INF, INF)
-    e: Interval = (-INF, INF)
+    y0, y1, y2 = y
+    x0, x1, x2 = x
+    # (q / 2)' = x x' + y y' with q = x^2 + y^2
+    half = _add(_mul(x0, x1), _mul(y0, y1))
     if op == HYPOT:
-        yl = 0.0 if y[0] <= 0.0 <= y[1] else min(abs(y[0]), abs(y[1]))
-        xl = 0.0 if x[0] <= 0.0 <= x[1] else min(abs(x[0]), abs(x[1]))
-        yh, xh = max(abs(y[0]), abs(y[1])), max(abs(x[0]), abs(x[1]))
-        f = _wide(math.hypot(yl, xl), math.hypot(yh, xh), LIBM)
+        p, q = _even(y0, abs(y0[0]), abs(y0[1]), 0.0), _even(x0, abs(x0[0]), abs(x0[1]), 0.0)
+        f = _wide((math.hypot(p[0], q[0]), math.hypot(p[1], q[1])), LIBM)
         f = (max(0.0, f[0]), f[1])
-    elif x[0] > 0.0 or y[0] > 0.0 or y[1] < 0.0:
-        # Away from the cut the angle is monotone along every edge: its extremes are at corners.
-        p, q = math.atan2(y[0], x[0]), math.atan2(y[0], x[1])
-        r, s = math.atan2(y[1], x[0]), math.atan2(y[1], x[1])
-        f = _wide(min(p, q, r, s), max(p, q, r, s), LIBM)
-    else:
-        return -LIBM - math.pi, math.pi + LIBM, -INF, INF, -INF, INF
-    if order > 0:
-        if op == HYPOT:
-            # r r' = x x' + y y';  r r'' = x'^2 + x x'' + y'^2 + y y'' - r'^2
-            a, b = _mul(x[0], x[1], x[2], x[3]), _mul(y[0], y[1], y[2], y[3])
-            n = _add(a[0], a[1], b[0], b[1])
-            d = _div(n[0], n[1], f[0], f[1])
-            if order > 1:
-                a, b = _square(x[2], x[3]), _square(y[2], y[3])
-                n = _add(a[0], a[1], b[0], b[1])
-                a, b = _mul(x[0], x[1], x[4], x[5]), _mul(y[0], y[1], y[4], y[5])
-                a = _add(a[0], a[1], b[0], b[1])
-                n = _add(n[0], n[1], a[0], a[1])
-                a = _square(d[0], d[1])
-                n = _add(n[0], n[1], -a[1], -a[0])
-                e = _div(n[0], n[1], f[0], f[1])
-        else:
-            # q w = x y' - y x' with q = x^2 + y^2;  q w' = x y'' - y x'' - 2 w (x x' + y y')
-            a, b = _mul(x[0], x[1], y[2], y[3]), _mul(y[0], y[1], x[2], x[3])
-            n = _add(a[0], a[1], -b[1], -b[0])
-            d = _div(n[0], n[1], qq[0], qq[1])
-            if order > 1:
-                a, b = _mul(x[0], x[1], y[4], y[5]), _mul(y[0], y[1], x[4], x[5])
-                n = _add(a[0], a[1], -b[1], -b[0])
-                a, b = _mul(x[0], x[1], x[2], x[3]), _mul(y[0], y[1], y[2], y[3])
-                a = _add(a[0], a[1], b[0], b[1])
-                a = _mul(2.0 * d[0], 2.0 * d[1], a[0], a[1])
-                n = _add(n[0], n[1], -a[1], -a[0])
-                e = _div(n[0], n[1], qq[0], qq[1])
-    return f[0], f[1], d[0], d[1], e[0], e[1]
+        # r r' = x x' + y y';  r r'' = x'^2 + x x'' + y'^2 + y y'' - r'^2
+        d = _div(half, f)
+        n = _add(_add(_square(x1), _square(y1)), _add(_mul(x0, x2), _mul(y0, y2)))
+        return f, d, _div(_sub(n, _square(d)), f)
+    if not (x0[0] > 0.0 or y0[0] > 0.0 or y0[1] < 0.0):
+        return (-LIBM - math.pi, math.pi + LIBM), WHOLE, WHOLE
+    # Away from the cut the angle is monotone along every edge: its extremes are at corners.
+    a, b = math.atan2(y0[0], x0[0]), math.atan2(y0[0], x0[1])
+    c, r = math.atan2(y0[1], x0[0]), math.atan2(y0[1], x0[1])
+    # q w = x y' - y x';  q w' = x y'' - y x'' - 2 w (x x' + y y')
+    q = _add(_square(y0), _square(x0))
+    d = _div(_sub(_mul(x0, y1), _mul(y0, x1)), q)
+    n = _sub(_mul(x0, y2), _mul(y0, x2))
+    return _wide(_hull(a, b, c, r), LIBM), d, _div(_sub(n, _mul(_times(2.0, d), half)), q)
 
 
-@njit(cache=True, error_model="numpy")
-def _power_jet(x: Floats, y: Floats, order: int) -> tuple[float, float, float, float, float, float]:
+@_inner
+def _power_jet(x: Jet, y: Jet) -> Jet:
     """Jets of x**y = exp(y log x), x > 0; the value from its corners, where its extremes are."""
-    if not x[0] > 0.0:
-        return -INF, INF, -INF, INF, -INF, INF
-    p, q, r, s = x[0] ** y[0], x[0] ** y[1], x[1] ** y[0], x[1] ** y[1]
-    f = _wide(min(p, q, r, s), max(p, q, r, s), LIBM)
+    x0, x1, x2 = x
+    y0, y1, y2 = y
+    if not x0[0] > 0.0:
+        return WHOLE, WHOLE, WHOLE
+    f = _hull(x0[0] ** y0[0], x0[0] ** y0[1], x0[1] ** y0[0], x0[1] ** y0[1])
+    f = _wide(f, LIBM)
     f = (max(0.0, f[0]), f[1])
-    d: Interval = (-INF, INF)
-    e: Interval = (-INF, INF)
-    if order > 0:
-        n0, n1, l0, l1, m0, m1 = _unary(LOG, 0, x[0], x[1], 2)
-        g = _mul(l0, l1, x[2], x[3])  # (log x)'
-        a, b = _mul(y[2], y[3], n0, n1), _mul(y[0], y[1], g[0], g[1])
-        w = _add(a[0], a[1], b[0], b[1])  # (y log x)'
-        d = _mul(f[0], f[1], w[0], w[1])
-        if order > 1:
-            a, b = _square(x[2], x[3]), _mul(l0, l1, x[4], x[5])
-            a = _mul(m0, m1, a[0], a[1])
-            a = _add(a[0], a[1], b[0], b[1])  # (log x)''
-            a, b = _mul(y[0], y[1], a[0], a[1]), _mul(y[4], y[5], n0, n1)
-            a = _add(a[0], a[1], b[0], b[1])
-            b = _mul(2.0 * y[2], 2.0 * y[3], g[0], g[1])
-            a = _add(a[0], a[1], b[0], b[1])  # (y log x)''
-            b = _square(w[0], w[1])
-            a = _add(a[0], a[1], b[0], b[1])
-            e = _mul(f[0], f[1], a[0], a[1])
-    return f[0], f[1], d[0], d[1], e[0], e[1]
+    n, r, m = _unary(LOG, 0, x0, 2)
+    g = _mul(r, x1)  # (log x)'
+    w = _add(_mul(y1, n), _mul(y0, g))  # (y log x)'
+    h = _add(_mul(m, _square(x1)), _mul(r, x2))  # (log x)''
+    h = _add(_add(_mul(y0, h), _mul(y2, n)), _mul(_times(2.0, y1), g))  # (y log x)''
+    return f, _mul(f, w), _mul(f, _add(h, _square(w)))
 
 
-@njit(cache=True, error_model="numpy")
-def _extreme(op: int, u: Floats, v: Floats) -> tuple[float, float, float, float, float, float]:
+@_inner
+def _extreme(op: int, u: Jet, v: Jet) -> Jet:
     """Jets of min(u, v) and max(u, v): one of them, or the hull with a second derivative lost."""
-    if u[1] <= v[0]:
-        w = u if op == MIN else v
-    elif v[1] <= u[0]:
-        w = v if op == MIN else u
-    else:
-        low, high = min(u[2], v[2]), max(u[3], v[3])
-        if op == MIN:
-            return min(u[0], v[0]), min(u[1], v[1]), low, high, -INF, INF
-        return max(u[0], v[0]), max(u[1], v[1]), low, high, -INF, INF
-    return w[0], w[1], w[2], w[3], w[4], w[5]
+    if u[0][1] <= v[0][0]:
+        return u if op == MIN else v
+    if v[0][1] <= u[0][0]:
+        return v if op == MIN else u
+    d = (min(u[1][0], v[1][0]), max(u[1][1], v[1][1]))
+    if op == MIN:
+        return (min(u[0][0], v[0][0]), min(u[0][1], v[0][1])), d, WHOLE
+    return (max(u[0][0], v[0][0]), max(u[0][1], v[0][1])), d, WHOLE
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
+def _jet(jets: Floats, r: int) -> Jet:
+    return (jets[r, 0], jets[r, 1]), (jets[r, 2], jets[r, 3]), (jets[r, 4], jets[r, 5])
+
+
+@_kernel
 def _jets(code: Ints, first: int, last: int, base: int, jets: Floats, order: int) -> None:
-    """Run the operations [first, last) on jets, up to the derivative of the given order."""
+    """Run the operations [first, last) on jets; no derivatives for order 0."""
     for k in range(first, last):
         op = code[k, 0]
-        u = jets[code[k, 1]]
-        out = jets[base + k]
-        f0 = f1 = d0 = d1 = e0 = e1 = 0.0
+        u, du, ddu = _jet(jets, code[k, 1])
+        d = e = ZERO
         if op <= POW:
-            v = jets[code[k, 2]]
+            v, dv, ddv = _jet(jets, code[k, 2])
             if op == ADD:
-                f0, f1 = _add(u[0], u[1], v[0], v[1])
+                f = _add(u, v)
                 if order > 0:
-                    d0, d1 = _add(u[2], u[3], v[2], v[3])
-                    e0, e1 = _add(u[4], u[5], v[4], v[5])
+                    d, e = _add(du, dv), _add(ddu, ddv)
             elif op == SUB:
-                f0, f1 = _add(u[0], u[1], -v[1], -v[0])
+                f = _sub(u, v)
                 if order > 0:
-                    d0, d1 = _add(u[2], u[3], -v[3], -v[2])
-                    e0, e1 = _add(u[4], u[5], -v[5], -v[4])
+                    d, e = _sub(du, dv), _sub(ddu, ddv)
             elif op == MUL:
-                f0, f1 = _mul(u[0], u[1], v[0], v[1])
+                f = _mul(u, v)
                 if order > 0:
-                    p0, p1 = _mul(u[2], u[3], v[0], v[1])
-                    q0, q1 = _mul(u[0], u[1], v[2], v[3])
-                    d0, d1 = _add(p0, p1, q0, q1)
-                    if order > 1:
-                        p0, p1 = _mul(u[4], u[5], v[0], v[1])
-                        q0, q1 = _mul(u[0], u[1], v[4], v[5])
-                        p0, p1 = _add(p0, p1, q0, q1)
-                        q0, q1 = _mul(2.0 * u[2], 2.0 * u[3], v[2], v[3])
-                        e0, e1 = _add(p0, p1, q0, q1)
+                    d = _add(_mul(du, v), _mul(u, dv))
+                if order > 1:
+                    e = _add(_mul(ddu, v), _mul(u, ddv))
+                    e = _add(e, _mul(_times(2.0, du), dv))
             elif op == DIV:
                 # q v = u, hence q' v = u' - q v' and q'' v = u'' - 2 q' v' - q v''
-                f0, f1 = _div(u[0], u[1], v[0], v[1])
+                f = _div(u, v)
                 if order > 0:
-                    p0, p1 = _mul(f0, f1, v[2], v[3])
-                    p0, p1 = _add(u[2], u[3], -p1, -p0)
-                    d0, d1 = _div(p0, p1, v[0], v[1])
-                    if order > 1:
-                        p0, p1 = _mul(2.0 * d0, 2.0 * d1, v[2], v[3])
-                        p0, p1 = _add(u[4], u[5], -p1, -p0)
-                        q0, q1 = _mul(f0, f1, v[4], v[5])
-                        p0, p1 = _add(p0, p1, -q1, -q0)
-                        e0, e1 = _div(p0, p1, v[0], v[1])
+                    d = _div(_sub(du, _mul(f, dv)), v)
+                if order > 1:
+                    e = _sub(ddu, _mul(_times(2.0, d), dv))
+                    e = _div(_sub(e, _mul(f, ddv)), v)
             elif op in (MIN, MAX):
-                f0, f1, d0, d1, e0, e1 = _extreme(op, u, v)
+                f, d, e = _extreme(op, (u, du, ddu), (v, dv, ddv))
             elif op == POW:
-                f0, f1, d0, d1, e0, e1 = _power_jet(u, v, order)
+                f, d, e = _power_jet((u, du, ddu), (v, dv, ddv))
             else:
-                f0, f1, d0, d1, e0, e1 = _polar(op, u, v, order)
+                f, d, e = _polar(op, (u, du, ddu), (v, dv, ddv))
         elif op == NEG:
-            f0, f1, d0, d1, e0, e1 = -u[1], -u[0], -u[3], -u[2], -u[5], -u[4]
+            f, d, e = _neg(u), _neg(du), _neg(ddu)
         elif op == SQUARE:
-            f0, f1 = _square(u[0], u[1])
+            f = _square(u)
             if order > 0:
-                p0, p1 = _mul(u[0], u[1], u[2], u[3])
-                d0, d1 = 2.0 * p0, 2.0 * p1
-                if order > 1:
-                    p0, p1 = _square(u[2], u[3])
-                    q0, q1 = _mul(u[0], u[1], u[4], u[5])
-                    p0, p1 = _add(p0, p1, q0, q1)
-                    e0, e1 = 2.0 * p0, 2.0 * p1
+                d = _times(2.0, _mul(u, du))
+            if order > 1:
+                e = _times(2.0, _add(_square(du), _mul(u, ddu)))
         else:
-            f0, f1, g0, g1, h0, h1 = _unary(op, code[k, 2], u[0], u[1], order)
+            f, g, h = _unary(op, code[k, 2], u, order)
             if order > 0:
-                d0, d1 = _mul(g0, g1, u[2], u[3])
-                if order > 1:
-                    p0, p1 = _square(u[2], u[3])
-                    p0, p1 = _mul(h0, h1, p0, p1)
-                    q0, q1 = _mul(g0, g1, u[4], u[5])
-                    e0, e1 = _add(p0, p1, q0, q1)
-        out[0], out[1] = _whole((f0, f1))
+                d = _mul(g, du)
+            if order > 1:
+                e = _add(_mul(h, _square(du)), _mul(g, ddu))
+        jets[base + k, 0], jets[base + k, 1] = _whole(f)
         if order > 0:
-            out[2], out[3] = _whole((d0, d1))
-            out[4], out[5] = _whole((e0, e1))
+            jets[base + k, 2], jets[base + k, 3] = _whole(d)
+            jets[base + k, 4], jets[base + k, 5] = _whole(e)
 
 
 # ---------------------------------------------------------------- polynomials and boxes
 
 
-@njit(cache=True, error_model="numpy")
+@_kernel
 def _prepare(coeffs: Floats, step: int, reads: Ints, bounds: Floats) -> bool:
     """Bound the third derivative over a step; False if the step is not finite."""
     finite = True
@@ -789,7 +656,7 @@ def _prepare(coeffs: Floats, step: int, reads: Ints, bounds: Floats) -> bool:
     return finite
 
 
-@njit(cache=True, error_model="numpy")
+@_kernel
 def _enclose(
     along: Along, step: int, bounds: Floats, m: float, w: float, order: int, jets: Floats
 ) -> None:
@@ -801,7 +668,7 @@ def _enclose(
     of Numerical Algorithms", 2002, 5.1), its derivatives through 2 k + 2 and 2 k + 4; the sums of
     absolute values are taken at m, so that they are small near the start of a long step.
     """
-    code, n_fixed, reads, times, coeffs, start = along
+    code, base, first, last, reads, times, coeffs, start = along
     for r in range(reads.shape[0]):
         v = reads[r]
         row = jets[v]
@@ -811,7 +678,7 @@ def _enclose(
             size = abs(start) + abs(times[step]) + abs(span)
             radius = w * abs(span) * (1.0 + 4.0 * EPS) + 4.0 * EPS * size + TINY
             row[0], row[1] = value - radius, value + radius
-            row[2], row[3] = _wide(span, span, EPS)
+            row[2], row[3] = _wide((span, span), EPS)
             row[4], row[5] = 0.0, 0.0
             continue
         p0 = p1 = p2 = q0 = q1 = q2 = 0.0
@@ -830,16 +697,23 @@ def _enclose(
         b3, grow = bounds[v], 1.0 + 64.0 * EPS
         d1, d2 = abs(p1) + r1, abs(p2) + r2
         radius = grow * (r0 + w * (d1 + w * (0.5 * d2 + w * b3 / 6.0)))
-        row[0], row[1] = _whole(_wide(p0 - radius, p0 + radius, EPS))
+        row[0], row[1] = _whole(_wide((p0 - radius, p0 + radius), EPS))
         if order > 0:
             radius = grow * (r1 + w * (d2 + w * 0.5 * b3))
-            row[2], row[3] = _whole(_wide(p1 - radius, p1 + radius, EPS))
+            row[2], row[3] = _whole(_wide((p1 - radius, p1 + radius), EPS))
             radius = grow * (r2 + w * b3)
-            row[4], row[5] = _whole(_wide(p2 - radius, p2 + radius, EPS))
-    _jets(code, n_fixed, code.shape[0], jets.shape[0] - code.shape[0], jets, order)
+            row[4], row[5] = _whole(_wide((p2 - radius, p2 + radius), EPS))
+    _jets(code, first, last, base, jets, order)
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
+def _alone(along: Along, output: int) -> Along:
+    """Evaluate no operation behind the one that gives an output."""
+    code, base, first, _, reads, times, coeffs, start = along
+    return code, base, first, max(first, output - base + 1), reads, times, coeffs, start
+
+
+@_inner
 def _lower(value: Floats, middle: Floats, slope: float, w: float) -> float:
     """Lower bound of an output over a box of half width w.
 
@@ -858,7 +732,7 @@ def _lower(value: Floats, middle: Floats, slope: float, w: float) -> float:
     return bound if bound > least else least
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
 def _least_parabola(slope: float, bend: float, length: float) -> float:
     """Return the least of ``slope t + bend t^2 / 2`` over [0, length], for a slope <= 0."""
     if bend > 0.0 and -slope < bend * length:
@@ -866,7 +740,7 @@ def _least_parabola(slope: float, bend: float, length: float) -> float:
     return length * (slope + 0.5 * bend * length)
 
 
-@njit(cache=True, error_model="numpy")
+@_kernel
 def _judge(
     along: Along,
     outputs: Ints,
@@ -880,7 +754,8 @@ def _judge(
     """Evidence on the box [a, b] for every output.
 
     In work[i]: 0 to 3 value and slope at the middle, 4 a lower bound of the value over the box,
-    5 an upper one, 6 and 7 the enclosure of the slope, 8 a lower bound of the second derivative.
+    5 an upper one, 6 and 7 the enclosure of the slope, 8 a lower bound of the second derivative;
+    where a step starts (a = 0) also 9 and 10, the value there.
     """
     m = 0.5 * (a + b)
     w = max(b - m, m - a)
@@ -892,7 +767,7 @@ def _judge(
     for i in range(outputs.shape[0]):
         box, row = jets[outputs[i]], work[i]
         bend = max(abs(box[4]), abs(box[5])) * w * (1.0 + LIBM)
-        low, high = _add(row[2], row[3], -bend, bend)
+        low, high = _add((row[2], row[3]), (-bend, bend))
         # A comparison with NaN is false and leaves the natural enclosure standing.
         row[6] = low if low > box[2] else box[2]
         row[7] = high if high < box[3] else box[3]
@@ -904,24 +779,32 @@ def _judge(
         _enclose(along, step, bounds, 0.0, 0.0, 1, jets)
         for i in range(outputs.shape[0]):
             at, row = jets[outputs[i]], work[i]
+            row[9], row[10] = at[0], at[1]
             drop = _least_parabola(min(at[2], 0.0), row[8], b)
             bound = at[0] + drop - LIBM * (abs(at[0]) - drop) - TINY
             if bound > row[4]:
                 row[4] = bound
 
 
-@njit(cache=True, error_model="numpy")
-def _margin(along: Along, step: int, place: Floats, output: int, s: float, regs: Floats) -> float:
-    place[0] = s
-    _run_along(along, step, place, 1, regs)
+@_inner
+def _margin(along: Along, step: int, output: int, s: float, regs: Floats) -> float:
+    """Value of an output at one place of a step."""
+    code, base, first, last, reads, times, coeffs, start = along
+    n = coeffs.shape[1]
+    for r in range(reads.shape[0]):
+        v = reads[r]
+        if v == n:
+            regs[n, 0] = start + _local(times, step, s)
+        else:
+            regs[v, 0] = _horner(coeffs, step, v, s)
+    _run(code, first, last, base, regs, 1)
     return regs[output, 0]
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
 def _root(
     along: Along,
     step: int,
-    place: Floats,
     output: int,
     shift: float,
     left: float,
@@ -934,8 +817,8 @@ def _root(
     28 (1997) 145-149. Returns `left` where the fall is already done there, and `right` where
     float64 sees none.
     """
-    a, fa = right, shift + _margin(along, step, place, output, right, regs)
-    b, fb = left, shift + _margin(along, step, place, output, left, regs)
+    a, fa = right, shift + _margin(along, step, output, right, regs)
+    b, fb = left, shift + _margin(along, step, output, left, regs)
     if not fb > 0.0:
         return left
     if not fa < 0.0:
@@ -943,7 +826,7 @@ def _root(
     c, fc, t = a, fa, 0.5
     for _ in range(200):
         x = a + t * (b - a)
-        fx = shift + _margin(along, step, place, output, x, regs)
+        fx = shift + _margin(along, step, output, x, regs)
         if (fx > 0.0) == (fa > 0.0):
             c, fc = a, fa
         else:
@@ -962,7 +845,7 @@ def _root(
     return a if fa >= 0.0 else b
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
 def _descent(
     along: Along,
     guard: Ints,
@@ -970,7 +853,6 @@ def _descent(
     left: float,
     right: float,
     bounds: Floats,
-    place: Floats,
     regs: Floats,
     jets: Floats,
     work: Floats,
@@ -981,13 +863,13 @@ def _descent(
     slope is proved negative, over the joints of steps too; if the margin is not positive on all
     of it, the answer is where it starts.
     """
-    coeffs, reads = along[4], along[2]
+    reads, coeffs = along[4], along[6]
     p, q = right, left
-    if _margin(along, step, place, guard[0], p, regs) >= 0.0:
+    if _margin(along, step, guard[0], p, regs) >= 0.0:
         return step, p
     for _ in range(1000):
-        if _margin(along, step, place, guard[0], q, regs) > 0.0:
-            return step, _root(along, step, place, guard[0], 0.0, q, p, regs)
+        if _margin(along, step, guard[0], q, regs) > 0.0:
+            return step, _root(along, step, guard[0], 0.0, q, p, regs)
         p = q
         if p == 0.0:
             if step == 0:
@@ -1008,7 +890,7 @@ def _descent(
     return step, p
 
 
-@njit(cache=True, error_model="numpy")
+@_inner
 def _falls(
     along: Along,
     guard: Ints,
@@ -1040,7 +922,7 @@ def _falls(
     return 2, b
 
 
-@njit(cache=True, error_model="numpy")
+@_kernel
 def search(
     code: Ints,
     constants: Floats,
@@ -1059,22 +941,20 @@ def search(
     Returns (verdict, guard, step and place of the event, step and place where it is certain,
     boxes).
     """
-    along = (code, n_fixed, reads, times, coeffs, start)
     n_out, n = outputs.shape[0], coeffs.shape[1]
-    regs = _registers(code, constants, n_fixed, parameters, n, 1)
+    base, regs = _fill(code, constants, parameters, n, 1)
+    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    _run(code, 0, n_fixed, base, regs, 1)
     jets = np.zeros((regs.shape[0], 6))
-    base = regs.shape[0] - code.shape[0]
     for r in range(n + 1, base):
         jets[r, 0] = jets[r, 1] = regs[r, 0]
         if not abs(regs[r, 0]) < INF:
             jets[r, 0], jets[r, 1] = -INF, INF
     _jets(code, 0, n_fixed, base, jets, 2)
-    bounds, work, place = np.zeros(n), np.empty((n_out, 9)), np.empty(1)
-    aside = np.empty((1, 9))
+    bounds, work, aside = np.zeros(n), np.empty((n_out, 11)), np.empty((1, 11))
     lefts, rights = np.empty(64), np.empty(64)  # boxes still to see, the leftmost on top
     marks = np.empty((64, n_out), dtype=np.uint8)  # the guards that are undecided in them
     state = np.empty(n_out, dtype=np.uint8)
-    at_left = np.empty((n_out, 2))
     for i in range(n_out):
         if not tolerances[i] >= 0.0:
             raise ValueError("the tolerances of margins are numbers >= 0")
@@ -1084,7 +964,6 @@ def search(
         if not (finite and abs(times[step]) < INF and abs(times[step + 1]) < INF):
             return NON_FINITE, -1, step, 0.0, step, 1.0, boxes
         found, root, sure, found_left = -1, INF, INF, 0.0
-        left_known = False
         top = 1
         lefts[0], rights[0] = 0.0, 1.0
         for i in range(n_out):
@@ -1109,20 +988,15 @@ def search(
             if unclear == 0:
                 continue
             _judge(along, outputs, step, bounds, a, b, jets, work)
-            if a == 0.0 and not left_known:
-                left_known = True
-                _enclose(along, step, bounds, 0.0, 0.0, 0, jets)
-                for i in range(n_out):
-                    at_left[i, 0], at_left[i, 1] = jets[outputs[i], 0], jets[outputs[i], 1]
             unclear, improved = 0, False
             for i in range(n_out):
                 if state[i] == 0:
                     continue
                 tolerance = tolerances[i]
-                below = a == 0.0 and at_left[i, 1] + tolerance < 0.0
+                below = a == 0.0 and work[i, 10] + tolerance < 0.0
                 # It rises: positive up to a, as the boxes before are clear; or zero there to
                 # within rounding, and leaving.
-                rises = work[i, 6] > 0.0 and (a > 0.0 or at_left[i, 0] > -INF)
+                rises = work[i, 6] > 0.0 and (a > 0.0 or work[i, 9] > -INF)
                 if not below and (work[i, 4] + tolerance > 0.0 or rises):
                     state[i] = 0
                     continue
@@ -1130,16 +1004,16 @@ def search(
                 if below:
                     here = far = 0.0
                 elif work[i, 7] < 0.0:
-                    guard = outputs[i : i + 1]
+                    guard, alone = outputs[i : i + 1], _alone(along, outputs[i])
                     aside[0, 7] = work[i, 7]
-                    falls, end = _falls(along, guard, tolerance, step, a, b, bounds, jets, aside)
+                    falls, end = _falls(alone, guard, tolerance, step, a, b, bounds, jets, aside)
                     if falls == 0:
                         state[i] = 0
                         continue
                     if falls == 1:
-                        here = _root(along, step, place, guard[0], tolerance, a, end, regs)
+                        here = _root(alone, step, guard[0], tolerance, a, end, regs)
                         # What rounding left over at the float root, the slope carries below 0.
-                        _enclose(along, step, bounds, here, 0.0, 0, jets)
+                        _enclose(alone, step, bounds, here, 0.0, 0, jets)
                         rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
                         far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
                 if here == INF and b - a <= NARROW:
@@ -1177,9 +1051,16 @@ def search(
             for i in range(n_out):
                 marks[max(top - 2, 0), i] = marks[top - 1, i] = state[i]
         if found >= 0:
+            guard = outputs[found : found + 1]
             event_step, event = _descent(
-                along, outputs[found : found + 1], step, found_left, root, bounds, place, regs,
-                jets, work,
-            )  # fmt: skip
+                _alone(along, guard[0]), guard, step, found_left, root, bounds, regs, jets, aside
+            )
             return CROSSING, found, event_step, event, step, sure, boxes
     return NONE, -1, 0, 0.0, 0, 0.0, boxes
+
+
+def cached() -> bool:
+    """Whether the kernels lie compiled on disk; if not, the first use takes some seconds."""
+    built = Path(search.stats.cache_path).glob(f"{Path(__file__).stem}.search-*.nbi")
+    source = Path(__file__).stat().st_mtime
+    return any(index.stat().st_mtime >= source for index in built)

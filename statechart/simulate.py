@@ -194,16 +194,13 @@ class _Run:
         if compiled is None:
             compiled = self.simulator.compiled(flow.flow, self.setup)
             self.entered[flow.flow] = compiled
-        tolerances = self.setup.tolerances
+        tolerances, special = self.setup.tolerances, flow.tolerances
         reached = advance(
             self.simulator.engine,
             compiled,
             parameters=self.setup.values,
             tolerances=np.array(
-                [
-                    flow.tolerances.get(margin.name, tolerances[margin.kind])
-                    for margin in compiled.mode.margins
-                ]
+                [special.get(m.name, tolerances[m.kind]) for m in compiled.mode.margins]
             ),
             start=self.clock.high,
             state=self.state,
@@ -230,9 +227,13 @@ class _Run:
             self.horizon = _AHEAD * elapsed
         self.clock = self.clock.later(elapsed)
         self.state = reached.state
-        sizes = np.abs(reached.coefficients[-1]).sum(axis=1) if elapsed > 0.0 else flow.sizes
-        self.flow = replace(
-            flow, remaining=flow.remaining - elapsed, sizes=sizes, warning="", settled=False
+        self.flow = Flow(
+            flow.mode,
+            flow.flow,
+            flow.remaining - elapsed,
+            held=flow.held,
+            tolerances=special,
+            terms=reached.coefficients[-1] if elapsed > 0.0 else flow.terms,
         )
         if reached.crossing is None:
             return ("zeno",) if duration == remaining else ()
@@ -326,7 +327,7 @@ class _Run:
         return False
 
     def _stall(self, fired: tuple[str, ...]) -> None:
-        """Note that a margin fell and the laws keep the mode: once a graze, at once again a loop."""
+        """Note a fall that changes no mode: once a graze, at the same instant again a loop."""
         now = (self.clock.high, self.clock.low, fired)
         if self.stalled == now:
             raise EventLoop(f"{', '.join(fired)} falls at t = {now[0]:.17g}, but no jump follows")

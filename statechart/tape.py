@@ -107,9 +107,7 @@ class Tape:
         if state.shape != (self.n_variables,):
             raise ValueError(f"the state has shape {state.shape}, not ({self.n_variables},)")
         self.require(parameters)
-        return tape_values(
-            self.code, self.constants, self.outputs, self.n_fixed, state, parameters, float(time)
-        )
+        return tape_values(self.code, self.constants, self.outputs, state, parameters, float(time))
 
     def at(
         self, state: NDArray[np.float64], parameters: NDArray[np.float64], time: float
@@ -118,9 +116,7 @@ class Tape:
 
         For inner loops: nothing is checked, and a wrong shape reads beyond the arrays.
         """
-        return tape_values(
-            self.code, self.constants, self.outputs, self.n_fixed, state, parameters, time
-        )
+        return tape_values(self.code, self.constants, self.outputs, state, parameters, time)
 
     def table(
         self, states: ArrayLike, parameters: ArrayLike, times: ArrayLike
@@ -358,7 +354,7 @@ class _Writer:
         code = np.array([[op, 1, 2 if binary else right]], dtype=np.int32)
         nothing = np.empty(0)
         outputs = np.array([3], dtype=np.int32)
-        return float(tape_values(code, np.array(constants), outputs, 0, nothing, nothing, 0.0)[0])
+        return float(tape_values(code, np.array(constants), outputs, nothing, nothing, 0.0)[0])
 
     def finish(self, outputs: list[int], n_variables: int, n_parameters: int) -> Tape:
         """Give registers their numbers, operations on parameters and constants first."""

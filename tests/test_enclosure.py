@@ -35,9 +35,10 @@ def jets_over(tape, coeffs, parameters, times, start, m, w, order=2):
     jets = np.zeros((len(values) + len(tape.code), 6))
     jets[: len(values), 0] = jets[: len(values), 1] = values
     kernels._jets(tape.code, 0, tape.n_fixed, len(values), jets, 2)
-    bounds = np.zeros((n, 4))
+    bounds = np.zeros(n)
     assert kernels._prepare(coeffs, 0, tape.reads, bounds)
-    along = (tape.code, tape.n_fixed, tape.reads, times, coeffs, start)
+    code = tape.code
+    along = (code, len(values), tape.n_fixed, len(code), tape.reads, times, coeffs, start)
     kernels._enclose(along, 0, bounds, m, w, order, jets)
     return jets[tape.outputs]
 
@@ -151,7 +152,7 @@ def test_sine_and_cosine_are_enclosed_near_and_far(centre, radius):
     flint.ctx.prec = 1400
     low, high = centre - radius, centre + radius
     for sine in (True, False):
-        found = kernels._wave(low, high, sine)
+        found = kernels._wave((low, high), sine)
         assert -1.0 <= found[0] <= found[1] <= 1.0
         for x in np.linspace(low, high, 101):
             ball = flint.arb(float(x))
@@ -168,14 +169,14 @@ def test_the_enclosure_converges_with_the_third_power_of_the_width():
     expression = X**3 * sp.cos(3 * X) - X
     tape = compile_tape([expression], variables=[X], parameters=[P], time=T)
     coeffs, times = np.array([[[0.0, 1.0]]]), np.array([0.0, 1.0])
-    along = (tape.code, tape.n_fixed, tape.reads, times, coeffs, 0.0)
+    base, last = 2 + 1 + len(tape.constants), len(tape.code)
+    along = (tape.code, base, tape.n_fixed, last, tape.reads, times, coeffs, 0.0)
     misses = []
     for w in (0.08, 0.04, 0.02):
-        base = 2 + 1 + len(tape.constants)
-        jets = np.zeros((base + len(tape.code), 6))
+        jets = np.zeros((base + last, 6))
         jets[3:base, 0] = jets[3:base, 1] = tape.constants
         kernels._jets(tape.code, 0, tape.n_fixed, base, jets, 2)
-        bounds, work = np.zeros((1, 4)), np.empty((1, 8))
+        bounds, work = np.zeros(1), np.empty((1, 11))
         kernels._prepare(coeffs, 0, tape.reads, bounds)
         kernels._judge(along, tape.outputs, 0, bounds, 0.3 - w, 0.3 + w, jets, work)
         s = np.linspace(0.3 - w, 0.3 + w, 2001)

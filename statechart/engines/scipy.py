@@ -76,7 +76,7 @@ class SciPy(Engine):
         stepper.suggested = getattr(solver, "h_abs", None)
         h = float(solver.t - solver.t_old)
         coefficients = _polynomial(solver.dense_output(), h, solver.n)
-        return Steps(np.array([h]), coefficients[None], solver.status == "finished")
+        return Steps(np.array([0.0, h]), coefficients[None], solver.status == "finished")
 
     def _solver(
         self, stepper: _Stepper, parameters: Array, start: float, state: Array, duration: float

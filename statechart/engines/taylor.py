@@ -114,12 +114,12 @@ class Taylor(Engine):
             if h == left or not h > 0.0:
                 break
             left -= h
-        taken, coefficients = scaled_steps(series, durations, taken)
+        taken, times, coefficients = scaled_steps(series, durations, taken)
         if taken == 0:
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
         if durations[taken - 1] == 0.0 and left > 0.0:
             raise StepFailure(f"the step near t = {start:.17g} underflowed")
-        return Steps(durations[:taken], coefficients, bool(durations[taken - 1] == left))
+        return Steps(times, coefficients, bool(durations[taken - 1] == left))
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
