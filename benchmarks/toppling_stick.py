@@ -5,8 +5,10 @@ Three programs, side by side in one process, once compiled:
 - the framework: statechart, laws, certified guards, full trace;
 - a loop hand-written with heyoka: minimal coordinates, one integrator a mode, heyoka's own event
   detection, and the outputs only (no trace, no classification, no certificate);
-- a loop hand-written with SciPy's `solve_ivp` (DOP853, events), its tolerance the loosest that
-  reaches the same final error of 1e-9.
+- a loop hand-written with SciPy's `solve_ivp` and its events, by its default method RK45 and by
+  DOP853; the tolerance of each is the loosest that reaches the same final error of 1e-9.
+
+Times are of the process, medians of repeats that take turns.
 
 Run with ``python benchmarks/toppling_stick.py``.
 """
@@ -17,7 +19,8 @@ import json
 import math
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import heyoka as hy
@@ -32,7 +35,7 @@ from statechart.outputs import Outputs
 from statechart.simulate import Simulator
 
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "toppling_stick.json"
-REPEATS = 300
+ROUNDS, SLOW, TURN = 20, 1, 20
 Found = tuple[float, float, float, float, float]  # critical angle, slips, omega, time
 
 
@@ -113,7 +116,9 @@ def hand_written_heyoka(mu: float, inertia: float) -> Callable[[float], Found]:
     return run
 
 
-def hand_written_scipy(mu: float, inertia: float, rtol: float) -> Callable[[float], Found]:
+def hand_written_scipy(
+    mu: float, inertia: float, method: str, rtol: float
+) -> Callable[[float], Found]:
     """Return the same loop on `solve_ivp`."""
 
     def forces(y: np.ndarray) -> tuple[float, float]:
@@ -155,7 +160,7 @@ def hand_written_scipy(mu: float, inertia: float, rtol: float) -> Callable[[floa
             rates = pinned if sign == 0.0 else slipping(sign)
             events = [back, ahead, fallen] if sign == 0.0 else [stops[sign], fallen]
             solution = solve_ivp(
-                rates, (0.0, 1000.0), y, method="DOP853", rtol=rtol, atol=rtol, events=events
+                rates, (0.0, 1000.0), y, method=method, rtol=rtol, atol=rtol, events=events
             )
             fired = [len(t) > 0 for t in solution.t_events]
             moved = solution.y[2, -1] - y[2]
@@ -175,14 +180,20 @@ def hand_written_scipy(mu: float, inertia: float, rtol: float) -> Callable[[floa
     return run
 
 
-def best(function: Callable[[], object], repeats: int) -> float:
-    """Return the median of `repeats` wall times, in microseconds."""
-    times = []
-    for _ in range(repeats):
-        begin = time.process_time()
-        function()
-        times.append(time.process_time() - begin)
-    return statistics.median(times) * 1e6
+def medians(functions: Sequence[Callable[[], object]], rounds: int) -> list[float]:
+    """Return the median process time of each function in microseconds; they take turns.
+
+    A turn is `TURN` runs in a row, so that each runs with its own code in the processor's caches,
+    as it does in a sweep.
+    """
+    times: list[list[float]] = [[] for _ in functions]
+    for _ in range(rounds):
+        for function, spent in zip(functions, times, strict=True):
+            for _ in range(TURN):
+                begin = time.process_time()
+                function()
+                spent.append(time.process_time() - begin)
+    return [statistics.median(spent) * 1e6 for spent in times]
 
 
 def error(found: Found, cell: dict[str, float]) -> float:
@@ -209,24 +220,24 @@ def main() -> None:
         return tuple(read.of(simulator.run({"theta0": theta0}, until=1000.0)).values())  # type: ignore[return-value]
 
     heyoka = hand_written_heyoka(mu, inertia)
-    for rtol in (1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13):
-        scipy = hand_written_scipy(mu, inertia, rtol)
-        if error(scipy(theta0), cell) < 1e-9:
-            break
-    rows = [
-        ("hand-written, heyoka", lambda: heyoka(theta0), REPEATS),
-        ("framework, trace", trace, REPEATS),
-        ("framework, trace and outputs", framework, REPEATS),
-        (f"hand-written, SciPy DOP853 rtol {rtol:g}", lambda: scipy(theta0), 5),
+    rows: list[tuple[str, Callable[[], object]]] = [
+        ("hand-written, heyoka", lambda: heyoka(theta0)),
+        ("framework, trace", trace),
+        ("framework, trace and outputs", framework),
     ]
-    base = best(lambda: heyoka(theta0), REPEATS)
-    print(f"{'program':42} {'us':>10} {'ratio':>8} {'error':>9}")
-    for name, function, repeats in rows:
-        function()
-        found = function()
-        spent = best(function, repeats)
-        shown = f"{error(found, cell):9.1e}" if isinstance(found, tuple) else f"{'':>9}"
-        print(f"{name:42} {spent:10.1f} {spent / base:8.2f} {shown}")
+    for method in ("RK45", "DOP853"):
+        for rtol in (1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13):
+            scipy = hand_written_scipy(mu, inertia, method, rtol)
+            if error(scipy(theta0), cell) < 1e-9:
+                break
+        rows.append((f"hand-written, solve_ivp {method} rtol {rtol:g}", partial(scipy, theta0)))
+    found = [function() for _, function in rows]
+    # What takes milliseconds needs fewer rounds.
+    spent = medians([f for _, f in rows[:3]], ROUNDS) + medians([f for _, f in rows[3:]], SLOW)
+    print(f"{'program':42} {'us':>10} {'to heyoka':>10} {'to trace':>10} {'error':>9}")
+    for (name, _), us, result in zip(rows, spent, found, strict=True):
+        shown = f"{error(result, cell):9.1e}" if isinstance(result, tuple) else ""
+        print(f"{name:42} {us:10.1f} {us / spent[0]:10.2f} {us / spent[1]:10.2f} {shown:>9}")
 
 
 if __name__ == "__main__":

@@ -227,10 +227,12 @@ def lowest(
         If a shape does not fit.
     """
     times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
-    places = np.broadcast_to(np.arange(per_step + 1) / per_step, (len(coeffs), per_step + 1))
-    ends = np.stack([times[:-1], times[1:]], axis=1)
-    found = _table(tape, ends, coeffs, parameters, start, places)
-    return found.min(axis=(0, 1), initial=np.inf)
+    s = np.arange(per_step + 1) / per_step
+    begin, end = times[:-1, None], times[1:, None]
+    local = np.where(s < 1.0, begin + s * (end - begin), end)
+    states = np.swapaxes(coeffs @ s ** np.arange(coeffs.shape[2])[:, None], 1, 2)
+    found = tape.table(states.reshape(-1, coeffs.shape[1]), parameters, start + local.ravel())
+    return found.min(axis=0, initial=np.inf)
 
 
 def integrals(
@@ -262,15 +264,18 @@ def integrals(
         If a shape does not fit.
     """
     times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
-    low, high = np.maximum(times[:-1], t_from), np.minimum(times[1:], t_to)
-    met = low < high
-    low, high, begin = low[met], high[met], times[:-1][met]
-    nodes, weights = np.polynomial.legendre.leggauss(16)
-    spread = (nodes + 1.0) / 2.0 * (high - low)[:, None]
-    places = ((low - begin)[:, None] + spread) / (times[1:][met] - begin)[:, None]
-    ends = np.stack([begin, times[1:][met]], axis=1)
-    found = _table(tape, ends, coeffs[met], parameters, start, places)
-    return np.einsum("knj,n,k->j", found, weights / 2.0, high - low)
+    return kernels.integrate_outputs(
+        tape.code,
+        tape.constants,
+        tape.outputs,
+        tape.reads,
+        times,
+        coeffs,
+        parameters,
+        float(start),
+        float(t_from),
+        float(t_to),
+    )
 
 
 def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> NDArray[np.float64]:
@@ -316,26 +321,6 @@ def _arc(
             f"not (n_steps + 1,) and (n_steps, {tape.n_variables}, degree + 1)"
         )
     return times, coeffs, parameters
-
-
-def _table(
-    tape: Tape,
-    ends: NDArray[np.float64],
-    coeffs: NDArray[np.float64],
-    parameters: NDArray[np.float64],
-    start: float,
-    places: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return the outputs (k, m, n_out) at places (k, m) of k steps with ends (k, 2)."""
-    begin, end = ends[:, :1], ends[:, 1:]
-    local = np.where(places >= 1.0, end, begin + places * (end - begin))
-    states = np.zeros((*places.shape, coeffs.shape[1]))
-    for coefficient in np.moveaxis(coeffs, 2, 0)[::-1]:
-        states *= places[:, :, None]
-        states += coefficient[:, None, :]
-    flat = states.reshape(-1, coeffs.shape[1])
-    found = tape.table(flat, parameters, (start + local).ravel())
-    return found.reshape(*places.shape, len(tape.outputs))
 
 
 def _time(times: NDArray[np.float64], step: int, s: float) -> float:
