@@ -150,8 +150,8 @@ class SceneLaws:
         )
         return jump, self._flow(setup, target, warning=choice.warning)
 
-    def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> Array:
-        """Return `state` on the constraints of `flow`; the same object while they hold."""
+    def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> tuple[Array, float]:
+        """Return `state` on the constraints of `flow`, and how far it was off in tolerances."""
         assert isinstance(setup, SceneSetup)
         return self._projection.kept(flow, state, anchor, setup.values, setup.tolerances)
 

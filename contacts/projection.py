@@ -60,8 +60,10 @@ class Projection:
         anchor: Array,
         values: Array,
         tolerances: Mapping[str, float],
-    ) -> Array:
-        """Return `state` on the constraints of `flow`; the same object while they hold.
+    ) -> tuple[Array, float]:
+        """Return `state` on the constraints of `flow`, and how far it was off in tolerances.
+
+        The same object while it is off by no more than a part of them.
 
         Parameters
         ----------
@@ -75,23 +77,25 @@ class Projection:
             Of `gap` and `speed`.
         """
         if flow.count("free") == len(flow):
-            return state
+            return state, 0.0
         now = self._tape.at(state, values, 0.0).tolist()
         then = self._tape.at(anchor, values, 0.0).tolist() if "pin" in flow else now
-        near, slow = _DRIFT * tolerances["gap"], _DRIFT * tolerances["speed"]
+        near, slow = tolerances["gap"], tolerances["speed"]
+        off = 0.0
         for i, name in enumerate(flow):
             if name == "free":
                 continue
             gap, gap_rate, slip, x, y = now[5 * i : 5 * i + 5]
-            off = abs(gap) > near or abs(gap_rate) > slow
+            off = max(off, abs(gap) / near, abs(gap_rate) / slow)
             if name == "pin":
-                off |= math.hypot(x - then[5 * i + 3], y - then[5 * i + 4]) > near
-                off |= abs(slip) > slow
-            if off:
-                snapshot = self._snapshots.at(values, state, 0.0)
-                held = self._snapshots.at(values, anchor, 0.0)
-                return on_constraints(flow, snapshot, state, held=held)
-        return state
+                moved = math.hypot(x - then[5 * i + 3], y - then[5 * i + 4])
+                off = max(off, moved / near, abs(slip) / slow)
+        # What is not finite is left to the guards to report.
+        if off <= _DRIFT or not math.isfinite(off):
+            return state, 0.0
+        snapshot = self._snapshots.at(values, state, 0.0)
+        held = self._snapshots.at(values, anchor, 0.0)
+        return on_constraints(flow, snapshot, state, held=held), off
 
 
 def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, float]) -> Array:

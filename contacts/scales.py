@@ -19,7 +19,7 @@ __all__ = ["ScaleTape", "Scales"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scales:
     """The sizes that a scene's numbers are compared with; no tolerance of ours is absolute.
 
@@ -27,12 +27,16 @@ class Scales:
     ----------
     length, speed, acceleration, force : float
         In the scene's units.
+    sizes : (2 n,) array
+        How large each coordinate and each rate is: what moves a point by the length, in the time
+        that this takes at the speed.
     """
 
     length: float
     speed: float
     acceleration: float
     force: float
+    sizes: Array
 
 
 class ScaleTape:
@@ -73,7 +77,11 @@ class ScaleTape:
         end = scene.stop.time
         known = dict(zip(scene.parameters, parameters, strict=False))
         duration = parse(end).to_sympy(known) if end is not None else sp.S.One
-        groups = [lengths, speeds, masses, list(mechanics.gravity), pushes, [duration]]
+        points = [mechanics.body_frame(name)[0] for name in scene.bodies]
+        points += [mechanics.contact(name).point for name in scene.contacts]
+        self._components = 2 * len(points)
+        moves = [sp.diff(c, q) for q in mechanics.q for point in points for c in point]
+        groups = [lengths, speeds, masses, list(mechanics.gravity), pushes, [duration], moves]
         self._sizes = [len(group) for group in groups]
         self._tape = compile_tape(
             [expression for group in groups for expression in group],
@@ -90,7 +98,7 @@ class ScaleTape:
         for size in self._sizes:
             groups.append(numbers[at : at + size])
             at += size
-        lengths, speeds, masses, gravity, pushes, (duration,) = groups
+        lengths, speeds, masses, gravity, pushes, (duration,), moves = groups
         length, speed = max(lengths, default=0.0), max(speeds, default=0.0)
         acceleration = math.hypot(*gravity) or max(pushes, default=0.0)
         if length == 0.0:
@@ -99,4 +107,9 @@ class ScaleTape:
         if acceleration == 0.0:
             acceleration = length / max(duration, 1e-300) ** 2
         speed = max(speed, math.sqrt(acceleration * length))
-        return Scales(length, speed, acceleration, sum(masses) * acceleration)
+        per = self._components
+        largest = [max(moves[i : i + per]) for i in range(0, len(moves), per)]
+        # A coordinate that moves no point is an angle about a centre.
+        coordinates = np.array([length / move if move > 0.0 else 1.0 for move in largest])
+        sizes = np.concatenate([coordinates, coordinates * (speed / length)])
+        return Scales(length, speed, acceleration, sum(masses) * acceleration, sizes)

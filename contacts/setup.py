@@ -187,6 +187,7 @@ class SceneNumbers:
             tolerances=tolerances,
             relative=relative,
             warnings=warnings,
+            sizes=scales.sizes,
             horizon=_LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=contacts,

@@ -150,6 +150,8 @@ class Setup:
         The relative tolerance that they follow from.
     warnings : tuple of str
         What a reader must know of these numbers.
+    sizes : (n,) array or None
+        How large each variable is, where the model has scales of its own.
     horizon : float
         A long time for the first flow, in the model's own scales: how far to look ahead at first.
     """
@@ -159,6 +161,7 @@ class Setup:
     tolerances: Mapping[str, float]
     relative: float
     warnings: tuple[str, ...] = ()
+    sizes: NDArray[np.float64] | None = None
     horizon: float = float("inf")
 
     @cached_property
@@ -237,8 +240,12 @@ class Laws(Protocol):
         flow: Key,
         state: NDArray[np.float64],
         anchor: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Return `state` brought back onto the constraints of `flow` (anchor: arc's start)."""
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return `state` back on the constraints of `flow`, and how far it was off.
+
+        The same object where it is near enough; `anchor` is where the flow began. The distance
+        is in tolerances: above 1 the constraint was violated.
+        """
         ...
 
 

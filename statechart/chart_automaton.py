@@ -313,9 +313,9 @@ class ChartLaws:
         jump = Jump(clock.high, j, region, transition.name, flow.mode, target, state, after, fired)
         return jump, self._with_tolerances(setup, clock, following, after)
 
-    def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> Array:
+    def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> tuple[Array, float]:
         """Return `state`: a chart has no constraints."""
-        return state
+        return state, 0.0
 
     def _due(
         self, setup: Setup, clock: Clock, flow: Flow, state: Array, fired: Sequence[str]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,13 @@ from numpy.typing import NDArray
 from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.enclosure import Crossing, Search, Verdict, search
-from statechart.errors import NonFinite, Undecided
+from statechart.errors import NonFinite, SimulationError, Undecided
 from statechart.tape import Tape, compile_tape
 
 __all__ = [
     "LONGEST_CHUNK",
     "Advance",
+    "Begin",
     "CompiledMode",
     "Engine",
     "Steps",
@@ -76,6 +78,14 @@ class Steps:
     finished: bool
 
 
+class Begin(Enum):
+    """How a call for steps follows from the last one."""
+
+    NEW = "another flow, or another run"
+    MOVED = "the same flow, its state projected since"
+    ON = "the same flow, where it was left"
+
+
 class Engine(ABC):
     """An integrator: it makes a mode's steps, and knows nothing of events.
 
@@ -89,12 +99,15 @@ class Engine(ABC):
         Relative.
     evaluations : int
         Of the rates, so far; 0 where they are not counted.
+    sizes : (n,) array or None
+        How large each variable is in the model's own scales, where it says so; set for each run.
     """
 
     name: str
     method: str
     tolerance: float
     evaluations: int = 0
+    sizes: Array | None = None
 
     @abstractmethod
     def compile(self, automaton: Automaton, mode: Mode) -> object:
@@ -109,7 +122,7 @@ class Engine(ABC):
         state: Array,
         duration: float,
         count: int,
-        resume: bool,
+        begin: Begin,
     ) -> Steps:
         """Take up to `count` steps.
 
@@ -127,8 +140,8 @@ class Engine(ABC):
             Do not step beyond ``start + duration``; the last step ends there exactly.
         count : int
             At most so many steps.
-        resume : bool
-            True when `state` is where the last call with this stepper ended.
+        begin : Begin
+            How `state` follows from the last call with this stepper.
 
         Raises
         ------
@@ -153,6 +166,8 @@ class Advance:
         True when the event is one that could not be proved.
     boxes, steps : int
         Costs.
+    failure : SimulationError, KeyboardInterrupt or None
+        What stopped the flow where it is.
     """
 
     times: Array
@@ -162,6 +177,7 @@ class Advance:
     graze: bool
     boxes: int
     steps: int
+    failure: SimulationError | KeyboardInterrupt | None = None
 
 
 @dataclass(eq=False)
@@ -209,7 +225,7 @@ def advance(
     state: Array,
     duration: float,
     horizon: float,
-    project: Callable[[Array, Array], Array],
+    project: Callable[[Array, Array], tuple[Array, float]],
     on_steps: Callable[[float], None],
 ) -> Advance:
     """Flow in one mode to the first event or to the end of `duration`.
@@ -236,59 +252,68 @@ def advance(
         (free flight) one step could span all of `duration`, and an event soon after its start
         would be lost in that step's rounding.
     project : callable
-        (state, anchor) -> state on the mode's constraints; the same object where they hold.
+        (state, anchor) -> (state on the mode's constraints, how far it was off in tolerances);
+        the same object where they hold.
     on_steps : callable
-        Called with the local time reached, now and then (progress, interruption).
+        Called with the local time reached, now and then (progress).
 
-    Raises
-    ------
-    StepFailure, NonFinite, Undecided
-        When the flow cannot be continued.
+    Returns
+    -------
+    Advance
+        What was reached, also where the flow could not be continued.
     """
     collected = _Collector()
     anchor = state
     reached, boxes, total = 0.0, 0, 0
-    count, resume = _FIRST_CHUNK, False
+    count, begin = _FIRST_CHUNK, Begin.NEW
     end = min(horizon, duration)
-    while reached < duration:
-        steps = engine.steps(
-            compiled.stepper, parameters, start + reached, state, end - reached, count, resume
-        )
-        local = steps.times + reached
-        if steps.finished:
-            local[-1] = end
-            horizon *= _GROWTH
-        total += len(steps.coefficients)
-        found = search(compiled.guards, tolerances, local, steps.coefficients, parameters, start)
-        boxes += found.boxes
-        crossing = _decide(found, compiled, tolerances, steps, parameters, start + reached)
-        if crossing is not None:
-            graze = found.verdict is not Verdict.CROSSING
-            late = graze or compiled.kinds[crossing.guard] == "force"
-            end = crossing.crossed if late else crossing.time
-            return _cut(
-                collected,
-                steps,
-                local,
-                end,
-                crossing,
-                anchor,
-                graze=graze,
-                boxes=boxes,
-                total=total,
+    failure: SimulationError | KeyboardInterrupt | None = None
+    try:
+        while reached < duration:
+            steps = engine.steps(
+                compiled.stepper, parameters, start + reached, state, end - reached, count, begin
             )
-        collected.times.append(local)
-        collected.coefficients.append(steps.coefficients)
-        reached = float(local[-1])
-        on_steps(reached)
-        ended = steps.coefficients[-1].sum(axis=1)
-        state = project(ended, anchor)
-        resume = state is ended and not steps.finished
-        if not resume:
-            end = min(reached + horizon, duration)
-        count = min(2 * count, LONGEST_CHUNK)
+            taken = len(steps.coefficients)
+            total += taken
+            ended = steps.coefficients[-1].sum(axis=1)
+            following, off = project(ended, anchor)
+            if off > 1.0 and taken > 1:
+                # The chunk drifted off its constraints: again, in shorter ones.
+                count, begin = max(1, taken // 4), Begin.MOVED
+                continue
+            local = steps.times + reached
+            if steps.finished:
+                local[-1] = end
+                horizon *= _GROWTH
+            found = search(
+                compiled.guards, tolerances, local, steps.coefficients, parameters, start
+            )
+            boxes += found.boxes
+            crossing = _decide(found, compiled, tolerances, steps, parameters, start + reached)
+            if crossing is not None:
+                graze = found.verdict is not Verdict.CROSSING
+                late = graze or compiled.kinds[crossing.guard] == "force"
+                at = crossing.crossed if late else crossing.time
+                state = _cut(collected, steps, local, at, anchor)
+                times, coefficients = collected.arc(state)
+                return Advance(times, coefficients, state, crossing, graze, boxes, total)
+            collected.times.append(local)
+            collected.coefficients.append(steps.coefficients)
+            reached = float(local[-1])
+            on_steps(reached)
+            state = following
+            if state is ended:
+                begin = Begin.MOVED if steps.finished else Begin.ON
+                count = min(2 * count, LONGEST_CHUNK)
+            else:
+                begin = Begin.MOVED
+                count = max(1, count // 2)
+            if begin is not Begin.ON:
+                end = min(reached + horizon, duration)
+    except (SimulationError, KeyboardInterrupt) as error:
+        failure = error
     times, coefficients = collected.arc(state)
-    return Advance(times, coefficients, state, None, False, boxes, total)
+    return Advance(times, coefficients, state, None, False, boxes, total, failure)
 
 
 def _decide(
@@ -327,41 +352,22 @@ def _powers(steps: Steps) -> Array:
     return np.arange(steps.coefficients.shape[2], dtype=float)
 
 
-def _cut(
-    collected: _Collector,
-    steps: Steps,
-    local: Array,
-    end: float,
-    crossing: Crossing,
-    anchor: Array,
-    *,
-    graze: bool,
-    boxes: int,
-    total: int,
-) -> Advance:
-    """End the arc at local time `end`, inside or before the steps at hand."""
+def _cut(collected: _Collector, steps: Steps, local: Array, end: float, anchor: Array) -> Array:
+    """End the arc at local time `end`, inside or before the steps at hand; return the state."""
     if end <= local[0]:
         # The margin started falling where this chunk starts: nothing of it is kept.
-        state = _end_before(collected, anchor)
-    else:
-        kept = max(int(local.searchsorted(end)), 1)
-        begin = local[kept - 1]
-        s = (end - begin) / (local[kept] - begin)
-        times, coefficients = local[: kept + 1], steps.coefficients[:kept]
-        times[-1] = end
-        last = coefficients[-1]
-        last *= s ** _powers(steps)
-        state = last.sum(axis=1)
-        collected.times.append(times)
-        collected.coefficients.append(coefficients)
-    all_times, all_coefficients = collected.arc(state)
-    return Advance(all_times, all_coefficients, state, crossing, graze, boxes, total)
-
-
-def _end_before(collected: _Collector, anchor: Array) -> Array:
-    if not collected.coefficients:
-        return anchor
-    return collected.coefficients[-1][-1].sum(axis=1)
+        before = collected.coefficients
+        return before[-1][-1].sum(axis=1) if before else anchor
+    kept = max(int(local.searchsorted(end)), 1)
+    begin = local[kept - 1]
+    s = (end - begin) / (local[kept] - begin)
+    times, coefficients = local[: kept + 1], steps.coefficients[:kept]
+    times[-1] = end
+    last = coefficients[-1]
+    last *= s ** _powers(steps)
+    collected.times.append(times)
+    collected.coefficients.append(coefficients)
+    return last.sum(axis=1)
 
 
 def rates_tape(automaton: Automaton, mode: Mode) -> Tape:

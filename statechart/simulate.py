@@ -83,6 +83,7 @@ class Simulator:
             With the trace so far, where the run cannot go on and `throw` is set.
         """
         setup = self.automaton.laws.setup(parameters or {}, self.engine.tolerance)
+        self.engine.sizes = setup.sizes
         run = _Run(self, setup, until, max_jumps)
         try:
             run.loop()
@@ -235,6 +236,8 @@ class _Run:
             tolerances=special,
             terms=reached.coefficients[-1] if elapsed > 0.0 else flow.terms,
         )
+        if reached.failure is not None:
+            raise reached.failure
         if reached.crossing is None:
             return ("zeno",) if duration == remaining else ()
         margin = compiled.mode.margins[reached.crossing.guard]
@@ -333,7 +336,7 @@ class _Run:
             raise EventLoop(f"{', '.join(fired)} falls at t = {now[0]:.17g}, but no jump follows")
         self.stalled = now
 
-    def _projector(self, flow: Key) -> Callable[[Array, Array], Array]:
+    def _projector(self, flow: Key) -> Callable[[Array, Array], tuple[Array, float]]:
         project, setup = self.simulator.automaton.laws.project, self.setup
         return lambda state, anchor: project(setup, flow, state, anchor)
 

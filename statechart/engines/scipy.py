@@ -11,7 +11,7 @@ from scipy import integrate
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
-from statechart.engine import Engine, Steps, rates_tape
+from statechart.engine import Begin, Engine, Steps, rates_tape
 from statechart.errors import NonFinite, StepFailure
 from statechart.tape import Tape
 
@@ -61,11 +61,13 @@ class SciPy(Engine):
         state: Array,
         duration: float,
         count: int,
-        resume: bool,
+        begin: Begin,
     ) -> Steps:
         """Take one step: they are dear, and the constraints are projected after each."""
         assert isinstance(stepper, _Stepper)
-        if not resume:
+        if begin is not Begin.ON:
+            if begin is Begin.NEW:
+                stepper.suggested = None
             stepper.solver = self._solver(stepper, parameters, start, state, duration)
         solver = stepper.solver
         message = solver.step()
@@ -87,11 +89,13 @@ class SciPy(Engine):
             self.evaluations += 1
             return values(y, parameters, start + local)
 
-        magnitude = np.abs(state)
-        rate = np.abs(rates(0.0, state))
-        # A variable at zero is measured by the others: no absolute number of ours enters.
-        floor = max(float(magnitude.max(initial=0.0)), float(np.minimum(rate, 1e300).max()) or 1.0)
-        absolute = self.tolerance * np.maximum(magnitude, 1e-3 * floor)
+        sizes = self.sizes
+        if sizes is None:
+            # Without scales of its own a variable at zero is measured by the others.
+            rate = np.abs(rates(0.0, state))
+            largest = max(float(np.abs(state).max(initial=0.0)), float(rate.max(initial=0.0)))
+            sizes = np.full(len(state), largest or 1.0)
+        absolute = self.tolerance * np.maximum(np.abs(state), 1e-3 * sizes)
         options: dict[str, Any] = {"rtol": self.tolerance, "atol": absolute}
         if stepper.suggested is not None and 0 < stepper.suggested < duration:
             options["first_step"] = stepper.suggested

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
-from statechart.engine import LONGEST_CHUNK, Engine, Steps
+from statechart.engine import LONGEST_CHUNK, Begin, Engine, Steps
 from statechart.errors import NonFinite, StatechartError, StepFailure
 from statechart.kernels import scaled_steps
 
@@ -93,11 +93,11 @@ class Taylor(Engine):
         state: Array,
         duration: float,
         count: int,
-        resume: bool,
+        begin: Begin,
     ) -> Steps:
         """Take up to `count` steps (see `Engine`)."""
         assert isinstance(stepper, _Stepper)
-        if not resume:
+        if begin is not Begin.ON:
             stepper.integrator.time = 0.0
             stepper.state[:] = state
             if stepper.parametric:
