@@ -33,8 +33,6 @@ class ContactGeometry:
     normal, tangent : (Expr, Expr)
         Unit vectors of the surface there, in that frame; the normal points out of the solid, the
         tangent is the normal turned clockwise.
-    distance : Expr
-        From the surface, to first order (the gap of a height function is vertical).
     symbols : ContactSymbols
         Gap, velocities, accelerations, forces.
     jacobian_n, jacobian_t : tuple of Expr
@@ -46,7 +44,6 @@ class ContactGeometry:
     point: Vector
     normal: Vector
     tangent: Vector
-    distance: sp.Expr
     symbols: ContactSymbols
     jacobian_n: tuple[sp.Expr, ...]
     jacobian_t: tuple[sp.Expr, ...]
@@ -183,10 +180,9 @@ class Mechanics:
         """What formulas of outputs and stop conditions may use, name -> expression."""
         result = dict(self._known)
         for name in self.scene.contacts:
-            geometry = self.contact(name)
-            symbols = geometry.symbols
+            symbols = self.contact(name).symbols
             result |= {
-                f"{name}.gap": geometry.distance,
+                f"{name}.gap": symbols.gap,
                 f"{name}.slip": symbols.slip,
                 f"{name}.V": symbols.V,
                 f"{name}.H": symbols.H,
@@ -267,7 +263,7 @@ class Mechanics:
         cone_n, cone_t = self._cones[name]
         symbols = ContactSymbols(
             name,
-            gap,
+            unit * gap,
             unit * gap_rate,
             slip,
             sp.Add(bias_n, *(j * a for j, a in zip(jacobian_n, self.a, strict=True))),
@@ -278,7 +274,7 @@ class Mechanics:
             cone_t,
         )
         return ContactGeometry(
-            point, normal, tangent, unit * gap, symbols, jacobian_n, jacobian_t, bias_n, bias_t
+            point, normal, tangent, symbols, jacobian_n, jacobian_t, bias_n, bias_t
         )
 
     def _in_frame(self, surface: Surface, point: Vector) -> Vector:
@@ -296,16 +292,15 @@ class Mechanics:
         return c * dx + s * dy, c * dy - s * dx
 
     def _surface(self, surface: Surface, x: sp.Expr, y: sp.Expr) -> tuple[sp.Expr, Vector, sp.Expr]:
-        """Return the gap at (x, y), the unit normal, and the length of the gap's gradient, inverse.
+        """Return a function that is zero on the surface, the unit normal, and a factor.
 
-        The gap has the sign and the zeros of the distance; velocities and forces are along the
-        unit normal.
+        Function times factor is the distance to first order: the factor is the inverse of the
+        length of the function's gradient.
         """
         if surface.height is not None:
             abscissa = sp.Dummy("x", real=True)
             height = self._formula(surface.height, x=abscissa)
             slope = sp.diff(height, abscissa).xreplace({abscissa: x})
-            # Measured vertically: without the square roots of the distance.
             unit = 1 / sp.sqrt(1 + slope**2)
             return y - height.xreplace({abscissa: x}), (-slope * unit, unit), unit
         if surface.circle is not None and surface.radius is not None:

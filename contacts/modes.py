@@ -23,7 +23,7 @@ class ContactSymbols:
     name : str
         Of the contact.
     gap : Expr
-        Height over the surface, >= 0; its zero and its sign are those of the distance.
+        Distance from the surface, to first order; >= 0.
     gap_rate, slip : Expr
         Normal and tangential velocity of the point relative to the surface.
     normal_acceleration, tangential_acceleration : Expr

@@ -43,7 +43,7 @@ class Projection:
         outputs: list[sp.Expr] = []
         for name in mechanics.scene.contacts:
             geometry = mechanics.contact(name)
-            outputs += [geometry.distance, geometry.symbols.gap_rate, geometry.symbols.slip]
+            outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
             outputs += geometry.point
         self._snapshots = snapshots
         self._tape = compile_tape(

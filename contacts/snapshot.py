@@ -107,7 +107,7 @@ class SnapshotTape:
         for geometry in contacts:
             outputs += [geometry.bias_n, geometry.bias_t]
         for geometry in contacts:
-            outputs += [geometry.distance, geometry.symbols.gap_rate, geometry.symbols.slip]
+            outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
             outputs += [*geometry.point, *geometry.tangent]
         self.tape: Tape = compile_tape(
             outputs,

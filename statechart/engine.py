@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 # Steps are made in chunks that grow, so that little is dropped behind an early event.
 _FIRST_CHUNK = 4
 LONGEST_CHUNK = 64
+# A chunk may end this far off its constraints, in tolerances; inside it may be farther.
+_DRIFT = 0.2
 # The look-ahead in time grows likewise.
 _GROWTH = 16.0
 
@@ -277,7 +279,7 @@ def advance(
             total += taken
             ended = steps.coefficients[-1].sum(axis=1)
             following, off = project(ended, anchor)
-            if off > 1.0 and taken > 1:
+            if off > _DRIFT and taken > 1:
                 # The chunk drifted off its constraints: again, in shorter ones.
                 count, begin = max(1, taken // 4), Begin.MOVED
                 continue

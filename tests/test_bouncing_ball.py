@@ -138,4 +138,4 @@ def test_2000_random_steep_hills_without_a_tunnel(engine: str) -> None:
             x, y = arc.states(local)[:, :2].T
             angle = k * x + p["phase"]
             gap = (y - A * np.sin(angle)) / np.hypot(1.0, A * k * np.cos(angle))
-            assert gap.min() >= -2 * trace.tolerances["gap"], (p, gap.min())
+            assert gap.min() >= -1.1 * trace.tolerances["gap"], (p, gap.min())

@@ -89,13 +89,17 @@ class SciPy(Engine):
             self.evaluations += 1
             return values(y, parameters, start + local)
 
+        magnitude = np.abs(state)
         sizes = self.sizes
         if sizes is None:
             # Without scales of its own a variable at zero is measured by the others.
             rate = np.abs(rates(0.0, state))
-            largest = max(float(np.abs(state).max(initial=0.0)), float(rate.max(initial=0.0)))
-            sizes = np.full(len(state), largest or 1.0)
-        absolute = self.tolerance * np.maximum(np.abs(state), 1e-3 * sizes)
+            largest = max(float(magnitude.max(initial=0.0)), float(rate.max(initial=0.0)))
+            least = np.full(len(state), largest or 1.0)
+        else:
+            # In the model's own units, and as small as the motion now is (late, low bounces).
+            least = sizes * float((magnitude / sizes).max(initial=0.0) or 1.0)
+        absolute = self.tolerance * np.maximum(magnitude, 1e-3 * least)
         options: dict[str, Any] = {"rtol": self.tolerance, "atol": absolute}
         if stepper.suggested is not None and 0 < stepper.suggested < duration:
             options["first_step"] = stepper.suggested
