@@ -192,13 +192,24 @@ class _Collector:
             return np.zeros(1), np.zeros((0, len(start), 1))
         if len(self.times) == 1:
             return self.times[0], self.coefficients[0]
-        degree = max(c.shape[2] for c in self.coefficients)
-        padded = [
-            c if c.shape[2] == degree else np.pad(c, ((0, 0), (0, 0), (0, degree - c.shape[2])))
-            for c in self.coefficients
-        ]
-        ends = [self.times[0], *(times[1:] for times in self.times[1:])]
-        return np.concatenate(ends), np.concatenate(padded)
+        return _joined(self.times, self.coefficients)
+
+    def rejoined(self, steps: Steps, local: Array) -> tuple[Steps, Array]:
+        """Take the last chunk back and put it before `steps`."""
+        times, coefficients = _joined(
+            [self.times.pop(), local], [self.coefficients.pop(), steps.coefficients]
+        )
+        return Steps(times, coefficients, steps.finished), times
+
+
+def _joined(times: list[Array], coefficients: list[Array]) -> tuple[Array, Array]:
+    degree = max(c.shape[2] for c in coefficients)
+    padded = [
+        c if c.shape[2] == degree else np.pad(c, ((0, 0), (0, 0), (0, degree - c.shape[2])))
+        for c in coefficients
+    ]
+    ends = [times[0], *(later[1:] for later in times[1:])]
+    return np.concatenate(ends), np.concatenate(padded)
 
 
 def compile_mode(engine: Engine, automaton: Automaton, mode: Mode) -> CompiledMode:
@@ -291,6 +302,13 @@ def advance(
                 compiled.guards, tolerances, local, steps.coefficients, parameters, start
             )
             boxes += found.boxes
+            if found.crossing is not None and found.crossing.time <= local[0] and collected.times:
+                # It fell below zero, though not below its tolerance, in the chunk before.
+                steps, local = collected.rejoined(steps, local)
+                found = search(
+                    compiled.guards, tolerances, local, steps.coefficients, parameters, start
+                )
+                boxes += found.boxes
             crossing = _decide(found, compiled, tolerances, steps, parameters, start + reached)
             if crossing is not None:
                 graze = found.verdict is not Verdict.CROSSING
