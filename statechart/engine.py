@@ -302,8 +302,10 @@ def advance(
                 compiled.guards, tolerances, local, steps.coefficients, parameters, start
             )
             boxes += found.boxes
-            if found.crossing is not None and found.crossing.time <= local[0] and collected.times:
-                # It fell below zero, though not below its tolerance, in the chunk before.
+            while (
+                found.crossing is not None and found.crossing.time <= local[0] and collected.times
+            ):
+                # It fell below zero, though not below its tolerance, in a chunk before.
                 steps, local = collected.rejoined(steps, local)
                 found = search(
                     compiled.guards, tolerances, local, steps.coefficients, parameters, start
