@@ -220,9 +220,13 @@ def _scratch() -> Iterator[None]:
 
 
 def _runner(file: str, **options: Any) -> Runner:
+    from statechart.kernels import cached
     from statechart.run import Runner
 
-    return Runner(file, **options)
+    runner = Runner(file, **options)
+    if not cached():
+        print("compiling the numerical kernels; this happens once", file=sys.stderr, flush=True)
+    return runner
 
 
 def _modes(declared: int, total: int) -> str:

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 METHODS = ("RK45", "DOP853", "Radau", "LSODA")
 
+# A thousand roundings: with the factor below, a variable at rest is known to one.
+_ROUNDING = 1e3 * float(np.finfo(float).eps)
 # solve_ivp refuses a relative tolerance below this.
 _LEAST = 100 * float(np.finfo(float).eps)
 
@@ -97,8 +99,10 @@ class SciPy(Engine):
             largest = max(float(magnitude.max(initial=0.0)), float(rate.max(initial=0.0)))
             least = np.full(len(state), largest or 1.0)
         else:
-            # In the model's own units, and as small as the motion now is (late, low bounces).
-            least = sizes * float((magnitude / sizes).max(initial=0.0) or 1.0)
+            # In the model's own units, and as small as the motion now is (late, low bounces), but
+            # not below what rounding makes of a state at rest.
+            moving = float((magnitude / sizes).max(initial=0.0)) or 1.0
+            least = sizes * max(moving, _ROUNDING / self.tolerance)
         absolute = self.tolerance * np.maximum(magnitude, 1e-3 * least)
         options: dict[str, Any] = {"rtol": self.tolerance, "atol": absolute}
         if stepper.suggested is not None and 0 < stepper.suggested < duration:
