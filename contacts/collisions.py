@@ -1,0 +1,335 @@
+"""Impulses at several contacts at once, as a complementarity problem.
+
+Moreau's form: a contact that bears an impulse keeps its speed of separation, ``v_n+ = -e v_n-``;
+friction opposes what slip remains, and lies in its cone. With e = 0 the energy never grows; else
+it may.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.classify import ContactLaw
+from contacts.complementarity import LcpStatus, contact_impulses, contact_problem, solve_lcp
+from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SOLVED, solve_modes
+from contacts.redundancy import connected, into_cone, mode_columns, rank, smallest
+from contacts.snapshot import Snapshot
+
+__all__ = ["Collision", "collisions", "coupled"]
+
+Array = NDArray[np.float64]
+
+# Enumeration can prove that there is one solution or several; beyond this it costs too much.
+_ENUMERATED = 4
+# Up to here it is the last resort: inertias that differ by more than 1e12 ruin Lemke's matrix.
+_ENUMERATED_LAST = 7
+# Above this mu a cone's edges alone do not span it in double precision.
+_STEEP = 1e3
+_ON_EDGE = 1e-9
+# Relative to the terms of each inequality: what rounding makes of equality, and what is refused.
+_EXACT, _TIE = 1e-13, 1e-11
+_SAME = 1e-8
+# Elimination does not tell columns closer to dependent apart.
+_NEARLY_DEPENDENT = 1e-10
+
+# As `contacts.kernels` numbers them; pressing is sticking that needs no friction.
+_PRESS = -1
+_NAMES = {FREE: "open", PIN: "stick", SLIDE_PLUS: "slip+", SLIDE_MINUS: "slip-", SLIDE: "slip"}
+_NAMES[_PRESS] = "stick"
+
+
+@dataclass(frozen=True, eq=False)
+class Collision:
+    """One solution of the impact's complementarity problem.
+
+    Attributes
+    ----------
+    change : (n,) array
+        Of the rates of the coordinates.
+    impulses : (c, 2) array
+        V and H on the body; zero where a contact is not closed.
+    states : tuple of str
+        open, stick, slip+, slip- or slip (no friction), per contact.
+    indeterminate : tuple of bool
+        Contacts whose impulses the motion does not determine; the smallest are given.
+    violation : float
+        The largest relative to the terms of its inequality.
+    """
+
+    change: Array
+    impulses: Array
+    states: tuple[str, ...]
+    indeterminate: tuple[bool, ...]
+    violation: float
+
+
+def collisions(
+    snapshot: Snapshot,
+    laws: Sequence[ContactLaw],
+    closed: Sequence[bool],
+    restitution: Sequence[float],
+) -> tuple[Collision, ...]:
+    """Return the impulses that agree with the laws, one per distinct motion, preferred first.
+
+    ``0 <= P_n``, ``v_n+ + e min(v_n-, 0) >= 0``, their product 0; friction in its cone, against
+    the slip that remains. The state's saddle point is solved, so that no inertia need be positive
+    that the contacts do not accelerate. Up to four contacts all combinations of modes are tried;
+    above, Lemke's algorithm finds one, and whether it is the only one is not known. None: no
+    combination agrees, or (more than four contacts) none was found.
+
+    Parameters
+    ----------
+    snapshot, laws, closed
+        See `impacts`.
+    restitution : sequence of float
+        Per contact; all 0 for the plastic impulse.
+    """
+    group = [i for i, shut in enumerate(closed) if shut]
+    problem = _Problem.of(snapshot, laws, group, restitution)
+    agree: list[Collision] = []
+    if len(group) > _ENUMERATED:
+        agree = problem.solve(problem.by_lemke())
+    if not agree and len(group) <= _ENUMERATED_LAST:
+        agree = problem.solve(list(product(*map(_choices, problem.cones.tolist()))))
+    found: list[Collision] = []
+    for collision in sorted(agree, key=_preference):
+        if not any(problem.same_motion(collision, one) for one in found):
+            found.append(collision)
+    return tuple(problem.shared_out(c, len(laws)) for c in found)
+
+
+def coupled(snapshot: Snapshot, group: Sequence[int]) -> NDArray[np.int64]:
+    """Label the coordinates (n,): those with one label feel each other's impulses."""
+    linked = snapshot.mass != 0.0
+    for i in group:
+        touched = np.abs(snapshot.jacobians[i]).max(axis=0) > 0.0
+        linked |= np.outer(touched, touched)
+    return connected(linked)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The contacts of a group, and the coordinates that they move.
+
+    Attributes
+    ----------
+    group : list of int
+        Contacts.
+    moved : (m,) array of int
+        Coordinates, of `size`.
+    mass : (m, m), jacobians : (g, 2, m), cones : (g, 2)
+    start : (g, 2)
+        What v_n + e min(v_n-, 0) and v_t are without impulses.
+    """
+
+    group: list[int]
+    moved: NDArray[np.int64]
+    size: int
+    mass: Array
+    jacobians: Array
+    cones: Array
+    start: Array
+
+    @classmethod
+    def of(
+        cls,
+        snapshot: Snapshot,
+        laws: Sequence[ContactLaw],
+        group: list[int],
+        restitution: Sequence[float],
+    ) -> _Problem:
+        labels = coupled(snapshot, group)
+        jacobians = snapshot.jacobians[group]
+        touched = {label for row in jacobians for label in labels[np.abs(row).max(axis=0) > 0.0]}
+        moved = np.nonzero([label in touched for label in labels])[0]
+        start = [
+            (c.gap_rate + restitution[i] * min(c.gap_rate, 0.0), c.slip)
+            for i, c in ((i, snapshot.contacts[i]) for i in group)
+        ]
+        return cls(
+            group,
+            moved,
+            len(snapshot.velocity),
+            np.ascontiguousarray(snapshot.mass[np.ix_(moved, moved)]),
+            np.ascontiguousarray(jacobians[:, :, moved]),
+            np.array([(laws[i].cone_n, laws[i].cone_t) for i in group]),
+            np.array(start),
+        )
+
+    def solve(self, codes: Sequence[Sequence[int]]) -> list[Collision]:
+        """Solve the combinations of modes, and return those that agree with the laws."""
+        table = np.array(codes, dtype=np.int64).reshape(-1, len(self.group))
+        # A contact that presses is open, and its twin without friction closed.
+        frictionless = np.tile([1.0, 0.0], (len(self.group), 1))
+        pressing = table == _PRESS
+        twins = np.where(pressing, SLIDE, FREE)
+        unjudged = np.zeros(2 * len(self.group), dtype=np.bool_)
+        status, changes, forces, _ = solve_modes(
+            self.mass,
+            np.zeros(len(self.mass)),
+            np.concatenate([self.jacobians, self.jacobians]),
+            np.concatenate([self.start, self.start]),
+            np.concatenate([self.cones, frictionless]),
+            np.hstack([np.where(pressing, FREE, table), twins]),
+            unjudged,
+            unjudged,
+            1.0,
+            1.0,
+        )
+        table, changes = table[status == SOLVED], changes[status == SOLVED]
+        forces = forces[status == SOLVED]
+        impulses = forces[:, : len(self.group)] + forces[:, len(self.group) :]
+        violations = self._violations(table, changes, impulses)
+        return [
+            self._collision(code, changes[k], impulses[k], violations[k])
+            for k, code in enumerate(table)
+            if violations[k] <= _TIE and self._independent(code)
+        ]
+
+    def _collision(
+        self, code: NDArray[np.int64], change: Array, impulses: Array, violation: float
+    ) -> Collision:
+        names = tuple(_NAMES[int(c)] for c in code)
+        return Collision(change, impulses, names, (False,) * len(code), float(violation))
+
+    def _after(self, change: Array) -> tuple[Array, Array]:
+        """Return the velocities (.., g, 2) after, and the sizes of the terms they consist of."""
+        after = self.start + np.einsum("gdn,...n->...gd", self.jacobians, change)
+        terms = np.abs(self.start) + np.einsum(
+            "gdn,...n->...gd", np.abs(self.jacobians), np.abs(change)
+        )
+        return after, terms
+
+    def _violations(self, table: NDArray[np.int64], changes: Array, impulses: Array) -> Array:
+        """Return the largest violation of each combination, relative to its terms."""
+        after, terms = self._after(changes)
+        relative = np.divide(after, terms, out=np.zeros_like(after), where=terms > 0.0)
+        normal, slip = relative[..., 0], relative[..., 1]
+        sizes = np.hypot(impulses[..., 0], impulses[..., 1])
+        cone_n, cone_t = self.cones.T
+        V, H = impulses[..., 0], impulses[..., 1]
+        sign = np.select([table == SLIDE_PLUS, table == SLIDE_MINUS], [1.0, -1.0])
+        outside = np.where(
+            sign != 0.0,
+            sign * cone_t * H - cone_n * V,
+            np.maximum(-V, cone_n * np.abs(H) - cone_t * V),
+        )
+        outside = np.divide(outside, sizes, out=np.zeros_like(sizes), where=sizes > 0.0)
+        shut = np.maximum(np.abs(normal), outside)
+        worst = np.where(table == FREE, -normal, shut)
+        along = np.select(
+            [table == SLIDE_PLUS, table == SLIDE_MINUS, (table == PIN) | (table == _PRESS)],
+            [-slip, slip, np.abs(slip)],
+            default=-np.inf,
+        )
+        return np.maximum(
+            np.maximum(worst, along).max(axis=1), self._unexplained(changes, impulses)
+        )
+
+    def _unexplained(self, changes: Array, impulses: Array) -> Array:
+        """Return the largest change of momentum (..,) that no impulse explains, relatively.
+
+        The solver compares a row with the largest; a light body beside heavy ones has its own.
+        """
+        pushes = np.einsum("gdn,...gd->...n", self.jacobians, impulses)
+        sizes = np.hypot(impulses[..., 0], impulses[..., 1])
+        terms = np.abs(changes) @ np.abs(self.mass)
+        terms += np.einsum("gdn,...g->...n", np.abs(self.jacobians), sizes)
+        missed = np.abs(changes @ self.mass - pushes)
+        relative = np.divide(missed, terms, out=np.zeros_like(terms), where=terms > 0.0)
+        return np.asarray(relative.max(axis=-1))
+
+    def _independent(self, code: NDArray[np.int64]) -> bool:
+        """Whether the impulses of a combination are determined by the geometry alone.
+
+        Elimination does not notice in rounding that two contacts are one; its impulses are then
+        huge and cancel.
+        """
+        plain = np.where(code == _PRESS, SLIDE, code)
+        columns = sum(mode_columns(plain, self.jacobians, self.cones), start=list[Array]())
+        return not columns or rank(np.array(columns).T, _NEARLY_DEPENDENT)[0] == len(columns)
+
+    def by_lemke(self) -> list[tuple[int, ...]]:
+        """Return the modes that Lemke's algorithm ends in, on the Delassus matrix.
+
+        It serves to find the modes only, so that inertias may be filled up where they vanish.
+        """
+        rows = self.jacobians.reshape(-1, len(self.mass))
+        reach = np.abs(rows).max(axis=0)
+        largest = (np.diag(self.mass) / reach**2).max()
+        filled = self.mass + np.diag(1e-14 * largest * reach**2)
+        root = np.linalg.cholesky(filled)
+        half = np.linalg.solve(root, rows.T)
+        matrix, vector = contact_problem(half.T @ half, self.start, self.cones)
+        solution = solve_lcp(matrix, vector)
+        if solution.status is not LcpStatus.SOLVED:
+            return []
+        impulses = contact_impulses(solution.z, self.cones)
+        return [tuple(map(_mode, impulses.tolist(), self.cones.tolist()))]
+
+    def same_motion(self, one: Collision, other: Collision) -> bool:
+        """Whether the contacts, whose impulses are all that moves the bodies, move alike."""
+        (after, terms), (beside, sizes) = self._after(one.change), self._after(other.change)
+        return bool((np.abs(after - beside) <= _SAME * (terms + sizes)).all())
+
+    def shared_out(self, collision: Collision, count: int) -> Collision:
+        """Return it for all coordinates and contacts, with the smallest impulses that move so."""
+        after, terms = self._after(collision.change)
+        shut = np.abs(after[:, 0]) <= _TIE * terms[:, 0]
+        still = np.abs(after[:, 1]) <= _TIE * terms[:, 1]
+        code = np.where(
+            self.cones[:, 1] == 0.0,
+            SLIDE,
+            np.where(still, PIN, np.where(after[:, 1] > 0.0, SLIDE_PLUS, SLIDE_MINUS)),
+        )
+        code = np.where(shut, code, FREE)
+        given, unknown = smallest(code, self.jacobians, self.cones, collision.impulses)
+        if self._unexplained(collision.change, given) > _TIE:
+            given = collision.impulses
+        change, impulses = np.zeros(self.size), np.zeros((count, 2))
+        change[self.moved] = collision.change
+        impulses[self.group] = list(map(into_cone, given, self.cones))
+        states, indeterminate = ["open"] * count, [False] * count
+        for k, i in enumerate(self.group):
+            states[i], indeterminate[i] = collision.states[k], unknown[k]
+        return Collision(change, impulses, tuple(states), tuple(indeterminate), collision.violation)
+
+
+def _choices(cone: tuple[float, float]) -> tuple[int, ...]:
+    cone_n, cone_t = cone
+    if cone_t == 0.0:
+        return (FREE, SLIDE)
+    steep = (_PRESS,) if cone_t > _STEEP * cone_n else ()
+    return (FREE, SLIDE_PLUS, SLIDE_MINUS, PIN, *steep)
+
+
+def _mode(impulse: tuple[float, float], cone: tuple[float, float]) -> int:
+    (V, H), (cone_n, cone_t) = impulse, cone
+    if V == 0.0 and H == 0.0:
+        return FREE
+    if cone_t == 0.0:
+        return SLIDE
+    if H == 0.0:
+        return _PRESS
+    # Steep cones were cut for Lemke's algorithm.
+    inside = cone_t * V - max(cone_n, 2.0**-12) * abs(H)
+    if inside > _ON_EDGE * math.hypot(V, H):
+        return PIN
+    return SLIDE_MINUS if H > 0.0 else SLIDE_PLUS
+
+
+def _preference(collision: Collision) -> tuple[bool, int, int, tuple[str, ...]]:
+    """Most contacts closed first, then most of them sticking; names make ties deterministic."""
+    states = collision.states
+    return (
+        collision.violation > _EXACT,
+        states.count("open"),
+        len(states) - states.count("stick"),
+        states,
+    )

@@ -1,0 +1,191 @@
+"""Lemke's algorithm on a condensed tableau, compiled once, and bases solved one by one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from contacts.kernels import SOLVED, saddle
+
+__all__ = ["FOUND", "RAY", "SPENT", "enumerate_bases", "lemke", "on_support", "row_residual"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# Called from Python and from each other only: without what C would need they compile faster.
+_kernel = njit(cache=True, no_cfunc_wrapper=True)
+
+FOUND, RAY, SPENT = range(3)
+# Of a pivot relative to the largest entry of its column: smaller ones are rounding.
+_SMALLEST_PIVOT = 1e-11
+# Ratios closer than this tie; the artificial variable leaves in ties that rounding has spread.
+_TIE, _TIE_LAST = 1e-10, 1e-5
+_CANCELLED = 1e-14
+
+
+@_kernel
+def row_residual(matrix: Array, vector: Array, z: Array) -> float:
+    """Return the largest violation of a row, relative to its terms."""
+    worst = 0.0
+    for i in range(len(vector)):
+        w, terms = vector[i], abs(vector[i])
+        for j in range(len(vector)):
+            w += matrix[i, j] * z[j]
+            terms += abs(matrix[i, j] * z[j])
+        if not math.isfinite(w):
+            return math.inf
+        missed = abs(w) if z[i] > 0.0 else -w
+        if missed > worst * terms:
+            worst = missed / terms
+    return worst
+
+
+@_kernel
+def on_support(matrix: Array, vector: Array, positive: Bools) -> tuple[bool, Array]:
+    """Solve ``w = 0`` where z may be positive, z = 0 elsewhere."""
+    which = np.nonzero(positive)[0]
+    count = len(which)
+    z = np.zeros(len(vector))
+    if count == 0:
+        return True, z
+    part = np.empty((count, count))
+    right = np.empty(count)
+    for a in range(count):
+        right[a] = -vector[which[a]]
+        for b in range(count):
+            part[a, b] = matrix[which[a], which[b]]
+    status, x = saddle(part, right, np.empty((0, count)), np.empty((count, 0)), np.empty(0))
+    if status != SOLVED:
+        return False, z
+    z[which] = x
+    return True, z
+
+
+@_kernel
+def enumerate_bases(matrix: Array, vector: Array, tolerance: float) -> list[int]:
+    """Return the bases, bit i for z_i, that are solved by no z below -tolerance times the largest.
+
+    Which of them solve the problem is left to judge.
+    """
+    size = len(vector)
+    found = [0]
+    found.clear()
+    positive = np.zeros(size, np.bool_)
+    for mask in range(1 << size):
+        for i in range(size):
+            positive[i] = (mask >> i) & 1 == 1
+        solved, z = on_support(matrix, vector, positive)
+        if not solved:
+            continue
+        least = largest = 0.0
+        for i in range(size):
+            least, largest = min(least, z[i]), max(largest, abs(z[i]))
+        if least >= -tolerance * largest:
+            found.append(mask)
+    return found
+
+
+@_kernel
+def _pivot(table: Array, right: Array, r: int, c: int) -> None:
+    """Exchange the basic variable of row r with the nonbasic one of column c."""
+    width = table.shape[1]
+    inverse = 1.0 / table[r, c]
+    for j in range(width):
+        table[r, j] *= -inverse
+    table[r, c] = inverse
+    right[r] *= -inverse
+    for i in range(len(right)):
+        factor = table[i, c]
+        if i == r or factor == 0.0:
+            continue
+        table[i, c] = 0.0
+        for j in range(width):
+            term = factor * table[r, j]
+            total = table[i, j] + term
+            table[i, j] = total if abs(total) > _CANCELLED * abs(term) else 0.0
+        change = factor * right[r]
+        terms = abs(right[i]) + abs(change)
+        right[i] += change
+        # Below zero is rounding, and so is what remains of two equal terms.
+        if right[i] < _CANCELLED * terms:
+            right[i] = 0.0
+
+
+@_kernel
+def _lexicographic(
+    table: Array, basic: Array, column_of: Array, c: int, one: int, other: int
+) -> bool:
+    """Whether row `one` precedes row `other` when q is perturbed by (eps, eps^2, ...)."""
+    for k in range(len(basic)):
+        column = column_of[k]
+        if column >= 0:
+            a, b = -table[one, column], -table[other, column]
+        else:
+            a = 1.0 if basic[one] == k else 0.0
+            b = 1.0 if basic[other] == k else 0.0
+        a, b = a / -table[one, c], b / -table[other, c]
+        if abs(a - b) > _TIE * (abs(a) + abs(b)):
+            return a < b
+    return False
+
+
+@_kernel
+def lemke(matrix: Array, vector: Array, cover: Array, limit: int) -> tuple[int, Array, Bools]:
+    """Return (outcome, z, basic ones of z).
+
+    Variables are numbered w: 0 to n - 1, z: n to 2 n - 1, the artificial one: 2 n.
+    """
+    size = len(vector)
+    z = np.zeros(size)
+    basis = np.zeros(size, np.bool_)
+    r = -1
+    for i in range(size):
+        if vector[i] < 0.0 and (r < 0 or vector[i] * cover[r] <= vector[r] * cover[i]):
+            r = i
+    if r < 0:
+        return FOUND, z, basis
+    table = np.empty((size, size + 1))
+    table[:, :size] = matrix
+    table[:, size] = cover
+    right = vector.copy()
+    basic = np.arange(size)
+    nonbasic = np.arange(size, 2 * size + 1)
+    column_of = np.full(2 * size + 1, -1)
+    column_of[size:] = np.arange(size + 1)
+    c = size
+    for _ in range(limit):
+        _pivot(table, right, r, c)
+        leaving, entering = basic[r], nonbasic[c]
+        basic[r], nonbasic[c] = entering, leaving
+        column_of[entering], column_of[leaving] = -1, c
+        if leaving == 2 * size:
+            for i in range(size):
+                if basic[i] >= size:
+                    z[basic[i] - size] = right[i]
+                    basis[basic[i] - size] = True
+            return FOUND, z, basis
+        c = column_of[leaving - size if leaving >= size else leaving + size]
+        smallest = -_SMALLEST_PIVOT * np.abs(table[:, c]).max()
+        least = math.inf
+        for i in range(size):
+            if table[i, c] < smallest:
+                least = min(least, -right[i] / table[i, c])
+        if least == math.inf:
+            return RAY, z, basis
+        r = -1
+        for i in range(size):
+            if table[i, c] >= smallest:
+                continue
+            step = -right[i] / table[i, c]
+            # The artificial variable leaves wherever it may: the residual says whether it might.
+            if basic[i] == 2 * size and step <= least * (1.0 + _TIE_LAST):
+                r = i
+                break
+            if step <= least * (1.0 + _TIE) and (
+                r < 0 or _lexicographic(table, basic, column_of, c, i, r)
+            ):
+                r = i
+    return SPENT, z, basis

@@ -1,0 +1,260 @@
+"""Impacts over all closed contacts at once: plastic, capped by the energy, or one after another.
+
+Contacts that share no coordinate do not feel each other; a contact alone has its own law
+(`contacts.impact`). Where several are coupled, there are two impulses (`contacts.collisions`): the
+plastic one never raises the energy; Newton's may. The largest share of the way from one to the
+other that keeps the energy keeps the cones (they are convex) and ``v_n+ >= 0`` (it is linear) as
+well.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.classify import ContactLaw
+from contacts.collisions import Collision, collisions, coupled
+from contacts.impact import impact
+from contacts.snapshot import PerContact, Snapshot
+from statechart.errors import NoConsistentMode
+
+__all__ = ["Impacts", "Simultaneous", "impacts"]
+
+Array = NDArray[np.float64]
+
+Simultaneous = Literal["plastic", "capped", "sequential"]
+"""What coupled contacts do that are hit at once."""
+
+_LONGEST_SEQUENCE = 1000
+# Of the first approach: what is left of a sequence then is the tail of a geometric one.
+_SPENT = 1e-12
+_ROUNDING = 64 * float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class Impacts:
+    """What the impacts of an instant do.
+
+    Attributes
+    ----------
+    velocity : (n,) array
+        Rates of the coordinates after them.
+    impulses : (c, 2) array
+        V and H on the body.
+    path : tuple of str
+        What was done, in order.
+    energy_before, energy_after : float
+        Kinetic.
+    share : float
+        Of the way from the plastic impulse to Newton's; the smallest where several groups of
+        contacts are hit, 1 where no group needs it.
+    indeterminate : tuple of bool
+        See `contacts.collisions.Collision`.
+    warning : str
+        "" or sentences.
+    """
+
+    velocity: Array
+    impulses: Array
+    path: tuple[str, ...]
+    energy_before: float
+    energy_after: float
+    share: float
+    indeterminate: tuple[bool, ...]
+    warning: str = ""
+
+
+def impacts(
+    snapshot: Snapshot,
+    laws: Sequence[ContactLaw],
+    closed: Sequence[bool],
+    choice: Simultaneous = "capped",
+) -> Impacts:
+    """Return the outcome of all impacts at one instant.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+        The state's numbers, before.
+    laws : sequence of ContactLaw
+        One per contact.
+    closed : sequence of bool
+        Which contacts take part; those with ``gap_rate < 0`` are hit.
+    choice : {"plastic", "capped", "sequential"}
+        For contacts that are coupled. Sequential: one impact after the other by the contact's
+        own law, at the contact that approaches most, the others seen as free.
+
+    Raises
+    ------
+    NoConsistentMode
+        If no impulse agrees with the laws.
+    """
+    count = len(laws)
+    change = np.zeros(len(snapshot.velocity))
+    impulses = np.zeros((count, 2))
+    indeterminate = [False] * count
+    path: list[str] = []
+    warnings: list[str] = []
+    share = 1.0
+    for group in _groups(snapshot, closed):
+        if min(snapshot.contacts[i].gap_rate for i in group) >= 0.0:
+            continue
+        if len(group) == 1 or choice == "sequential":
+            moved, given, steps, warning = _in_sequence(snapshot, laws, group)
+        else:
+            moved, given, part, steps, warning, unknown = _at_once(snapshot, laws, group, choice)
+            share = min(share, part)
+            for i in group:
+                indeterminate[i] = unknown[i]
+        change += moved
+        impulses += given
+        path += steps
+        warnings += [warning] if warning else []
+    velocity = snapshot.velocity + change
+    before, after = (float(0.5 * v @ snapshot.mass @ v) for v in (snapshot.velocity, velocity))
+    return Impacts(
+        velocity,
+        impulses,
+        tuple(path),
+        before,
+        after,
+        share,
+        tuple(indeterminate),
+        "; ".join(warnings),
+    )
+
+
+def _groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
+    shut = [i for i, is_closed in enumerate(closed) if is_closed]
+    labels = coupled(snapshot, shut)
+    groups: dict[int, list[int]] = {}
+    for i in shut:
+        touched = np.abs(snapshot.jacobians[i]).max(axis=0) > 0.0
+        if touched.any():
+            groups.setdefault(int(labels[touched][0]), []).append(i)
+    return list(groups.values())
+
+
+def _at_once(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int], choice: Simultaneous
+) -> tuple[Array, Array, float, list[str], str, tuple[bool, ...]]:
+    """Return change, impulses, share, path, warning and indeterminate contacts."""
+    closed = [i in group for i in range(len(laws))]
+    names = ", ".join(laws[i].name for i in group)
+    elastic = [law.restitution for law in laws]
+    plastic = collisions(snapshot, laws, closed, [0.0] * len(laws))
+    if not plastic:
+        raise NoConsistentMode(f"no plastic impulse of {names} agrees with their cones of friction")
+    base, found = plastic[0], plastic
+    rest, share, target = 1.0, 0.0, base
+    warnings: list[str] = []
+    if choice == "capped" and any(elastic[i] > 0.0 for i in group):
+        found = collisions(snapshot, laws, closed, elastic)
+        if found:
+            target = found[0]
+            rest, share = _shares(snapshot, group, base, target)
+        else:
+            warnings.append(f"{names}: no impulse agrees with Newton's law; the plastic one taken")
+    if len(plastic) > 1 or len(found) > 1:
+        several = plastic if len(plastic) > 1 else found
+        modes = " | ".join(", ".join(one.states[i] for i in group) for one in several)
+        warnings.append(f"{names}: several impulses agree with the laws ({modes}); the first taken")
+    change = rest * base.change + share * target.change
+    impulses = rest * base.impulses + share * target.impulses
+    modes = ", ".join(f"{laws[i].name}:{base.states[i]}" for i in group)
+    path = [f"plastic {modes}"]
+    if share > 0.0:
+        modes = ", ".join(f"{laws[i].name}:{target.states[i]}" for i in group)
+        path.append(f"to {share:.6g} newton {modes}")
+    unknown = tuple(a or b for a, b in zip(base.indeterminate, target.indeterminate, strict=True))
+    return change, impulses, share, path, "; ".join(warnings), unknown
+
+
+def _shares(
+    snapshot: Snapshot, group: Sequence[int], plastic: Collision, target: Collision
+) -> tuple[float, float]:
+    """Return (1 - s, s) for the largest s at which the impulses do no work on the bodies.
+
+    That work is the change of the kinetic energy where the surfaces are at rest, and what counts
+    where they move. Both shares are computed from the end they are near: impulses may differ by
+    decades.
+    """
+    jacobians = snapshot.jacobians[group]
+    before = np.array([snapshot.contacts[i][1:3] for i in group])
+    first, last = plastic.impulses[group], target.impulses[group]
+    slow, fast = 0.5 * jacobians @ plastic.change, 0.5 * jacobians @ target.change
+    sizes = np.abs(jacobians) @ np.abs(target.change) + np.abs(before)
+    gain = float((last * (before + fast)).sum())
+    if gain <= _ROUNDING * float((np.abs(last) * sizes).sum()):
+        return 0.0, 1.0
+    # c + b s + a s^2 with c <= 0 <= a (but for rounding), and `gain` at s = 1.
+    c = min(float((first * (before + slow)).sum()), 0.0)
+    a = max(float(((last - first) * (fast - slow)).sum()), 0.0)
+    b = gain - c - a
+    root = math.sqrt(b * b - 4.0 * a * c)
+    share = (root - b) / (2.0 * a) if b < 0.0 else -2.0 * c / (b + root)
+    rest = 2.0 * gain / (2.0 * a + b + root)
+    return min(max(rest, 0.0), 1.0), min(max(share, 0.0), 1.0)
+
+
+def _in_sequence(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int]
+) -> tuple[Array, Array, list[str], str]:
+    """Return change, impulses, path and warning of impacts one after another."""
+    impulses = np.zeros((len(laws), 2))
+    path: list[str] = []
+    now, first = snapshot, 0.0
+    terms = np.abs(snapshot.velocity)
+    raised = False
+    while True:
+        moving = [_moved(snapshot, now, i) for i in group]
+        limits = [
+            _ROUNDING * (abs(c.gap_rate) + float(np.abs(c.jacobian[0]) @ terms)) for c in moving
+        ]
+        hit = [k for k in range(len(group)) if moving[k].gap_rate < (-limits[k] if path else 0.0)]
+        if not hit:
+            break
+        k = min(hit, key=lambda k: moving[k].gap_rate)
+        approach = -moving[k].gap_rate
+        first = first or approach
+        if len(path) >= _LONGEST_SEQUENCE or approach < _SPENT * first:
+            names = ", ".join(laws[i].name for i in group)
+            rest = dataclasses.replace(
+                now, contacts=tuple(_moved(snapshot, now, i) for i in range(len(laws)))
+            )
+            change, given, _, _, warning, _ = _at_once(rest, laws, group, "plastic")
+            endless = (
+                f"{names}: the sequence of impacts does not end; after {len(path)} the approach "
+                f"is {approach:.3g}, and the rest is plastic"
+            )
+            warning = f"{endless}; {warning}" if warning else endless
+            path.append("plastic rest")
+            return now.velocity + change - snapshot.velocity, impulses + given, path, warning
+        i = group[k]
+        result = impact(now, moving[k], laws[i], laws[i].restitution)
+        change = result.velocity - now.velocity
+        mean = moving[k].jacobian @ change
+        work = result.normal * (moving[k].gap_rate + 0.5 * mean[0])
+        work += result.tangential * (moving[k].slip + 0.5 * mean[1])
+        size = result.normal * approach + abs(result.tangential * moving[k].slip)
+        raised |= bool(work > 1e-9 * size)
+        terms = np.maximum(terms, np.abs(result.velocity))
+        impulses[i] += result.normal, result.tangential
+        path.append(f"{laws[i].name} {' '.join(result.path)}")
+        now = dataclasses.replace(now, velocity=result.velocity)
+    warning = "the impact law raised the energy" if raised else ""
+    return now.velocity - snapshot.velocity, impulses, path, warning
+
+
+def _moved(snapshot: Snapshot, now: Snapshot, i: int) -> PerContact:
+    contact = snapshot.contacts[i]
+    normal, slip = contact.jacobian @ (now.velocity - snapshot.velocity)
+    return contact._replace(
+        gap_rate=contact.gap_rate + float(normal), slip=contact.slip + float(slip)
+    )

@@ -1,0 +1,451 @@
+"""Impacts over several closed contacts: reference numbers, choices, and laws that hold for all."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from runs import golden, number
+
+from contacts.classify import ContactLaw
+from contacts.collisions import collisions
+from contacts.complementarity import contact_impulses, contact_problem, enumerate_lcp
+from contacts.impact import impact
+from contacts.simultaneous import Impacts, impacts
+from contacts.snapshot import PerContact, Snapshot
+
+CHOICES = ("plastic", "capped", "sequential")
+
+
+def scene(mass: Any, jacobians: Any, velocity: Any, moving: Any = None) -> Snapshot:
+    """Return a snapshot of contacts (c, 2, n); `moving` (c, 2) is what the surfaces recede by."""
+    jacobians = np.array(jacobians, dtype=float)
+    velocity = np.array(velocity, dtype=float)
+    rates = jacobians @ velocity + (0.0 if moving is None else np.array(moving))
+    contacts = tuple(
+        PerContact(0.0, float(n), float(t), 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, jacobian)
+        for (n, t), jacobian in zip(rates, jacobians, strict=True)
+    )
+    mass = np.array(mass, dtype=float)
+    mass = np.diag(mass) if mass.ndim == 1 else mass
+    none = np.zeros((len(contacts), 2))
+    return Snapshot(mass, np.zeros(len(mass)), velocity, 0.0, contacts, jacobians, none)
+
+
+def law(mu: float, e: float = 0.0, name: str = "A", impact: str = "stronge") -> ContactLaw:
+    edge = math.hypot(1.0, mu)
+    n, t = (0.0, 1.0) if math.isinf(mu) else (1.0 / edge, mu / edge)
+    return ContactLaw(name, ("free", "slide+", "slide-", "pin"), n, t, e, impact)
+
+
+def point(x: float, y: float) -> list[list[float]]:
+    """Return the rows of a body's point at (x, y) from its centre, over level ground."""
+    return [[0.0, 1.0, x], [1.0, 0.0, -y]]
+
+
+def body(
+    points: list[tuple[float, float]], velocity: Any, inertia: float = 1 / 3, mass: float = 1.0
+) -> Snapshot:
+    return scene([mass, mass, inertia], [point(*p) for p in points], velocity)
+
+
+def after(snapshot: Snapshot, result: Impacts) -> np.ndarray:
+    """Return normal and tangential velocities (c, 2) of the contacts."""
+    before = np.array([contact[1:3] for contact in snapshot.contacts])
+    return before + snapshot.jacobians @ (result.velocity - snapshot.velocity)
+
+
+# --- reference numbers
+
+
+@pytest.mark.parametrize("case", golden("impacts_and_timestepping")["impacts"])
+def test_newtons_law_as_a_complementarity_problem(case: dict) -> None:
+    phi = math.radians(case["phi_deg"])
+    # The tip's velocity (u, v), without spin.
+    snapshot = body([(-math.sin(phi), -math.cos(phi))], [case["u_minus"], case["v_minus"], 0.0])
+    found = collisions(snapshot, [law(case["mu"])], [True], [case["e"]])
+    expected = case["newton_lcp"]
+    assert len(found) == len(expected) == 1
+    (P_n, P_t), kind = found[0].impulses[0], found[0].states[0]
+    u_n, u_t = snapshot.jacobians[0] @ (snapshot.velocity + found[0].change)
+    assert kind == expected[0]["kind"]
+    assert P_n == pytest.approx(float(expected[0]["Py"]), abs=1e-13)
+    assert P_t == pytest.approx(float(expected[0]["Px"]), abs=1e-13)
+    assert u_t == pytest.approx(float(expected[0]["u_plus"]), abs=1e-13)
+    assert u_n == pytest.approx(float(expected[0]["v_plus"]), abs=1e-13)
+    spin = found[0].change[2]
+    assert abs(spin) == pytest.approx(abs(float(expected[0]["phidot_change"])), abs=1e-13)
+
+
+BARS = golden("double_contact_bar")["cases"]
+
+
+@pytest.mark.parametrize("case", BARS, ids=lambda c: f"{c['tilt_deg']} mu={c['mu']}")
+def test_bar_lands_on_one_end_and_then_on_the_other(case: dict) -> None:
+    tilt, mu = math.radians(case["tilt_deg"]), case["mu"]
+    inertia = number(case["I_G"])
+    laws = [law(mu, name="A"), law(mu, name="B")]
+    first = next(e for e in case["events"] if e["event"] == "A hits")
+    arm = math.cos(tilt), math.sin(tilt)
+    fall = -number(case["t_A"])
+    snapshot = body([(-arm[0], -arm[1]), arm], [0.0, fall, 0.0], inertia)
+    for choice in CHOICES:
+        result = impacts(snapshot, laws, [True, False], choice)
+        assert result.impulses[0] == pytest.approx([*map(float, first["impulse_A"])][::-1])
+        assert not result.impulses[1].any()
+        assert abs(result.velocity[2]) == pytest.approx(float(first["omega_after"]), abs=1e-13)
+        assert after(snapshot, result)[0, 1] == pytest.approx(
+            float(first["xdotA_after"]), abs=1e-13
+        )
+        assert result.energy_before - result.energy_after == pytest.approx(
+            float(first["energy_lost"]), abs=1e-13
+        )
+    last = case["events"][-1]
+    omega = float(case["omega_before_B"])
+    # Flat, end A on the ground and turning about it.
+    velocity = [float(last["xdot_before"]), -omega, -omega]
+    snapshot = body([(-1.0, 0.0), (1.0, 0.0)], velocity, inertia)
+    result = impacts(snapshot, laws, [True, True], "capped")
+    assert result.impulses[:, 0] == pytest.approx(
+        [float(last["impulse_A_y"]), float(last["impulse_B_y"])], abs=1e-13
+    )
+    assert result.velocity == pytest.approx([float(last["xdot_after"]), 0.0, 0.0], abs=1e-13)
+
+
+@pytest.mark.parametrize("mu", [0.1, 1.0, 1e6, 1e300, math.inf])
+def test_how_a_flat_bar_shares_its_friction_is_not_determined(mu: float) -> None:
+    snapshot = body([(-1.0, 0.0), (1.0, 0.0)], [1e-3, -1.0, -1.0])
+    result = impacts(snapshot, [law(mu), law(mu, name="B")], [True, True])
+    assert result.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
+    assert result.impulses[:, 0] == pytest.approx([1 / 3, 2 / 3], abs=1e-14)
+    assert result.impulses[:, 1] == pytest.approx([-5e-4, -5e-4], abs=1e-14)
+    assert result.indeterminate == (True, True)
+    assert not result.warning
+
+
+def test_smallest_impulses_respect_the_cones() -> None:
+    # Nearly all weight is on B: an equal share of the friction would leave the cone of A.
+    snapshot = body([(-1.0, 0.0), (0.001, 0.0)], [0.05, -1.0, 0.0])
+    laws = [law(0.1), law(0.1, name="B")]
+    result = impacts(snapshot, laws, [True, True])
+    (A_n, A_t), (B_n, B_t) = result.impulses
+    assert result.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
+    assert A_t == pytest.approx(-0.1 * A_n)
+    assert B_t == pytest.approx(-0.05 - A_t)
+    assert abs(B_t) <= 0.1 * B_n
+
+
+@pytest.mark.parametrize("case", golden("rimless_wheel")["cases"])
+@pytest.mark.parametrize("mu", [2.0, math.inf])
+def test_rimless_wheel_leaves_the_trailing_spoke(case: dict, mu: float) -> None:
+    alpha, J = number(case["alpha"]), number(case["J"])
+    # From the hub to the trailing and the new spoke; the wheel rolls to +x, clockwise.
+    feet = [(-math.sin(alpha), -math.cos(alpha)), (math.sin(alpha), -math.cos(alpha))]
+    omega = number(case["omega_minus_star"])
+    velocity = [omega * math.cos(alpha), -omega * math.sin(alpha), -omega]
+    snapshot = body(feet, velocity, inertia=J)
+    result = impacts(snapshot, [law(mu, name="old"), law(mu, name="new")], [True, True], "plastic")
+    factor = number(case["lambda_restitution"])
+    assert result.velocity[2] == pytest.approx(-factor * omega, rel=1e-14)
+    assert result.impulses[0] == pytest.approx([0.0, 0.0])
+    assert after(snapshot, result)[0, 0] > 0.1
+    assert result.path == ("plastic old:open, new:stick",)
+
+
+@pytest.mark.parametrize("case", golden("rocking_block")["cases"])
+@pytest.mark.parametrize("choice", ["plastic", "capped"])
+def test_rocking_block_turns_about_its_new_corner(case: dict, choice: Any) -> None:
+    b, h = case["b"], case["h"]
+    snapshot = body([(-b, -h), (b, -h)], [h, -b, -1.0], (b * b + h * h) / 3)
+    assert [*snapshot.contacts[0][1:3]] == [0.0, 0.0]
+    result = impacts(snapshot, [law(1.0, name="old"), law(1.0, name="new")], [True, True], choice)
+    eta = number(case["velocity_restitution_eta"])
+    assert result.velocity[2] == pytest.approx(-eta, rel=1e-14)
+    assert after(snapshot, result)[1] == pytest.approx([0.0, 0.0], abs=1e-15)
+
+
+# --- balls in a row
+
+
+def row(masses: list[float], speeds: list[float]) -> Snapshot:
+    count = len(masses)
+    jacobians = np.zeros((count - 1, 2, count))
+    for i in range(count - 1):
+        jacobians[i, 0, i : i + 2] = -1.0, 1.0
+    return scene(masses, jacobians, speeds)
+
+
+def balls(count: int, e: float) -> list[ContactLaw]:
+    return [law(0.0, e, f"gap{i}") for i in range(count - 1)]
+
+
+@pytest.mark.parametrize("choice", ["capped", "sequential"])
+def test_two_identical_balls_exchange_their_velocities(choice: Any) -> None:
+    for speeds in ([1.0, 0.0], [0.75, -0.5], [3.0, 1.0]):
+        result = impacts(row([2.0, 2.0], speeds), balls(2, 1.0), [True], choice)
+        assert result.velocity.tolist() == speeds[::-1]
+        assert result.impulses[0] == pytest.approx([2.0 * (speeds[0] - speeds[1]), 0.0])
+
+
+def test_newtons_cradle_needs_the_sequence() -> None:
+    for hitting in (1, 2, 3):
+        speeds = [1.0] * hitting + [0.0] * (5 - hitting)
+        snapshot = row([1.0] * 5, speeds)
+        laws, closed = balls(5, 1.0), [True] * 4
+        result = impacts(snapshot, laws, closed, "sequential")
+        assert result.velocity.tolist() == speeds[::-1]
+        assert result.energy_after == result.energy_before
+        capped = impacts(snapshot, laws, closed, "capped")
+        assert np.abs(capped.velocity - result.velocity).max() > 0.1
+        assert capped.energy_after == pytest.approx(capped.energy_before, rel=1e-14)
+        plastic = impacts(snapshot, laws, closed, "plastic")
+        assert plastic.velocity == pytest.approx([hitting / 5] * 5, abs=1e-15)
+        assert (plastic.share, capped.share) == (0.0, 1.0)
+
+
+def test_tennis_ball_on_basketball() -> None:
+    for ratio in (0.3, 1e-3, 1e-12):
+        jacobians = [[[1.0, 0.0], [0.0, 0.0]], [[-1.0, 1.0], [0.0, 0.0]]]
+        snapshot = scene([1.0, ratio], jacobians, [-1.0, -1.0])
+        laws = [law(0.0, 1.0, "floor"), law(0.0, 1.0, "between")]
+        result = impacts(snapshot, laws, [True, True], "sequential")
+        assert result.velocity[1] == pytest.approx((3 - ratio) / (1 + ratio), rel=1e-14)
+        assert result.path == ("floor slip", "between slip")
+
+
+def test_endless_sequences_are_reported() -> None:
+    # A bar that falls flat without rebound rattles from end to end for ever.
+    snapshot = body([(-1.0, 0.0), (1.0, 0.0)], [0.0, -1.0, 0.0])
+    result = impacts(snapshot, [law(0.0), law(0.0, name="B")], [True, True], "sequential")
+    assert "does not end" in result.warning
+    assert result.path[-1] == "plastic rest"
+    assert len(result.path) > 20
+    assert result.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
+    assert result.impulses[:, 0] == pytest.approx([0.5, 0.5], abs=1e-14)
+
+
+# --- which contacts belong together
+
+
+def test_contacts_that_share_nothing_keep_their_own_law() -> None:
+    wide = np.zeros((3, 2, 6))
+    wide[0, :, :3], wide[1, :, 3:], wide[2, :, 3:] = point(0.6, -0.8), point(-1, 0), point(1, 0)
+    velocity = [0.3, -1.0, 0.2, 0.0, 0.0, 0.0]
+    snapshot = scene([1.0, 1.0, 1 / 3] * 2, wide, velocity)
+    laws = [law(0.2, 0.7, "ball"), law(0.2, 0.7, "A"), law(0.2, 0.7, "B")]
+    alone = impact(snapshot, snapshot.contacts[0], laws[0], 0.7)
+    for choice in CHOICES:
+        result = impacts(snapshot, laws, [True] * 3, choice)  # type: ignore[arg-type]
+        assert result.velocity == pytest.approx(alone.velocity, abs=1e-16)
+        assert result.impulses[0].tolist() == [alone.normal, alone.tangential]
+        assert not result.impulses[1:].any()
+
+
+def test_coupling_through_the_mass_matrix_counts() -> None:
+    # Two coordinates, a contact on each; one is hit, the other is at rest against its stop.
+    jacobians = [[[1.0, 0.0], [0.0, 0.0]], [[0.0, 1.0], [0.0, 0.0]]]
+    laws = [law(0.0, name="A"), law(0.0, name="B")]
+    free = impacts(scene([[2.0, 0.0], [0.0, 1.0]], jacobians, [-1.0, 0.0]), laws, [True, True])
+    assert free.impulses[:, 0].tolist() == [2.0, 0.0]
+    for coupling in (1.0, -1.0):
+        snapshot = scene([[2.0, coupling], [coupling, 1.0]], jacobians, [-1.0, 0.0])
+        result = impacts(snapshot, laws, [True, True])
+        # Stopping the first coordinate throws the second against its stop, or off it.
+        assert result.impulses[1, 0] == pytest.approx(max(coupling, 0.0))
+        assert after(snapshot, result)[1, 0] == pytest.approx(max(-coupling, 0.0))
+
+
+def test_closed_contacts_that_are_not_hit_cause_nothing() -> None:
+    snapshot = body([(-1.0, 0.0), (1.0, 0.0)], [0.4, 1.0, 1.0])
+    for choice in CHOICES:
+        result = impacts(snapshot, [law(0.3), law(0.3, name="B")], [True, True], choice)  # type: ignore[arg-type]
+        assert result.velocity.tolist() == [0.4, 1.0, 1.0]
+        assert (result.path, result.warning) == ((), "")
+
+
+# --- the cap, redundancy, and what vanishes
+
+
+def test_the_cap_ends_where_energy_would_grow() -> None:
+    # Newton's law on two oblique ends of a bar, one of which hardly approaches.
+    random = np.random.default_rng(3)
+    capped = 0
+    for _ in range(300):
+        snapshot = body([(-1.0, -0.6), (1.0, -0.3)], random.normal(size=3) * [3, 1, 1])
+        laws = [law(0.8, 1.0), law(0.8, 0.9, "B")]
+        if min(c.gap_rate for c in snapshot.contacts) >= 0.0:
+            continue
+        target = collisions(snapshot, laws, [True, True], [1.0, 0.9])[0]
+        new = snapshot.velocity + target.change
+        raised = 0.5 * new @ snapshot.mass @ new
+        result = impacts(snapshot, laws, [True, True])
+        if raised > result.energy_before * (1 + 1e-9):
+            capped += 1
+            assert 0.0 < result.share < 1.0
+            assert result.energy_after == pytest.approx(result.energy_before, rel=1e-12)
+        else:
+            assert result.share == 1.0
+            assert result.energy_after == pytest.approx(raised, rel=1e-12)
+    assert capped > 5
+
+
+@pytest.mark.parametrize("legs", [3, 4, 6, 12])
+@pytest.mark.parametrize("mu", [0.0, 0.5, math.inf])
+def test_tables_share_the_impulse_by_least_squares(legs: int, mu: float) -> None:
+    places = np.linspace(-1.0, 1.0, legs)
+    snapshot = body([(x, -0.5) for x in places], [0.1, -1.0, 0.0])
+    laws = [law(mu, name=f"leg{i}") for i in range(legs)]
+    result = impacts(snapshot, laws, [True] * legs, "plastic")
+    stop = 0.0 if mu else 0.1
+    assert result.velocity == pytest.approx([stop, 0.0, 0.0], abs=1e-14)
+    P_n, P_t = result.impulses.T
+    assert P_n.sum() == pytest.approx(1.0, abs=1e-13)
+    # Friction turns the table by 0.5 H, which the legs' normal impulses hold.
+    assert places @ P_n == pytest.approx(-0.5 * P_t.sum(), abs=1e-13)
+    level = 1.0 / legs + places * (-0.5 * P_t.sum()) / (places @ places)
+    assert P_n == pytest.approx(level, abs=1e-12)
+    assert P_t == pytest.approx([(stop - 0.1) / legs] * legs, abs=1e-12)
+    assert all(result.indeterminate)
+
+
+def test_a_contact_counted_twice_moves_as_once() -> None:
+    random = np.random.default_rng(5)
+    for _ in range(50):
+        place = (float(random.normal()), float(random.normal()))
+        snapshot = body([place], random.normal(size=3))
+        twice = body([place, place], snapshot.velocity)
+        once = collisions(snapshot, [law(0.4)], [True], [0.5])
+        both = collisions(twice, [law(0.4), law(0.4, name="B")], [True, True], [0.5, 0.5])
+        assert len(once) == len(both)
+        for a, b in zip(once, both, strict=True):
+            assert b.change == pytest.approx(a.change, abs=1e-13)
+            assert b.impulses[0] == pytest.approx(0.5 * a.impulses[0], abs=1e-13)
+            assert b.impulses[1] == pytest.approx(0.5 * a.impulses[0], abs=1e-13)
+
+
+def test_a_body_without_inertia() -> None:
+    # A point mass on massless legs: the foot behind the motion takes nothing.
+    feet = [(-0.6, -0.8), (0.6, -0.8)]
+    snapshot = body(feet, [0.8, -0.6, -1.0], inertia=0.0)
+    result = impacts(snapshot, [law(2.0), law(2.0, name="B")], [True, True], "plastic")
+    # The mass keeps what is across the new leg: cos of twice the half angle.
+    assert result.velocity[2] == pytest.approx(-(0.8**2 - 0.6**2), rel=1e-14)
+
+
+def test_moving_surfaces_do_work() -> None:
+    # A floor that rises to meet a bar at rest throws it up.
+    snapshot = scene(
+        [1.0, 1.0, 1 / 3],
+        [point(-1, 0), point(1, 0)],
+        [0.0, 0.0, 0.0],
+        moving=[[-1.0, 0.0], [-1.0, 0.0]],
+    )
+    laws = [law(0.3, 0.5), law(0.3, 0.5, "B")]
+    for choice, speed in (("plastic", 1.0), ("capped", 1.5)):
+        result = impacts(snapshot, laws, [True, True], choice)  # type: ignore[arg-type]
+        assert result.velocity == pytest.approx([0.0, speed, 0.0], abs=1e-14)
+
+
+def test_mirror_images() -> None:
+    random = np.random.default_rng(11)
+    for _ in range(100):
+        feet = random.normal(size=(3, 2))
+        u, v, w = random.normal(size=3)
+        mu = float(10.0 ** random.uniform(-2, 1))
+        laws = [law(mu, 0.5, name) for name in "ABC"]
+        one = body([tuple(foot) for foot in feet], [u, v, w])
+        other = body([(-x, y) for x, y in feet], [-u, v, -w])
+        left, right = (impacts(s, laws, [True] * 3) for s in (one, other))
+        assert right.velocity == pytest.approx(left.velocity * [-1, 1, -1], abs=1e-10)
+
+
+def test_all_solutions_are_those_of_the_complementarity_problem() -> None:
+    random = np.random.default_rng(19)
+    several = 0
+    for _ in range(150):
+        jacobians = random.normal(size=(2, 2, int(random.integers(3, 7))))
+        snapshot = scene(
+            np.ones(jacobians.shape[2]), jacobians, random.normal(size=jacobians.shape[2])
+        )
+        laws = [law(random.uniform(0.1, 3.0), 0.0, name) for name in "AB"]
+        rows = snapshot.jacobians.reshape(4, -1)
+        free = (rows @ snapshot.velocity).reshape(2, 2)
+        e = float(random.choice([0.0, 0.8]))
+        free[:, 0] += e * np.minimum(free[:, 0], 0.0)
+        cones = np.array([(one.cone_n, one.cone_t) for one in laws])
+        expected = []
+        for solution in enumerate_lcp(*contact_problem(rows @ rows.T, free, cones)):
+            change = rows.T @ contact_impulses(solution.z, cones).ravel()
+            if not any(np.allclose(change, one, atol=1e-9) for one in expected):
+                expected.append(change)
+        found = collisions(snapshot, laws, [True, True], [e, e])
+        several += len(found) > 1
+        assert len(found) == len(expected)
+        for change in expected:
+            assert any(np.allclose(change, one.change, atol=1e-9) for one in found)
+    assert several > 3
+
+
+# --- laws that hold for all
+
+
+def random_scene(random: np.random.Generator) -> tuple[Snapshot, list[ContactLaw]]:
+    """Return bodies on each other and on the ground, some contacts declared more than once."""
+    count = int(random.integers(1, 4))
+    size = 3 * count
+    mass = np.repeat(10.0 ** random.uniform(-6, 6, count), 3)
+    mass[2::3] *= 10.0 ** random.uniform(-12, 12, count)
+    jacobians = []
+    for _ in range(int(random.integers(2, 7))):
+        rows = np.zeros((2, size))
+        if jacobians and random.uniform() < 0.3:
+            rows = jacobians[-1]
+        else:
+            first, second = random.choice(count + 1, 2, replace=False)
+            angle = random.choice([0.0, random.uniform(-math.pi, math.pi)])
+            turn = np.array(
+                [[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]
+            )
+            for k, sign in ((first, 1.0), (second, -1.0)):
+                if k < count:
+                    x, y = random.choice([-1.0, 0.5, 1.0]), random.normal()
+                    rows[:, 3 * k : 3 * k + 3] = sign * turn @ np.array(point(x, y))
+        jacobians.append(rows)
+    laws = []
+    for i in range(len(jacobians)):
+        mu = random.choice([0.0, math.inf, *10.0 ** random.uniform(-12, 12, 4)])
+        laws.append(law(mu, random.choice([0.0, 1.0, random.uniform()]), f"c{i}"))
+    return scene(mass, jacobians, random.normal(size=size)), laws
+
+
+def check(snapshot: Snapshot, laws: list[ContactLaw], result: Impacts) -> None:
+    """Energy, cones and separation, relative to the terms that each is summed from."""
+    change = result.velocity - snapshot.velocity
+    before = np.array([contact[1:3] for contact in snapshot.contacts])
+    new = before + snapshot.jacobians @ change
+    terms = np.abs(snapshot.jacobians) @ (np.abs(snapshot.velocity) + np.abs(change))
+    P, sizes = result.impulses, np.hypot(*result.impulses.T)
+    cones = np.array([(law.cone_n, law.cone_t) for law in laws])
+    assert (P[:, 0] >= -1e-12 * sizes).all(), "pulls"
+    outside = cones[:, 0] * np.abs(P[:, 1]) - cones[:, 1] * P[:, 0]
+    assert (outside <= 1e-12 * sizes).all(), "leaves the cone"
+    assert (new[:, 0] >= -1e-9 * terms[:, 0]).all(), "separates negatively"
+    # The work of the impulses is the change of the kinetic energy, without its cancellation.
+    work = (P * 0.5 * (before + new)).sum()
+    assert work <= 1e-11 * (np.abs(P) * terms).sum(), "raises energy"
+    # The impulses are what moved the bodies.
+    pushed = np.einsum("cdn,cd->n", snapshot.jacobians, P)
+    pushes = np.einsum("cdn,c->n", np.abs(snapshot.jacobians), sizes)
+    momentum = np.abs(snapshot.mass) @ np.abs(snapshot.velocity)
+    rounding = 1e-9 * pushes + 1e-15 * momentum
+    assert (np.abs(snapshot.mass @ change - pushed) <= rounding).all(), "impulses"
+
+
+@pytest.mark.parametrize("choice", ["plastic", "capped"])
+def test_random_impacts_keep_energy_cones_and_separation(choice: Any) -> None:
+    random = np.random.default_rng(17)
+    for _ in range(500):
+        snapshot, laws = random_scene(random)
+        check(snapshot, laws, impacts(snapshot, laws, [True] * len(laws), choice))
