@@ -1,0 +1,121 @@
+"""Contacts with lines, circles, moving surfaces and surfaces carried by bodies."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from runs import ENGINES, engine, modes
+
+from contacts.kind import automaton
+from contacts.modes import Free, Pin, Slide
+from contacts.scene import Body, Contact, Point, Scene, Surface
+from statechart.errors import DeclarationError
+from statechart.simulate import Simulator
+from statechart.trace import Trace
+
+pytestmark = pytest.mark.parametrize("name", ENGINES)
+
+
+def run(scene: Scene, name: str, until: float) -> Trace:
+    return Simulator(automaton(scene), engine(name)).run(until=until)
+
+
+def test_a_particle_leaves_a_smooth_sphere_at_the_angle_whose_cosine_is_two_thirds(
+    name: str,
+) -> None:
+    lean = 0.01
+    scene = Scene(
+        name="sphere",
+        gravity=1,
+        bodies={"bead": Body(mass=1, start={"x": f"sin({lean})", "y": f"cos({lean})"})},
+        surfaces={"sphere": Surface(circle=(0, 0), radius=1)},
+        contacts={
+            "touch": Contact(
+                point=Point(body="bead"), surface="sphere", friction=0, restitution=0,
+                modes=(Free(), Slide()),
+            )
+        },
+    )  # fmt: skip
+    trace = run(scene, name, 20.0)
+    assert modes(trace)[:2] == ["slide", "free"]
+    x, y = trace.jumps[0].before[:2]
+    # Energy from rest at the lean: 3 cos = 2 cos(lean).
+    assert y == pytest.approx(2 / 3 * math.cos(lean), abs=1e-9)
+    assert math.hypot(x, y) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_particle_bounces_between_two_walls(name: str) -> None:
+    wall = {"friction": 0, "restitution": 1, "modes": (Free(), Slide())}
+    scene = Scene(
+        name="walls",
+        bodies={"ball": Body(mass=1, start={"x": 0.25, "dx": 1})},
+        surfaces={
+            # The solid is on the right of the line's direction.
+            "right": Surface(line=((1, 0), (1, 1))),
+            "left": Surface(line=((0, 1), (0, 0))),
+        },
+        contacts={
+            "right": Contact(point=Point(body="ball"), surface="right", **wall),
+            "left": Contact(point=Point(body="ball"), surface="left", **wall),
+        },
+    )
+    trace = run(scene, name, 5.0)
+    hits = [(jump.region, jump.t) for jump in trace.jumps]
+    assert [region for region, _ in hits] == ["right", "left", "right", "left", "right"]
+    assert [t for _, t in hits] == pytest.approx([0.75, 1.75, 2.75, 3.75, 4.75], abs=1e-12)
+
+
+def test_a_block_rides_on_a_belt_until_its_acceleration_beats_friction(name: str) -> None:
+    scene = Scene(
+        name="belt",
+        gravity=10,
+        bodies={"block": Body(mass=1)},
+        surfaces={"belt": Surface(height=0, displacement=("time**3/6", 0))},
+        contacts={
+            "base": Contact(
+                point=Point(body="block"), surface="belt", friction=0.3, modes=(Slide(), Pin())
+            )
+        },
+    )
+    trace = run(scene, name, 5.0)
+    # The belt accelerates at t; friction holds up to 0.3 g.
+    assert modes(trace) == ["pin", "slide-"]
+    assert trace.jumps[0].t == pytest.approx(3.0, abs=1e-9)
+    speed = 3.0**2 / 2 + 3.0 * 2.0
+    assert trace.final[2] == pytest.approx(speed, abs=1e-9)
+
+
+def test_a_block_on_a_free_cart_shares_its_momentum(name: str) -> None:
+    scene = Scene(
+        name="cart",
+        gravity=10,
+        bodies={
+            "cart": Body(mass=3),
+            "block": Body(mass=1, start={"y": 1, "dx": 2}),
+        },
+        surfaces={"floor": Surface(height=0), "deck": Surface(height=1, body="cart")},
+        contacts={
+            "wheels": Contact(
+                point=Point(body="cart"), surface="floor", friction=0, modes=(Slide(),)
+            ),
+            "base": Contact(
+                point=Point(body="block"), surface="deck", friction=0.5, modes=(Slide(), Pin())
+            ),
+        },
+    )
+    trace = run(scene, name, 2.0)
+    assert trace.modes[0] == ("slide", "slide+")
+    assert trace.modes[-1] == ("slide", "pin")
+    cart, block = trace.final[4], trace.final[6]
+    assert cart == pytest.approx(0.5, abs=1e-9)
+    assert block == pytest.approx(0.5, abs=1e-9)
+    # mu g on the block, a third of it on the cart, until both are as fast.
+    assert trace.jumps[0].t == pytest.approx(2 / (5 + 5 / 3), abs=1e-9)
+    assert np.abs(trace.final[3] - 1.0) < 1e-12
+
+
+def test_a_surface_with_two_forms_is_refused(name: str) -> None:
+    with pytest.raises((DeclarationError, ValueError), match="one of height, incline, line"):
+        Surface(height=0, incline=0.1)
