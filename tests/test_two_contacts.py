@@ -1,0 +1,61 @@
+"""Two contacts composed: the product automaton, and a ladder that leaves its wall."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from runs import ENGINES, engine
+
+from contacts.kind import automaton
+from contacts.modes import Free, Slide
+from contacts.scene import Body, Contact, Point, Scene, Surface
+from statechart.compose import graph, product_modes
+from statechart.simulate import Simulator
+
+
+def ladder(lean: float, inertia: float, friction: object = 0) -> Scene:
+    """Return a rod of half-length 1 between a wall (x = 0) and the floor."""
+    s, c = math.sin(lean), math.cos(lean)
+    modes = {"modes": (Free(), Slide())} if friction == 0 else {}
+    return Scene(
+        name="ladder",
+        gravity=1,
+        bodies={"rod": Body(mass=1, inertia=inertia, start={"x": s, "y": c, "angle": lean})},
+        surfaces={"floor": Surface(height=0), "wall": Surface(line=((0, 1), (0, 0)))},
+        contacts={
+            "foot": Contact(
+                point=Point(body="rod", at=(0, -1)), surface="floor",
+                friction=friction, restitution=0, **modes,
+            ),
+            "top": Contact(
+                point=Point(body="rod", at=(0, 1)), surface="wall",
+                friction=friction, restitution=0, **modes,
+            ),
+        },
+    )  # fmt: skip
+
+
+def test_two_contacts_have_nine_modes_and_sixteen_with_directions() -> None:
+    built = automaton(ladder(0.3, 1 / 3, "0.2"))
+    assert (built.modes_declared, built.modes_total) == (9, 16)
+    product = graph(built, product_modes(built))
+    assert product.number_of_nodes() == 16
+    assert all(data["guard"] for _, _, data in product.edges(data=True))
+    causes = {data["cause"] for _, _, data in product.edges(data=True)}
+    assert causes == {"touchdown", "liftoff", "slip", "stick", "reverse"}
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("lean", [0.1, 0.5])
+def test_a_smooth_ladder_leaves_the_wall_at_two_thirds_of_its_height(
+    name: str, lean: float
+) -> None:
+    simulator = Simulator(automaton(ladder(lean, 1 / 3)), engine(name))
+    trace = simulator.run(until=8.0, throw=False)
+    assert trace.modes[:2] == (("slide", "slide"), ("slide", "free"))
+    left = trace.jumps[0]
+    assert (left.region, left.cause) == ("top", "liftoff")
+    assert left.before[1] == pytest.approx(2 / 3 * math.cos(lean), abs=1e-9)
+    # Only the modes entered were built.
+    assert simulator.modes_built == 2
