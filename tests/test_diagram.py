@@ -80,6 +80,13 @@ HOSTILE = (
 )
 
 
+def bracketed() -> Diagram:
+    """What the tooltip of an edge joins begins with < and ends with >."""
+    return Diagram(
+        "<t>", (Node("a", "<a>"), Node("<b>", "b")), (Link("a", "<b>", "<c", "g", "r>>"),)
+    )
+
+
 def hostile() -> Diagram:
     nodes = tuple(
         Node(text, text, HOSTILE[(i + i // 2) % 4], (text,), i == 3, infeasible=text)
@@ -90,7 +97,9 @@ def hostile() -> Diagram:
 
 
 DIAGRAMS = pytest.mark.parametrize(
-    "make", [one_contact, two_states, two_contacts, hostile], ids=lambda make: make.__name__
+    "make",
+    [one_contact, two_states, two_contacts, bracketed, hostile],
+    ids=lambda make: make.__name__,
 )
 
 texts = st.text(st.characters(exclude_categories=()), max_size=12) | st.sampled_from(HOSTILE)

@@ -191,4 +191,6 @@ def _text(
 def _plain(text: str) -> str:
     import graphviz
 
-    return str.__str__(graphviz.escape(printable(text)))
+    # A plain copy would lose its type, by which graphviz knows that <...> is not markup.
+    literal: str = graphviz.escape(printable(text))
+    return literal
