@@ -13,7 +13,8 @@ from functools import cached_property
 import sympy as sp
 
 from contacts.modes import ContactSymbols
-from contacts.scene import Body, Contact, Point, Scene, Surface
+from contacts.parts import Body, Contact, Point, Surface
+from contacts.scene import Scene
 from statechart.declaration import TIME
 from statechart.formula import parse
 

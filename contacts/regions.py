@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from contacts.modes import ContactSymbols, Free, Pin, Slide
-from contacts.scene import Contact
+from contacts.parts import Contact
 from statechart.automaton import Edge, Region, State
 
 __all__ = ["edges", "region", "states"]

@@ -14,7 +14,8 @@ from contacts.classify import ContactLaw
 from contacts.mechanics import Mechanics
 from contacts.regions import states
 from contacts.scales import Scales, ScaleTape
-from contacts.scene import Contact, Scene
+from contacts.parts import Contact
+from contacts.scene import Scene
 from statechart.automaton import Margin, Setup
 from statechart.errors import DeclarationProblem
 from statechart.formula import parse

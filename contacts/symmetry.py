@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contacts.scene import Body, Contact, Force, Scene, Surface
+from contacts.parts import Body, Contact, Force, Surface
+from contacts.scene import Scene
 from statechart.comparison import Reading
 from statechart.declaration import TIME, Stop
 from statechart.fields import FormulaText

@@ -1,0 +1,222 @@
+"""What a scene is made of, as declared: coordinates, bodies, surfaces, contacts, forces."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from contacts.modes import ContactMode, Free, Pin, Slide, as_mode
+from statechart.declaration import Part
+from statechart.errors import DeclarationProblem
+from statechart.fields import FormulaText
+from statechart.formula import parse
+
+__all__ = ["Body", "Contact", "Coordinate", "Force", "Pair", "Point", "Surface"]
+
+Pair = tuple[FormulaText, FormulaText]
+"""Two components, along x and y."""
+
+_DeclaredMode = Annotated[
+    ContactMode,
+    BeforeValidator(as_mode, json_schema_input_type=ContactMode | Literal["free", "slide", "pin"]),
+]
+"""A mode, or its name."""
+
+
+class Coordinate(Part):
+    """A generalised coordinate that positions of bodies are formulas of."""
+
+    start: FormulaText = Field(default=0, description="Value at the start.")
+    rate: FormulaText = Field(default=0, description="Its rate at the start.")
+
+
+class Body(Part):
+    """A rigid body in the plane.
+
+    Without `position` it moves freely: coordinates x and y of its centre of mass, and angle
+    (counter-clockwise) where it has an inertia. With it, `position` and `angle` are formulas of
+    the scene's coordinates.
+    """
+
+    mass: FormulaText
+    inertia: FormulaText | None = Field(
+        default=None, description="About the centre of mass; a particle has none."
+    )
+    position: Pair | None = Field(default=None, description="Of the centre of mass.")
+    angle: FormulaText | None = Field(
+        default=None, description="Counter-clockwise; only with position."
+    )
+    start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FormulaText] = Field(
+        default={}, description="Initial position and velocity of a free body; 0 where not given."
+    )
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of its own coordinates; none where its position is a formula."""
+        if self.position is not None:
+            return ()
+        return ("x", "y") if self.inertia is None else ("x", "y", "angle")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.position is None:
+            if self.angle is not None:
+                raise DeclarationProblem(
+                    "a free body has its own angle",
+                    advice="give its initial value under start, or give a position as well",
+                    loc=("angle",),
+                    key=True,
+                )
+            for name in self.start:
+                if name.removeprefix("d") not in self.coordinates:
+                    raise DeclarationProblem(
+                        "a particle has no angle",
+                        advice="remove it, or give the body an inertia",
+                        loc=("start", name),
+                        key=True,
+                    )
+            return self
+        if self.start:
+            raise DeclarationProblem(
+                "a body whose position is a formula starts where its coordinates start",
+                advice="give the initial values under coordinates",
+                loc=("start",),
+                key=True,
+            )
+        if self.inertia is not None and self.angle is None:
+            raise DeclarationProblem(
+                "a body with an inertia and a position needs an angle",
+                advice="give the angle as a formula of the coordinates, or remove the inertia",
+                loc=("inertia",),
+                key=True,
+            )
+        return self
+
+
+class Surface(Part):
+    """A line that points may touch: a height function, an incline, a straight line, a circle.
+
+    The normal is to the left of the line's direction, the solid to its right: a ground goes from
+    left to right. A surface may be carried by a body, or displaced in time.
+    """
+
+    height: FormulaText | None = Field(default=None, description="y as a formula of x.")
+    incline: FormulaText | None = Field(default=None, description="Angle of slope, rad.")
+    through: Pair = Field(default=(0, 0), description="A point of the incline.")
+    line: tuple[Pair, Pair] | None = Field(
+        default=None, description="Two points; the solid is on the right going from one to two."
+    )
+    circle: Pair | None = Field(default=None, description="Centre; the solid is inside.")
+    radius: FormulaText | None = Field(default=None, description="Of the circle.")
+    body: str | None = Field(default=None, description="What carries it, in that body's frame.")
+    displacement: Pair = Field(
+        default=(0, 0), description="How far it has moved as a whole: formulas of time."
+    )
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        forms = [f for f in (self.height, self.incline, self.line, self.circle) if f is not None]
+        if len(forms) != 1:
+            raise DeclarationProblem(
+                "a surface has one of height, incline, line, circle",
+                advice="write height: 0 for flat ground, incline: alpha for a slope",
+            )
+        if self.incline is None and self.through != (0, 0):
+            raise DeclarationProblem(
+                "only an incline goes through a point", loc=("through",), key=True
+            )
+        if (self.circle is None) != (self.radius is None):
+            raise DeclarationProblem("a circle has a centre and a radius", loc=("radius",))
+        if self.body is not None and self.displacement != (0, 0):
+            raise DeclarationProblem(
+                "a surface carried by a body moves with it", loc=("displacement",), key=True
+            )
+        return self
+
+
+class Point(Part):
+    """A point of a body, in the body's own frame (origin: centre of mass)."""
+
+    body: str
+    at: Pair = (0, 0)
+
+
+class Contact(Part):
+    """A point that may touch a surface, and the modes that this contact may take."""
+
+    point: Point
+    surface: str
+    modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = (Free(), Slide(), Pin())
+    friction: FormulaText | None = Field(
+        default=None, description="Coulomb's coefficient, 0 to inf; needed with slide."
+    )
+    restitution: FormulaText | None = Field(
+        default=None, description="0 (plastic) to 1 (elastic); needed with free."
+    )
+    impact: Literal["stronge", "newton", "poisson"] = Field(
+        default="stronge",
+        description="What restitution means: of energy, of velocity, of impulse.",
+    )
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """The modes' names."""
+        return frozenset(mode.mode for mode in self.modes)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if len(self.kinds) != len(self.modes):
+            raise DeclarationProblem("a mode is listed twice", loc=("modes",))
+        if "slide" in self.kinds and self.friction is None:
+            raise DeclarationProblem(
+                "a contact that can slide needs a friction coefficient",
+                advice="write friction: mu, or friction: 0",
+                loc=("friction",),
+            )
+        if "free" in self.kinds and self.restitution is None:
+            raise DeclarationProblem(
+                "a contact that can be free needs a coefficient of restitution",
+                advice="write restitution: 0 for an impact without rebound",
+                loc=("restitution",),
+            )
+        if "slide" not in self.kinds and self.friction is not None:
+            raise DeclarationProblem(
+                "friction has no meaning for a contact that cannot slide",
+                advice="list slide among the modes, or remove friction",
+                loc=("friction",),
+                key=True,
+            )
+        if "free" not in self.kinds and self.restitution is not None:
+            raise DeclarationProblem(
+                "restitution has no meaning for a contact that is never free",
+                advice="list free among the modes, or remove restitution",
+                loc=("restitution",),
+                key=True,
+            )
+        if self.frictionless and "pin" in self.kinds and "slide" in self.kinds:
+            raise DeclarationProblem(
+                "a frictionless contact has no pin",
+                advice="write modes: [free, slide], or a positive friction",
+                loc=("modes",),
+            )
+        return self
+
+    @property
+    def frictionless(self) -> bool:
+        """Whether friction is declared to be the number zero."""
+        return self.friction is not None and _is_zero(self.friction)
+
+
+def _is_zero(text: str | int | float) -> bool:
+    formula = parse(text)
+    return not formula.names and formula.value({}) == 0.0
+
+
+class Force(Part):
+    """A force on a point of a body, or a moment on it."""
+
+    body: str
+    force: Pair = (0, 0)
+    at: Pair = (0, 0)
+    moment: FormulaText = 0
