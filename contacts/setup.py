@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from contacts.classify import ContactLaw
 from contacts.mechanics import Mechanics
+from contacts.parts import Contact
 from contacts.regions import states
 from contacts.scales import Scales, ScaleTape
-from contacts.parts import Contact
 from contacts.scene import Scene
 from statechart.automaton import Margin, Setup
 from statechart.errors import DeclarationProblem
