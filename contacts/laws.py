@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.bounces import rests_of_bounces
 from contacts.classify import Choice, choose
-from contacts.impact import impact
 from contacts.mechanics import Mechanics
 from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
+from contacts.simultaneous import impacts
 from contacts.snapshot import Snapshot, SnapshotTape
 from statechart.automaton import Flow, Margin, Setup
-from statechart.errors import DeclarationProblem, NoConsistentMode
+from statechart.errors import DeclarationProblem
 from statechart.parameters import Parameters
 from statechart.trace import Clock, Jump, Key
 
@@ -23,12 +25,6 @@ __all__ = ["SceneLaws"]
 
 Array = NDArray[np.float64]
 
-_EPS = float(np.finfo(float).eps)
-# Bounces lower than this many roundings of the gap are summed. The sum's error is of the third
-# order in their speed: 1e-12 of the scene's time where coordinates are of its size.
-_DIGITS = 1e8
-# No bounce this fast, in the scene's own speed, is summed.
-_FAST = 1e-3
 # An impact may raise the energy by rounding, in units of the scene's.
 _ENERGY_ROUNDING = 1e-12
 # A start may be inside a surface by so much of the scene's length (and is projected out).
@@ -53,6 +49,7 @@ class SceneLaws:
     ) -> None:
         symbols = list(parameters.symbols.values())
         self._modes = mechanics.scene.modes
+        self._simultaneous = mechanics.scene.simultaneous
         self._names = tuple(mechanics.scene.contacts)
         self._numbers = SceneNumbers(mechanics, parameters, stops)
         self._tape = SnapshotTape(mechanics, symbols)
@@ -167,83 +164,64 @@ class SceneLaws:
         hitting: list[int],
         closed: list[bool],
     ) -> tuple[Jump, Flow]:
-        if sum(closed) > 1:
-            names = ", ".join(
-                law.name for law, shut in zip(setup.contacts, closed, strict=True) if shut
-            )
-            raise NoConsistentMode(f"an impact with several closed contacts ({names})")
-        place = hitting[0]
-        law, contact = setup.contacts[place], snapshot.contacts[place]
+        laws, slow = setup.contacts, setup.tolerances["speed"]
         coordinates = state[: len(snapshot.velocity)]
-        result = impact(snapshot, contact, law, law.restitution)
+        result = impacts(snapshot, laws, closed, self._simultaneous)
         after = np.concatenate([coordinates, result.velocity])
         following = self._tape.at(setup.values, after, clock.high)
-        rebound = following.contacts[place].gap_rate
-        rest = self._rest_of_bounces(setup, following, coordinates, place, rebound)
+        rests = rests_of_bounces(setup, following, coordinates, closed)
+        settling = {i for i in hitting if following.contacts[i].gap_rate <= slow} | rests.keys()
+        if any(laws[i].restitution > 0.0 for i in settling):
+            laws = tuple(
+                dataclasses.replace(law, restitution=0.0) if i in settling else law
+                for i, law in enumerate(laws)
+            )
+            result = impacts(snapshot, laws, closed, self._simultaneous)
+            after = np.concatenate([coordinates, result.velocity])
+            following = self._tape.at(setup.values, after, clock.high)
+        rates = [contact.gap_rate for contact in following.contacts]
+        touching = [shut and rate <= slow for shut, rate in zip(closed, rates, strict=True)]
         considered: Mapping[str, str] = {}
-        warning = ""
-        target = moving = tuple("free" if i == place else name for i, name in enumerate(flow.mode))
-        if rest is not None or rebound <= setup.tolerances["speed"]:
-            if law.restitution > 0.0:
-                result = impact(snapshot, contact, law, 0.0)
-                after = np.concatenate([coordinates, result.velocity])
-                following = self._tape.at(setup.values, after, clock.high)
-            choice = self._choose(setup, following, [i == place for i in range(len(closed))])
-            considered, warning, moving = choice.considered, choice.warning, choice.taken.states
+        warnings = [result.warning] if result.warning else []
+        target = moving = ("free",) * len(laws)
+        if any(touching):
+            choice = self._choose(setup, following, touching)
+            considered, moving = choice.considered, choice.taken.states
+            warnings += [choice.warning] if choice.warning else []
             after = landed(moving, following, after, setup.tolerances)
-            if rest is None:
-                target = moving
-            # Else bounces are skipped: the contact is still free, and moves as if closed.
+            # Where bounces are skipped the contact is still free, and moves as if closed.
+            target = tuple("free" if i in rests else name for i, name in enumerate(moving))
         before, left = snapshot.energy, self._energy(setup, after, clock.high)
         if left > before + _ENERGY_ROUNDING * setup.scales.force * setup.scales.length:
-            warning = f"the impact law {law.impact!r} raised the energy by {left - before:.3g}"
+            names = " and ".join(dict.fromkeys(laws[i].impact for i in hitting))
+            warnings.append(f"the impact law {names!r} raised the energy by {left - before:.3g}")
+        rest = max(rests.values(), default=None)
         jump = Jump(
             clock.high,
             j,
-            law.name,
+            next(
+                (laws[i].name for i in hitting if f"{laws[i].name}.gap" in fired),
+                laws[hitting[0]].name,
+            ),
             "touchdown",
             flow.mode,
             target,
             state,
             after,
             fired,
-            impulse={law.name: (result.normal, result.tangential)},
+            impulse={
+                law.name: (normal, tangential)
+                for law, (normal, tangential) in zip(laws, result.impulses.tolist(), strict=True)
+                if normal != 0.0 or tangential != 0.0
+            },
+            path=result.path,
             considered=considered,
             energy=(before, left),
             skipped=rest or 0.0,
         )
-        return jump, self._flow(setup, target, moving, rest, warning)
-
-    def _rest_of_bounces(
-        self,
-        setup: SceneSetup,
-        landed: Snapshot,
-        coordinates: Array,
-        place: int,
-        rebound: float,
-    ) -> float | None:
-        """Return how long the bounces after this one would take, where they need no resolving.
-
-        They sum to ``2 v / (g_n (1 - e))`` (equation 5); the impulse of a plastic impact plus the
-        weight over that time equals the exact sum of theirs. A bounce is resolved as long as its
-        height is known to some digits; below, its duration would be noise.
-        """
-        e = setup.contacts[place].restitution
-        if not rebound > 0.0 or not 0.0 < e < 1.0 or rebound > _FAST * setup.scales.speed:
-            return None
-        free = choose(
-            landed, setup.contacts, [False] * len(setup.contacts), setup.scales, 0.0, 0.0
-        ).taken
-        contact = landed.contacts[place]
-        falling = -(float(contact.jacobian[0] @ free.accelerations) + contact.bias_n)
-        if falling <= 0.0:
-            return None
-        # How high it bounces, against what rounding of the coordinates does to the gap.
-        height = rebound**2 / (2.0 * falling)
-        rounding = _EPS * float(np.abs(contact.jacobian[0]) @ np.abs(coordinates))
-        if rebound > setup.capture and height > _DIGITS * rounding:
-            return None
-        return 2.0 * rebound / (falling * (1.0 - e))
+        # A sequence of impacts may leave an approach behind: then it is asked again.
+        settled = not any(shut and rate < -slow for shut, rate in zip(closed, rates, strict=True))
+        return jump, self._flow(setup, target, moving, rest, "; ".join(warnings), settled)
 
     def _choose(self, setup: SceneSetup, snapshot: Snapshot, touching: list[bool]) -> Choice:
         tie = 0.5 * setup.tolerances["force"] / setup.scales.force

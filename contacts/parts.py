@@ -12,10 +12,13 @@ from statechart.errors import DeclarationProblem
 from statechart.fields import FormulaText
 from statechart.formula import parse
 
-__all__ = ["Body", "Contact", "Coordinate", "Force", "Pair", "Point", "Surface"]
+__all__ = ["Body", "Contact", "Coordinate", "Force", "Pair", "Point", "Simultaneous", "Surface"]
 
 Pair = tuple[FormulaText, FormulaText]
 """Two components, along x and y."""
+
+Simultaneous = Literal["plastic", "capped", "sequential"]
+"""What coupled contacts do that are hit at once."""
 
 _DeclaredMode = Annotated[
     ContactMode,

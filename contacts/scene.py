@@ -8,7 +8,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from contacts.parts import Body, Contact, Coordinate, Force, Pair, Point, Surface
+from contacts.parts import Body, Contact, Coordinate, Force, Pair, Point, Simultaneous, Surface
 from statechart.declaration import TIME, Declaration, check_names
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, NameText, problem
@@ -35,6 +35,11 @@ class Scene(Declaration):
     surfaces: dict[NameText, Surface] = Field(default={})
     contacts: dict[NameText, Contact] = Field(default={})
     forces: dict[NameText, Force] = Field(default={})
+    simultaneous: Simultaneous = Field(
+        default="capped",
+        description="What contacts do that are hit together: plastic, Newton's law as far as the "
+        "energy allows (capped), or one after another by their own laws (sequential).",
+    )
     modes: dict[str, Literal["free", "slide", "slide+", "slide-", "pin"]] = Field(
         default={}, description="Initial modes, checked; found from the state where not given."
     )

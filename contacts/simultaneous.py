@@ -13,7 +13,6 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +20,13 @@ from numpy.typing import NDArray
 from contacts.classify import ContactLaw
 from contacts.collisions import Collision, collisions, coupled
 from contacts.impact import impact
+from contacts.parts import Simultaneous
 from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import NoConsistentMode
 
-__all__ = ["Impacts", "Simultaneous", "impacts"]
+__all__ = ["Impacts", "impacts"]
 
 Array = NDArray[np.float64]
-
-Simultaneous = Literal["plastic", "capped", "sequential"]
-"""What coupled contacts do that are hit at once."""
 
 _LONGEST_SEQUENCE = 1000
 # Of the first approach: what is left of a sequence then is the tail of a geometric one.

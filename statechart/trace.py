@@ -132,6 +132,8 @@ class Jump:
         The margins that fell.
     impulse : mapping
         Region -> (normal, tangential) impulse.
+    path : tuple of str
+        How the impact went, piece by piece.
     considered : mapping
         Candidate mode -> why it was taken or not.
     energy : (float, float) or None
@@ -150,6 +152,7 @@ class Jump:
     after: NDArray[np.float64]
     fired: tuple[str, ...] = ()
     impulse: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    path: tuple[str, ...] = ()
     considered: Mapping[str, str] = field(default_factory=dict)
     energy: tuple[float, float] | None = None
     skipped: float = 0.0

@@ -1,0 +1,64 @@
+"""Bounces too low to be resolved: how long they take, so that they can be skipped (equation 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.classify import choose
+from contacts.setup import SceneSetup
+from contacts.snapshot import Snapshot
+
+__all__ = ["rests_of_bounces"]
+
+Array = NDArray[np.float64]
+
+_EPS = float(np.finfo(float).eps)
+# Bounces lower than this many roundings of the gap are summed. The sum's error is of the third
+# order in their speed: 1e-12 of the scene's time where coordinates are of its size.
+_DIGITS = 1e8
+# No bounce this fast, in the scene's own speed, is summed.
+_FAST = 1e-3
+
+
+def rests_of_bounces(
+    setup: SceneSetup, snapshot: Snapshot, coordinates: Array, closed: Sequence[bool]
+) -> dict[int, float]:
+    """Return how long the further bounces take, for the contacts whose need no resolving.
+
+    They sum to ``2 v / (g_n (1 - e))`` (equation 5); the impulse of a plastic impact plus the
+    weight over that time equals the exact sum of theirs. A bounce is resolved as long as its
+    height is known to some digits; below, its duration would be noise.
+
+    Parameters
+    ----------
+    setup : SceneSetup
+        The numbers of the run.
+    snapshot : Snapshot
+        Just after the impact.
+    coordinates : (n,) array
+        There.
+    closed : sequence of bool
+        Which contacts took part in it.
+    """
+    rests: dict[int, float] = {}
+    accelerations: Array | None = None
+    for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
+        rebound, e = contact.gap_rate, law.restitution
+        if not closed[i] or not 0.0 < e < 1.0 or not 0.0 < rebound <= _FAST * setup.scales.speed:
+            continue
+        if accelerations is None:
+            none = [False] * len(setup.contacts)
+            free = choose(snapshot, setup.contacts, none, setup.scales, 0.0, 0.0).taken
+            accelerations = free.accelerations
+        falling = -(float(contact.jacobian[0] @ accelerations) + contact.bias_n)
+        if falling <= 0.0:
+            continue
+        # How high it bounces, against what rounding of the coordinates does to the gap.
+        height = rebound**2 / (2.0 * falling)
+        rounding = _EPS * float(np.abs(contact.jacobian[0]) @ np.abs(coordinates))
+        if rebound <= setup.capture or height <= _DIGITS * rounding:
+            rests[i] = 2.0 * rebound / (falling * (1.0 - e))
+    return rests
