@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
@@ -12,6 +13,7 @@ from statechart.automaton import Automaton
 from statechart.kinds import Kind
 
 if TYPE_CHECKING:
+    from contacts.modes import ContactSymbols
     from statechart.testing import Property
 
 __all__ = ["SCENE", "automaton"]
@@ -34,8 +36,12 @@ def automaton(scene: Scene) -> Automaton:
         name: Margin(name, parse_relation(text).margin(observables))
         for name, text in scene.stop.conditions.items()
     }
+
+    def symbols(contact: str) -> ContactSymbols:
+        return mechanics.contact(contact).symbols
+
     regions = tuple(
-        region(name, contact, lambda name=name: mechanics.contact(name).symbols)  # type: ignore[misc]
+        region(name, contact, partial(symbols, name), jams=scene.jams(name))
         for name, contact in scene.contacts.items()
     )
     forces = [symbol for pair in mechanics.forces.values() for symbol in pair]

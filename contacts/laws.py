@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contacts.bounces import rests_of_bounces
-from contacts.classify import Choice, choose
+from contacts.classify import Choice, ContactLaw, choose
 from contacts.mechanics import Mechanics
+from contacts.painleve import Paradox, paradoxes
 from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
-from contacts.simultaneous import impacts
+from contacts.simultaneous import Impacts, impacts, without_collision
 from contacts.snapshot import Snapshot, SnapshotTape
 from statechart.automaton import Flow, Margin, Setup
-from statechart.errors import DeclarationProblem
+from statechart.errors import DeclarationProblem, NoConsistentMode
 from statechart.parameters import Parameters
 from statechart.trace import Clock, Jump, Key
 
@@ -29,6 +30,23 @@ Array = NDArray[np.float64]
 _ENERGY_ROUNDING = 1e-12
 # A start may be inside a surface by so much of the scene's length (and is projected out).
 _START_DEPTH = 1e-9
+
+
+class _Jam(Exception):  # noqa: N818 -- not an error: friction presses the contact into its surface
+    """No mode agrees with the state, and an impact without collision resolves it."""
+
+    def __init__(self, place: int, paradox: Paradox, sliding: Key) -> None:
+        super().__init__(f"{paradox}; resolved by an impact without collision")
+        self.place = place
+        self.sliding = sliding
+
+    @classmethod
+    def at(
+        cls, snapshot: Snapshot, laws: Sequence[ContactLaw], place: int, paradox: Paradox
+    ) -> _Jam:
+        direction = "slide+" if snapshot.contacts[place].slip > 0.0 else "slide-"
+        sliding = tuple(direction if i == place else "free" for i in range(len(laws)))
+        return cls(place, paradox, sliding)
 
 
 class SceneLaws:
@@ -50,6 +68,7 @@ class SceneLaws:
         symbols = list(parameters.symbols.values())
         self._modes = mechanics.scene.modes
         self._simultaneous = mechanics.scene.simultaneous
+        self._paradox = mechanics.scene.paradox
         self._names = tuple(mechanics.scene.contacts)
         self._numbers = SceneNumbers(mechanics, parameters, stops)
         self._tape = SnapshotTape(mechanics, symbols)
@@ -91,7 +110,10 @@ class SceneLaws:
             state = landed(key, snapshot, state, setup.tolerances)
         if state is not setup.initial:
             snapshot = self._tape.at(setup.values, state, 0.0)
-        choice = self._choose(setup, snapshot, touching)
+        try:
+            choice = self._choose(setup, snapshot, touching)
+        except _Jam as jam:
+            return self._flow(setup, jam.sliding, settled=False), state
         self._check_declared(choice, touching)
         taken = choice.taken.states
         settled = not any(
@@ -125,7 +147,11 @@ class SceneLaws:
         touching = [
             shut and c.gap_rate <= slow for shut, c in zip(closed, snapshot.contacts, strict=True)
         ]
-        choice = self._choose(setup, snapshot, touching)
+        try:
+            choice = self._choose(setup, snapshot, touching)
+        except _Jam as jam:
+            hit = [jam.place]
+            return self._impact(setup, clock, j, flow, state, fired, snapshot, hit, closed, jam)
         target = choice.taken.states
         skipping = flow.flow != flow.mode
         if target == flow.flow and not (skipping and fired == ("zeno",)):
@@ -163,10 +189,16 @@ class SceneLaws:
         snapshot: Snapshot,
         hitting: list[int],
         closed: list[bool],
+        jam: _Jam | None = None,
     ) -> tuple[Jump, Flow]:
+        def collided(laws: Sequence[ContactLaw]) -> Impacts:
+            if jam is not None:
+                return without_collision(snapshot, laws, jam.place)
+            return impacts(snapshot, laws, closed, self._simultaneous)
+
         laws, slow = setup.contacts, setup.tolerances["speed"]
         coordinates = state[: len(snapshot.velocity)]
-        result = impacts(snapshot, laws, closed, self._simultaneous)
+        result = collided(laws)
         after = np.concatenate([coordinates, result.velocity])
         following = self._tape.at(setup.values, after, clock.high)
         rests = rests_of_bounces(setup, following, coordinates, closed)
@@ -176,18 +208,24 @@ class SceneLaws:
                 dataclasses.replace(law, restitution=0.0) if i in settling else law
                 for i, law in enumerate(laws)
             )
-            result = impacts(snapshot, laws, closed, self._simultaneous)
+            result = collided(laws)
             after = np.concatenate([coordinates, result.velocity])
             following = self._tape.at(setup.values, after, clock.high)
         rates = [contact.gap_rate for contact in following.contacts]
         touching = [shut and rate <= slow for shut, rate in zip(closed, rates, strict=True)]
         considered: Mapping[str, str] = {}
-        warnings = [result.warning] if result.warning else []
+        warnings = [*filter(None, ("" if jam is None else str(jam), result.warning))]
         target = moving = ("free",) * len(laws)
+        # A sequence of impacts may leave an approach behind: then it is asked again.
+        settled = not any(shut and rate < -slow for shut, rate in zip(closed, rates, strict=True))
         if any(touching):
-            choice = self._choose(setup, following, touching)
-            considered, moving = choice.considered, choice.taken.states
-            warnings += [choice.warning] if choice.warning else []
+            try:
+                choice = self._choose(setup, following, touching)
+            except _Jam as next_jam:
+                moving, settled = next_jam.sliding, False
+            else:
+                considered, moving = choice.considered, choice.taken.states
+                warnings += [choice.warning] if choice.warning else []
             after = landed(moving, following, after, setup.tolerances)
             # Where bounces are skipped the contact is still free, and moves as if closed.
             target = tuple("free" if i in rests else name for i, name in enumerate(moving))
@@ -203,7 +241,7 @@ class SceneLaws:
                 (laws[i].name for i in hitting if f"{laws[i].name}.gap" in fired),
                 laws[hitting[0]].name,
             ),
-            "touchdown",
+            "touchdown" if jam is None else "jam",
             flow.mode,
             target,
             state,
@@ -219,15 +257,24 @@ class SceneLaws:
             energy=(before, left),
             skipped=rest or 0.0,
         )
-        # A sequence of impacts may leave an approach behind: then it is asked again.
-        settled = not any(shut and rate < -slow for shut, rate in zip(closed, rates, strict=True))
         return jump, self._flow(setup, target, moving, rest, "; ".join(warnings), settled)
 
     def _choose(self, setup: SceneSetup, snapshot: Snapshot, touching: list[bool]) -> Choice:
         tie = 0.5 * setup.tolerances["force"] / setup.scales.force
-        return choose(
-            snapshot, setup.contacts, touching, setup.scales, tie, 2.0 * setup.tolerances["speed"]
-        )
+        still = 2.0 * setup.tolerances["speed"]
+        try:
+            choice = choose(snapshot, setup.contacts, touching, setup.scales, tie, still)
+        except NoConsistentMode as error:
+            found = paradoxes(snapshot, setup.contacts, touching, still)
+            if self._paradox == "impact" and sum(touching) == 1 and found:
+                raise _Jam.at(snapshot, setup.contacts, *found.popitem()) from error
+            reports = "".join(f"; {paradox}" for paradox in found.values())
+            raise NoConsistentMode(f"{error}{reports}") from None
+        if choice.warning:
+            found = paradoxes(snapshot, setup.contacts, touching, still)
+            warning = "; ".join([choice.warning, *map(str, found.values())])
+            choice = dataclasses.replace(choice, warning=warning)
+        return choice
 
     def _energy(self, setup: SceneSetup, state: Array, time: float) -> float:
         return self._tape.at(setup.values, state, time).energy

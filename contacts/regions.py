@@ -20,7 +20,9 @@ def states(contact: Contact) -> tuple[str, ...]:
     return tuple(state for mode in contact.modes for state in per_mode[mode.mode])
 
 
-def region(name: str, contact: Contact, symbols: Callable[[], ContactSymbols]) -> Region:
+def region(
+    name: str, contact: Contact, symbols: Callable[[], ContactSymbols], *, jams: bool
+) -> Region:
     """Return the region of a contact.
 
     Parameters
@@ -31,6 +33,8 @@ def region(name: str, contact: Contact, symbols: Callable[[], ContactSymbols]) -
         As declared.
     symbols : callable
         Its quantities as expressions, asked for when a state is built.
+    jams : bool
+        Whether friction may press the point into the surface (see `Scene.jams`).
     """
     modes = {mode.mode: mode for mode in contact.modes}
 
@@ -40,11 +44,11 @@ def region(name: str, contact: Contact, symbols: Callable[[], ContactSymbols]) -
 
     names = states(contact)
     groups = {s: "slide" for s in names if s in ("slide+", "slide-")}
-    return Region(name, names, build, edges(name, contact), groups)
+    return Region(name, names, build, edges(contact, jams=jams), groups)
 
 
-def edges(name: str, contact: Contact) -> tuple[Edge, ...]:
-    """Return the transitions of a contact's statechart."""
+def edges(contact: Contact, *, jams: bool) -> tuple[Edge, ...]:
+    """Return the transitions of a contact's statechart; see `region`."""
     present = states(contact)
     closed = [s for s in present if s != "free"]
     sliding = [s for s in closed if s != "pin"]
@@ -64,6 +68,12 @@ def edges(name: str, contact: Contact) -> tuple[Edge, ...]:
             away = {"slide+": "H < -mu V", "slide-": "H > mu V"}.get(state, "|H| > 0")
             result.append(Edge("slip", "pin", state, away))
             result.append(Edge("stick", state, "pin", "slip = 0, |H| <= mu V", "slip := 0"))
+    if jams:
+        for state in sliding:
+            for target in present:
+                if target != state:
+                    guard = "into the surface whatever V >= 0"
+                    result.append(Edge("jam", state, target, guard, "impact without collision"))
     if len(sliding) == 2:
         result.append(Edge("reverse", "slide+", "slide-", "slip = 0, H > mu V"))
         result.append(Edge("reverse", "slide-", "slide+", "slip = 0, H < -mu V"))

@@ -40,6 +40,11 @@ class Scene(Declaration):
         description="What contacts do that are hit together: plastic, Newton's law as far as the "
         "energy allows (capped), or one after another by their own laws (sequential).",
     )
+    paradox: Literal["impact", "stop"] = Field(
+        default="impact",
+        description="What follows where no mode of a sliding contact agrees with the state "
+        "(Painleve): an impact without collision, or the end of the run.",
+    )
     modes: dict[str, Literal["free", "slide", "slide+", "slide-", "pin"]] = Field(
         default={}, description="Initial modes, checked; found from the state where not given."
     )
@@ -54,6 +59,14 @@ class Scene(Declaration):
         """Return the name of the rate of `coordinate`: stick.x -> stick.dx, theta -> dtheta."""
         *owner, name = coordinate.split(".")
         return ".".join([*owner, f"d{name}"])
+
+    def jams(self, contact: str) -> bool:
+        """Whether a contact may see an impact without collision: its point turns, and rubs."""
+        declared = self.contacts[contact]
+        body = self.bodies[declared.point.body]
+        rubs = "slide" in declared.kinds and not declared.frictionless
+        turns = body.inertia is not None or body.position is not None
+        return rubs and turns and self.paradox == "impact"
 
     @property
     def kinematic_names(self) -> frozenset[str]:
@@ -197,7 +210,10 @@ class Scene(Declaration):
                 c: {*states(x), *(s.rstrip("+-") for s in states(x))}
                 for c, x in self.contacts.items()
             },
-            {c: {edge.cause for edge in edges(c, x)} for c, x in self.contacts.items()},
+            {
+                c: {edge.cause for edge in edges(x, jams=self.jams(c))}
+                for c, x in self.contacts.items()
+            },
         )
         return self
 

@@ -24,7 +24,7 @@ from contacts.parts import Simultaneous
 from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import NoConsistentMode
 
-__all__ = ["Impacts", "impacts"]
+__all__ = ["Impacts", "impacts", "without_collision"]
 
 Array = NDArray[np.float64]
 
@@ -125,6 +125,36 @@ def impacts(
         tuple(indeterminate),
         "; ".join(warnings),
     )
+
+
+def without_collision(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -> Impacts:
+    """Return the impact of a closed contact that friction presses into its surface (Painleve).
+
+    Routh's path from a normal velocity of zero: slip is braked until it stops, pressing the point
+    inwards meanwhile; then the point sticks, and compression and restitution follow.
+
+    Parameters
+    ----------
+    snapshot, laws
+        As for `impacts`.
+    place : int
+        The contact, the only closed one.
+
+    Raises
+    ------
+    NoConsistentMode
+        If the path does not end.
+    """
+    law = laws[place]
+    contact = snapshot.contacts[place]._replace(gap_rate=0.0)
+    result = impact(snapshot, contact, law, law.restitution)
+    impulses = np.zeros((len(laws), 2))
+    impulses[place] = result.normal, result.tangential
+    before, after = (
+        float(0.5 * v @ snapshot.mass @ v) for v in (snapshot.velocity, result.velocity)
+    )
+    path = (f"{law.name} {' '.join(result.path)}",)
+    return Impacts(result.velocity, impulses, path, before, after, 1.0, (False,) * len(laws))
 
 
 def _groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:

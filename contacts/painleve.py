@@ -1,0 +1,114 @@
+"""Painleve's paradoxes: a sliding contact that friction presses into its surface.
+
+At a sliding contact the normal acceleration is ``b + p V`` with the force along the edge of the
+cone (Painleve 1895; Genot and Brogliato, Eur. J. Mech. A 18 (1999)). Where ``p > 0`` there is one
+answer. Where ``p < 0`` there is none if ``b < 0`` (inconsistent), and there are two if ``b > 0``
+(indeterminate): free flight, and a force without cause.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.classify import ContactLaw
+from contacts.snapshot import PerContact, Snapshot, solve_kkt
+
+__all__ = ["Paradox", "paradoxes"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Paradox:
+    """A sliding contact with p <= 0, the other contacts seen as open.
+
+    Attributes
+    ----------
+    contact : str
+    p : float
+        Normal acceleration per unit of normal force V while it slides; per unit of the force
+        along the cone's edge where mu is infinite. In 1/mass.
+    b : float
+        Normal acceleration without force.
+    mu : float
+        Coefficient of friction.
+    critical : float
+        The mu at which p = 0.
+    """
+
+    contact: str
+    p: float
+    b: float
+    mu: float
+    critical: float
+
+    @property
+    def kind(self) -> str:
+        """inconsistent, or indeterminate."""
+        return "inconsistent" if self.b < 0.0 else "indeterminate"
+
+    def __str__(self) -> str:
+        return (
+            f"Painleve: sliding of {self.contact} is {self.kind}: p = {self.p:.6g}, free normal "
+            f"acceleration {self.b:.6g}, mu = {self.mu:.6g}, critical mu = {self.critical:.6g}"
+        )
+
+
+def paradoxes(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], touching: Sequence[bool], still_below: float
+) -> dict[int, Paradox]:
+    """Return the touching contacts that slide with p <= 0, by their places.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+        The state's numbers.
+    laws : sequence of ContactLaw
+        One per contact.
+    touching : sequence of bool
+        Which contacts are closed.
+    still_below : float
+        Slip speeds up to this count as zero.
+    """
+    found: dict[int, Paradox] = {}
+    for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True)):
+        if not touching[i] or abs(contact.slip) <= still_below or law.cone_t == 0.0:
+            continue
+        sign = math.copysign(1.0, contact.slip)
+        p = _response(snapshot, contact, law.cone_n, -sign * law.cone_t)
+        if p > 0.0:
+            continue
+        size = len(snapshot.forces)
+        free = solve_kkt(
+            snapshot.mass, snapshot.forces, np.zeros((0, size)), np.zeros((size, 0)), np.zeros(0)
+        )
+        b = math.nan if free is None else float(contact.jacobian[0] @ free[0]) + contact.bias_n
+        across = sign * _response(snapshot, contact, 0.0, 1.0)
+        straight = _response(snapshot, contact, 1.0, 0.0)
+        steep = law.cone_n == 0.0
+        found[i] = Paradox(
+            law.name,
+            p if steep else p / law.cone_n,
+            b,
+            math.inf if steep else law.cone_t / law.cone_n,
+            straight / across if across > 0.0 else math.inf,
+        )
+    return found
+
+
+def _response(snapshot: Snapshot, contact: PerContact, n: float, t: float) -> float:
+    """Return the normal acceleration per unit force along (n, t)."""
+    size = len(snapshot.forces)
+    column = contact.jacobian.T @ np.array([n, t])
+    row = np.concatenate([contact.jacobian[0], [0.0]])[None]
+    solved = solve_kkt(snapshot.mass, np.zeros(size), row, column[:, None], np.ones(1))
+    # The force that one unit of acceleration takes; none does where p = 0.
+    if solved is None:
+        return 0.0
+    amount = float(solved[1][0])
+    return 1.0 / amount if amount != 0.0 else math.inf
