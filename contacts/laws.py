@@ -32,6 +32,10 @@ _ENERGY_ROUNDING = 1e-12
 _START_DEPTH = 1e-9
 
 
+def _alike(one: Jump, other: Jump) -> bool:
+    return (one.region, one.cause) == (other.region, other.cause)
+
+
 class _Jam(Exception):  # noqa: N818 -- not an error: friction presses the contact into its surface
     """No mode agrees with the state, and an impact without collision resolves it."""
 
@@ -172,6 +176,42 @@ class SceneLaws:
             energy=(energy, left),
         )
         return jump, self._flow(setup, target, warning=choice.warning)
+
+    def accumulate(
+        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
+    ) -> tuple[Jump, Flow] | None:
+        """Close all contacts that took part in impacts whose intervals shrink to nothing.
+
+        A block that rocks from corner to corner, a bar that rattles on both ends; the bounces of
+        one contact are summed where they happen (`contacts.bounces`). What velocity is left is
+        taken as by a plastic impact: its square is of the order of the tolerance.
+        """
+        assert isinstance(setup, SceneSetup)
+        jump = jumps[-1]
+        since = [j for j, past in enumerate(jumps[:-1]) if _alike(past, jump)]
+        if jump.cause != "touchdown" or not since:
+            return None
+        took_part = set().union(*(past.impulse for past in jumps[since[-1] :]))
+        if len(took_part) < 2:
+            return None
+        state = jump.after
+        snapshot = self._tape.at(setup.values, state, clock.high)
+        shut = [
+            name in took_part or now != "free"
+            for name, now in zip(self._names, flow.flow, strict=True)
+        ]
+        key = tuple(
+            now if now != "free" or not closed else "slide"
+            for now, closed in zip(flow.flow, shut, strict=True)
+        )
+        state = on_constraints(key, snapshot, state)
+        snapshot = self._tape.at(setup.values, state, clock.high)
+        choice = self._choose(setup, snapshot, shut)
+        moving = choice.taken.states
+        after = landed(moving, snapshot, state, setup.tolerances)
+        energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
+        following = self._flow(setup, flow.mode, moving, rest, choice.warning)
+        return dataclasses.replace(jump, after=after, energy=energy, skipped=rest), following
 
     def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> tuple[Array, float]:
         """Return `state` on the constraints of `flow`, and how far it was off in tolerances."""

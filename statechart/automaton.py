@@ -8,7 +8,7 @@ state contributes equations in the shared unknowns, never a vector field of its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, Protocol
@@ -93,8 +93,7 @@ class Edge:
     guard, reset : str
         What fires it and what it does; "" where nothing is changed.
     on_zeno : bool
-        True where no guard fires it but the accumulation of jumps out of `source`, and the
-        executor has to find that (`Automaton.detect_zeno`).
+        True where no guard fires it but the accumulation of jumps out of `source`.
     """
 
     cause: str
@@ -234,6 +233,30 @@ class Laws(Protocol):
         """Return the jump that the state calls for, or None when the mode holds."""
         ...
 
+    def accumulate(
+        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
+    ) -> tuple[Jump, Flow] | None:
+        """Skip the rest of a sequence of jumps that accumulate.
+
+        Parameters
+        ----------
+        jumps : sequence of Jump
+            The last ones; the last of them is the one after which the rest can be skipped.
+        rest : float
+            Time to the accumulation.
+
+        Returns
+        -------
+        (Jump, Flow) or None
+            The last jump and the flow after it, changed; None where the sequence has to go on.
+
+        Raises
+        ------
+        Zeno
+            If nothing declared says what follows.
+        """
+        ...
+
     def project(
         self,
         setup: Setup,
@@ -281,8 +304,6 @@ class Automaton:
         Initial mode, jumps, projection.
     idle : bool
         True where an unknown that no state sets is zero (a chart's variable without a flow).
-    detect_zeno : bool
-        True where the executor must recognise Zeno sequences, because the laws do not.
     """
 
     name: str
@@ -300,7 +321,6 @@ class Automaton:
     observables: Mapping[str, sp.Expr]
     laws: Laws
     idle: bool = False
-    detect_zeno: bool = False
 
     @property
     def modes_total(self) -> int:

@@ -26,7 +26,7 @@ from statechart.automaton import HELD, Automaton, Edge, Flow, Margin, Region, Se
 from statechart.chart import Chart, Transition
 from statechart.chart import Region as DeclaredRegion
 from statechart.declaration import TIME
-from statechart.errors import DeclarationProblem, NonFinite
+from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.formula import Relation, parse, parse_relation
 from statechart.parameters import Parameters
 from statechart.tape import Tape, compile_tape
@@ -77,7 +77,6 @@ def automaton(chart: Chart) -> Automaton:
         observables=symbols.known,
         laws=ChartLaws(chart, symbols),
         idle=True,
-        detect_zeno=True,
     )
 
 
@@ -312,6 +311,26 @@ class ChartLaws:
         )
         jump = Jump(clock.high, j, region, transition.name, flow.mode, target, state, after, fired)
         return jump, self._with_tolerances(setup, clock, following, after)
+
+    def accumulate(
+        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
+    ) -> tuple[Jump, Flow] | None:
+        """Hold the region until the accumulation, where it says what follows then."""
+        jump = jumps[-1]
+        place = self._regions.index(jump.region)
+        if jump.target[place] not in self._zeno[place]:
+            if any(past.target[place] in self._zeno[place] for past in jumps):
+                return None  # its jumps accumulate as well, and are recognised there
+            raise Zeno(
+                f"{jump.region}: '{jump.cause}' accumulates at "
+                f"t = {clock.later(rest).high:.17g}; declare a transition 'on: zeno' "
+                f"from '{jump.target[place]}'"
+            )
+        return replace(jump, skipped=rest), replace(
+            flow,
+            flow=(*flow.flow[:place], HELD, *flow.flow[place + 1 :]),
+            held={**flow.held, jump.region: clock.later(rest)},
+        )
 
     def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> tuple[Array, float]:
         """Return `state`: a chart has no constraints."""

@@ -14,6 +14,7 @@
         NonFinite             the state became infinite or undefined
         SingularMode          the equations of a mode do not determine the motion
         Undecided             a guard could be neither found nor excluded within the search's budget
+        Zeno                  jumps accumulate, and nothing declared says what follows
 
 `DeclarationProblem` stands outside the tree: it is what a validator of a pydantic model raises to
 point at the field concerned; `statechart.document.validate` turns it into a `DeclarationError`.
@@ -41,6 +42,7 @@ __all__ = [
     "StatechartError",
     "StepFailure",
     "Undecided",
+    "Zeno",
 ]
 
 
@@ -223,6 +225,12 @@ class SingularMode(SimulationError):
     """The equations of a mode do not determine the motion."""
 
     outcome = "SINGULAR_MODE"
+
+
+class Zeno(SimulationError):
+    """Jumps accumulate, and nothing declared says what follows."""
+
+    outcome = "ZENO"
 
 
 class StepFailure(SimulationError):

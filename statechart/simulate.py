@@ -6,7 +6,7 @@ import math
 import sys
 import time as wall
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import sympy as sp
@@ -283,8 +283,7 @@ class _Run:
             self._warn()
             self.jumps.append(jump)
             self.state = jump.after
-            if self.simulator.automaton.detect_zeno and self._accumulates(jump):
-                return True
+            self._skip(jump)
             fired = ()
             if len(self.jumps) >= self.max_jumps:
                 self.end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
@@ -301,33 +300,19 @@ class _Run:
             self._stall(fired)
         return False
 
-    def _accumulates(self, jump: Jump) -> bool:
-        """Skip the rest of a Zeno sequence where the region says what follows; else end."""
+    def _skip(self, jump: Jump) -> None:
+        """Skip the rest of a sequence of jumps that accumulate, where the laws can."""
         rest = self._accumulation.watch(jump, self.clock, self.setup.relative)
         if rest is None:
-            return False
-        automaton = self.simulator.automaton
-        place = [region.name for region in automaton.regions].index(jump.region)
-        sources = {e.source for e in automaton.regions[place].edges if e.on_zeno}
-        if jump.target[place] not in sources:
-            recent = {past.target[place] for past in self.jumps[-_JUMPS_AT_ONCE:]}
-            if not sources.isdisjoint(recent):
-                return False  # its jumps accumulate as well, and are recognised there
-            self.end(
-                Outcome.ZENO,
-                f"{jump.region}: '{jump.cause}' accumulates at "
-                f"t = {self.clock.later(rest).high:.17g}; declare a transition 'on: zeno' "
-                f"from '{jump.target[place]}'",
-            )
-            return True
+            return
         assert self.flow is not None
-        self.jumps[-1] = replace(jump, skipped=rest)
-        self.flow = replace(
-            self.flow,
-            flow=(*self.flow.flow[:place], HELD, *self.flow.flow[place + 1 :]),
-            held={**self.flow.held, jump.region: self.clock.later(rest)},
+        recent = self.jumps[-_JUMPS_AT_ONCE:]
+        made = self.simulator.automaton.laws.accumulate(
+            self.setup, self.clock, self.flow, recent, rest
         )
-        return False
+        if made is not None:
+            self.jumps[-1], self.flow = made
+            self.state = self.jumps[-1].after
 
     def _stall(self, fired: tuple[str, ...]) -> None:
         """Note a fall that changes no mode: once a graze, at the same instant again a loop."""

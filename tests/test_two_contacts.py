@@ -43,7 +43,7 @@ def test_two_contacts_have_nine_modes_and_sixteen_with_directions() -> None:
     assert product.number_of_nodes() == 16
     assert all(data["guard"] for _, _, data in product.edges(data=True))
     causes = {data["cause"] for _, _, data in product.edges(data=True)}
-    assert causes == {"touchdown", "liftoff", "slip", "stick", "reverse"}
+    assert causes == {"touchdown", "liftoff", "slip", "stick", "reverse", "jam"}
 
 
 @pytest.mark.parametrize("name", ENGINES)
