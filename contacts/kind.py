@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from pydantic import BaseModel
 
+from contacts.parts import Simultaneous
 from contacts.scene import Scene
 from statechart.automaton import Automaton
 from statechart.kinds import Kind
@@ -77,6 +78,19 @@ def _properties(scene: BaseModel) -> Sequence[Property]:
     return properties(scene)
 
 
+def _alternatives(scene: BaseModel) -> Mapping[str, Scene]:
+    """Return the scene under the other meanings of simultaneous impacts."""
+    if not isinstance(scene, Scene):
+        raise TypeError(f"a Scene was expected, not {type(scene).__name__}")
+    if len(scene.contacts) < 2:
+        return {}
+    return {
+        f"simultaneous: {choice}": scene.model_copy(update={"simultaneous": choice})
+        for choice in get_args(Simultaneous)
+        if choice != scene.simultaneous
+    }
+
+
 _STARTER = """\
 # A rod dropped on the floor: one body, one contact. Run it with
 #   statechart run NAME.yaml
@@ -140,4 +154,4 @@ outputs:
   t_flat: {value: time, at: end}
 """
 
-SCENE = Kind("scene", Scene, _automaton, _STARTER, _properties)
+SCENE = Kind("scene", Scene, _automaton, _STARTER, _properties, _alternatives)

@@ -242,10 +242,9 @@ class SceneLaws:
         after = np.concatenate([coordinates, result.velocity])
         following = self._tape.at(setup.values, after, clock.high)
         rests = rests_of_bounces(setup, following, coordinates, closed)
-        settling = {i for i in hitting if following.contacts[i].gap_rate <= slow} | rests.keys()
-        if any(laws[i].restitution > 0.0 for i in settling):
+        if rests:
             laws = tuple(
-                dataclasses.replace(law, restitution=0.0) if i in settling else law
+                dataclasses.replace(law, restitution=0.0) if i in rests else law
                 for i, law in enumerate(laws)
             )
             result = collided(laws)

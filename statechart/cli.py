@@ -105,6 +105,10 @@ def _parser() -> argparse.ArgumentParser:
     error = run.add_mutually_exclusive_group()
     error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
     error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")
+    run.add_argument(
+        "--alternatives", action="store_true",
+        help="run under the other choices of simultaneous: too, and show where that matters",
+    )  # fmt: skip
     run.add_argument("--output", metavar="DIR", help="write tables, data set and figure there")
     run.add_argument("--json", action="store_true", help="print one JSON object")
     modes = verb("modes", "list the states and transitions of a model's regions")

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from statechart.errors import DeclarationError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
-    from statechart.run import Runner
+    from statechart.run import Result, Runner
 
 __all__ = ["check", "draw", "modes", "new", "run", "schema", "validate"]
 
@@ -56,6 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     result = runner.run(parameters, until=arguments.until, throw=False)
     report = result.report()
+    if arguments.alternatives:
+        report["alternatives"] = _alternatives(runner, result, parameters, arguments)
     _warn(result.warnings)
     if arguments.output is not None:
         from statechart.tables import write_run
@@ -68,6 +70,26 @@ def run(arguments: argparse.Namespace) -> int:
 
         print(summary(report), end="")
     return 0 if result.trace.outcome.succeeded else 1
+
+
+def _alternatives(
+    runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
+) -> list[dict[str, Any]]:
+    from statechart.alternatives import compared, variants
+    from statechart.run import Runner
+
+    others = {}
+    for choice, model in variants(runner.model).items():
+        other = Runner(
+            model,
+            engine=arguments.engine,
+            method=arguments.method,
+            tolerance=arguments.tolerance,
+            accuracy=arguments.accuracy,
+            progress=True,
+        )
+        others[choice] = other.run(parameters, until=arguments.until, throw=False)
+    return compared(result, others)
 
 
 def modes(arguments: argparse.Namespace) -> int:

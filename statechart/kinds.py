@@ -35,6 +35,8 @@ class Kind:
         the model.
     properties : callable, optional
         What must hold for every run of a model, besides what holds for every automaton.
+    alternatives : callable, optional
+        The model under the other choices that its laws leave open, by what the choice is called.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Kind:
     automaton: Callable[[BaseModel], object]
     starter: str
     properties: Callable[[BaseModel], Sequence[Property]] | None = None
+    alternatives: Callable[[BaseModel], Mapping[str, BaseModel]] | None = None
 
 
 def kinds() -> Mapping[str, EntryPoint]:

@@ -126,6 +126,7 @@ def _event(trace: Trace, jump: Jump) -> dict[str, Any]:
             for region, (normal, tangential) in jump.impulse.items()
         },
         "fired": jump.fired,
+        "path": jump.path,
         "considered": jump.considered,
         "energy": jump.energy,
         "skipped": jump.skipped,

@@ -31,6 +31,8 @@ def summary(report: Mapping[str, Any]) -> str:
         )
         if values
     ]
+    if "alternatives" in report:
+        blocks.append(_alternatives(report["alternatives"]))
     return "\n".join(block for block in blocks if block)
 
 
@@ -86,6 +88,21 @@ def _change(event: Mapping[str, Any]) -> str:
     return ", ".join(
         f"{name + ': ' if several else ''}{before[name]} -> {after[name]}" for name in changed
     )
+
+
+def _alternatives(rows: Sequence[Mapping[str, Any]]) -> str:
+    if not rows:
+        return "alternatives: none, no two contacts can be hit together\n"
+    lines = [
+        (
+            f"  {row['choice']}",
+            f"other modes from t = {row['diverged']!r} on; ends with {row['outcome']}"
+            if not row["same_modes"]
+            else f"same modes; largest relative difference {float(row['difference']):.2g}",
+        )
+        for row in rows
+    ]
+    return "alternatives\n" + table(lines)
 
 
 def _values(title: str, values: Mapping[str, Any]) -> str:

@@ -1,0 +1,60 @@
+"""The same run under the other choices that a model leaves open, and where it differs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel
+
+from statechart.accuracy import difference
+from statechart.declaration import Declaration
+from statechart.kinds import kind
+from statechart.report import json_safe
+
+if TYPE_CHECKING:
+    from statechart.run import Result
+
+__all__ = ["compared", "variants"]
+
+
+def variants(model: Declaration) -> Mapping[str, Declaration]:
+    """Return the model under every other choice that its kind knows of; name -> model."""
+    offered = kind(str(getattr(model, "kind", ""))).alternatives
+    found: Mapping[str, BaseModel] = {} if offered is None else offered(model)
+    return {name: other for name, other in found.items() if isinstance(other, Declaration)}
+
+
+def compared(result: Result, others: Mapping[str, Result]) -> list[dict[str, Any]]:
+    """Return where each of the other runs differs from `result`.
+
+    Parameters
+    ----------
+    result : Result
+        The run under the declared choice.
+    others : mapping of str to Result
+        The runs under the others.
+
+    Returns
+    -------
+    list of dict
+        With `choice`, `outcome`, `same_modes`, `diverged` (when the modes first differ, or None),
+        `difference` (the largest relative one of final state, event times and outputs; None where
+        the modes differ), `final`, `outputs`.
+    """
+    rows: list[dict[str, Any]] = []
+    for choice, other in others.items():
+        apart, diverged = difference(result.trace, other.trace, result.outputs, other.outputs)
+        report = other.report()
+        rows.append(
+            {
+                "choice": choice,
+                "outcome": other.trace.outcome.name,
+                "same_modes": diverged is None,
+                "diverged": diverged,
+                "difference": None if diverged is not None else json_safe(apart),
+                "final": report["final"],
+                "outputs": report["outputs"],
+            }
+        )
+    return rows
