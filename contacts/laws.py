@@ -17,7 +17,7 @@ from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.simultaneous import Impacts, impacts, without_collision
 from contacts.snapshot import Snapshot, SnapshotTape
-from statechart.automaton import Flow, Margin, Setup
+from statechart.automaton import Flow, Margin, Projector, Setup
 from statechart.errors import DeclarationProblem, NoConsistentMode
 from statechart.parameters import Parameters
 from statechart.trace import Clock, Jump, Key
@@ -213,10 +213,9 @@ class SceneLaws:
         following = self._flow(setup, flow.mode, moving, rest, choice.warning)
         return dataclasses.replace(jump, after=after, energy=energy, skipped=rest), following
 
-    def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> tuple[Array, float]:
-        """Return `state` on the constraints of `flow`, and how far it was off in tolerances."""
-        assert isinstance(setup, SceneSetup)
-        return self._projection.kept(flow, state, anchor, setup.values, setup.tolerances)
+    def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Projector | None:
+        """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
+        return self._projection.projector(flow, start, anchor, setup.values, setup.tolerances)
 
     def _impact(
         self,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from contacts.mechanics import Mechanics
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
+from statechart.automaton import Projector
 from statechart.tape import compile_tape
 from statechart.trace import Key
 
@@ -53,49 +54,54 @@ class Projection:
             time=mechanics.time,
         )
 
-    def kept(
+    def projector(
         self,
         flow: Key,
-        state: Array,
+        start: float,
         anchor: Array,
         values: Array,
         tolerances: Mapping[str, float],
-    ) -> tuple[Array, float]:
-        """Return `state` on the constraints of `flow`, and how far it was off in tolerances.
+    ) -> Projector | None:
+        """Return what keeps the constraints of `flow` (see `statechart.automaton.Laws`).
 
-        The same object while it is off by no more than a part of them.
+        It leaves a state alone that is off by no more than a part of the tolerances.
 
         Parameters
         ----------
         flow : Key
             State of every contact.
-        state, anchor : (2 n,) array
-            Now, and where the flow started (pinned points stay where they were there).
+        start : float
+            When the flow begins.
+        anchor : (2 n,) array
+            Where it begins: pinned points stay where they were there, in the surface's frame.
         values : (p,) array
             Of the parameters.
         tolerances : mapping
             Of `gap` and `speed`.
         """
-        if flow.count("free") == len(flow):
-            return state, 0.0
-        now = self._tape.at(state, values, 0.0).tolist()
-        then = self._tape.at(anchor, values, 0.0).tolist() if "pin" in flow else now
+        closed = [(i, name == "pin") for i, name in enumerate(flow) if name != "free"]
+        if not closed:
+            return None
+        then = self._tape.at(anchor, values, start).tolist() if "pin" in flow else []
         near, slow = tolerances["gap"], tolerances["speed"]
-        off = 0.0
-        for i, name in enumerate(flow):
-            if name == "free":
-                continue
-            gap, gap_rate, slip, x, y = now[5 * i : 5 * i + 5]
-            off = max(off, abs(gap) / near, abs(gap_rate) / slow)
-            if name == "pin":
-                moved = math.hypot(x - then[5 * i + 3], y - then[5 * i + 4])
-                off = max(off, moved / near, abs(slip) / slow)
-        # What is not finite is left to the guards to report.
-        if off <= _DRIFT or not math.isfinite(off):
-            return state, 0.0
-        snapshot = self._snapshots.at(values, state, 0.0)
-        held = self._snapshots.at(values, anchor, 0.0)
-        return on_constraints(flow, snapshot, state, held=held), off
+
+        def project(state: Array, local: float) -> tuple[Array, float]:
+            now = self._tape.at(state, values, start + local).tolist()
+            off = 0.0
+            for i, pinned in closed:
+                gap, gap_rate, slip, x, y = now[5 * i : 5 * i + 5]
+                off = max(off, abs(gap) / near, abs(gap_rate) / slow)
+                if pinned:
+                    moved = math.hypot(x - then[5 * i + 3], y - then[5 * i + 4])
+                    off = max(off, moved / near, abs(slip) / slow)
+            # What is not finite is left to the guards to report.
+            if off <= _DRIFT or not math.isfinite(off):
+                return state, 0.0
+            snapshot = self._snapshots.at(values, state, start + local)
+            held = self._snapshots.at(values, anchor, start)
+            return on_constraints(flow, snapshot, state, held=held), off
+
+        return project
 
 
 def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, float]) -> Array:

@@ -29,6 +29,7 @@ __all__ = [
     "Flow",
     "Laws",
     "Margin",
+    "Projector",
     "Region",
     "Setup",
     "State",
@@ -38,6 +39,12 @@ Kind = Literal["plain", "gap", "speed", "force"]
 
 HELD = ""
 """In the key of a flow: a region whose state contributes nothing, so that what it moves rests."""
+
+
+Projector = Callable[[NDArray[np.float64], float], tuple[NDArray[np.float64], float]]
+"""From a state and the time since the flow began to the state back on the flow's constraints (the
+same object where it is near enough), and how far it was off in tolerances: above 1 they were
+violated."""
 
 
 @dataclass(frozen=True)
@@ -257,17 +264,12 @@ class Laws(Protocol):
         """
         ...
 
-    def project(
-        self,
-        setup: Setup,
-        flow: Key,
-        state: NDArray[np.float64],
-        anchor: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float64], float]:
-        """Return `state` back on the constraints of `flow`, and how far it was off.
+    def projector(
+        self, setup: Setup, flow: Key, start: float, anchor: NDArray[np.float64]
+    ) -> Projector | None:
+        """Return what keeps the constraints of a flow, None where it has none.
 
-        The same object where it is near enough; `anchor` is where the flow began. The distance
-        is in tolerances: above 1 the constraint was violated.
+        The flow begins in the state `anchor` at the time `start`.
         """
         ...
 

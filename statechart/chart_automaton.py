@@ -332,9 +332,8 @@ class ChartLaws:
             held={**flow.held, jump.region: clock.later(rest)},
         )
 
-    def project(self, setup: Setup, flow: Key, state: Array, anchor: Array) -> tuple[Array, float]:
-        """Return `state`: a chart has no constraints."""
-        return state, 0.0
+    def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> None:
+        """Return nothing: a chart has no constraints."""
 
     def _due(
         self, setup: Setup, clock: Clock, flow: Flow, state: Array, fired: Sequence[str]

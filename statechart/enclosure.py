@@ -13,8 +13,8 @@ polynomials are taken as exact: what is proved is proved of them, not of the dif
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,16 +47,13 @@ class Verdict(Enum):
 
 
 _VERDICTS = {
-    kernels.NONE: Verdict.NONE,
-    kernels.CROSSING: Verdict.CROSSING,
     kernels.GRAZE: Verdict.GRAZE,
     kernels.BUDGET: Verdict.BUDGET,
     kernels.NON_FINITE: Verdict.NON_FINITE,
 }
 
 
-@dataclass(frozen=True)
-class Crossing:
+class Crossing(NamedTuple):
     """A margin's fall, in place and local time of the arc.
 
     Attributes
@@ -70,7 +67,7 @@ class Crossing:
     time : float
         Where the margin itself vanished on the descent that then passed -tolerance: the last
         float64 place, to a few ulp, where it is still >= 0. If it is below 0 on all of that
-        descent, where the descent starts (the start of the chunk for one that starts below 0
+        descent, where the descent starts (the start of the arc for one that starts below 0
         and falls).
     crossed : float
         End of the bracket, >= `time`: margin + tolerance is certainly <= 0 there. At the end of
@@ -84,8 +81,7 @@ class Crossing:
     crossed: float
 
 
-@dataclass(frozen=True)
-class Search:
+class Search(NamedTuple):
     """Result of `first_crossing`.
 
     Attributes
@@ -161,7 +157,7 @@ def first_crossing(
     tolerances = plain(tolerances)
     if tolerances.shape != tape.outputs.shape:
         raise ValueError(f"the tolerances have shape {tolerances.shape}, not {tape.outputs.shape}")
-    return search(tape, tolerances, times, coeffs, parameters, float(start), budget)
+    return search(tape, tolerances, times, coeffs, parameters, float(start), 0, len(coeffs), budget)
 
 
 def search(
@@ -171,13 +167,16 @@ def search(
     coeffs: NDArray[np.float64],
     parameters: NDArray[np.float64],
     start: float,
+    first: int,
+    last: int,
     budget: int = _BUDGET,
 ) -> Search:
-    """Return `first_crossing` for arrays that are float64, contiguous and of the right shape.
+    """Return `first_crossing` in the steps [first, last); those before are known to be clear.
 
-    For inner loops: nothing is checked, and a wrong shape reads beyond the arrays.
+    For inner loops: arrays are float64, contiguous and of the right shape. Nothing is checked,
+    and a wrong shape reads beyond the arrays.
     """
-    code, guard, step, s, far_step, far, boxes = kernels.search(
+    code, guard, step, s, time, crossed, boxes = kernels.search(
         tape.code,
         tape.constants,
         tape.outputs,
@@ -188,15 +187,16 @@ def search(
         coeffs,
         parameters,
         start,
+        first,
+        last,
         budget,
     )
-    verdict = _VERDICTS[code]
-    if verdict is Verdict.NONE:
-        return Search(verdict, None, boxes)
-    found = Crossing(guard, step, s, _time(times, step, s), _time(times, far_step, far))
-    if verdict is Verdict.CROSSING:
-        return Search(verdict, found, boxes)
-    return Search(verdict, None, boxes, found)
+    if code == kernels.NONE:
+        return Search(Verdict.NONE, None, boxes)
+    found = Crossing(guard, step, s, time, crossed)
+    if code == kernels.CROSSING:
+        return Search(Verdict.CROSSING, found, boxes)
+    return Search(_VERDICTS[code], None, boxes, found)
 
 
 def lowest(
@@ -321,9 +321,3 @@ def _arc(
             f"not (n_steps + 1,) and (n_steps, {tape.n_variables}, degree + 1)"
         )
     return times, coeffs, parameters
-
-
-def _time(times: NDArray[np.float64], step: int, s: float) -> float:
-    if s >= 1.0:
-        return float(times[step + 1])
-    return float(times[step] + s * (times[step + 1] - times[step]))

@@ -30,10 +30,12 @@ __all__ = [
     "NONE",
     "NON_FINITE",
     "OPCODES",
+    "append_steps",
     "cached",
+    "cut_steps",
+    "end_state",
     "integrate_outputs",
     "sample_states",
-    "scaled_steps",
     "search",
     "tape_table",
     "tape_values",
@@ -282,28 +284,56 @@ def integrate_outputs(
 
 
 @_kernel
-def scaled_steps(series: Floats, durations: Floats, count: int) -> tuple[int, Floats, Floats]:
-    """Taylor coefficients in time of `count` steps as coefficients in s = time / duration.
+def append_steps(durations: Floats, taken: int, first: int, times: Floats, coeffs: Floats) -> int:
+    """Make Taylor coefficients in time those in s = time / duration, in place; fill in `times`.
 
-    Returns how many leading steps are finite, when they end (with a 0 before), and their
-    coefficients.
+    The steps stand behind the `first` ones. Returns how many of them, up to `taken`, are finite.
     """
-    _, n, terms = series.shape
-    scaled = np.empty((count, n, terms))
-    times = np.zeros(count + 1)
-    for i in range(count):
+    _, n, terms = coeffs.shape
+    total = 0.0
+    for i in range(taken):
         finite = True
+        step = coeffs[first + i]
         for v in range(n):
             factor = 1.0
             for k in range(terms):
-                value = series[i, v, k] * factor
-                scaled[i, v, k] = value
+                step[v, k] *= factor
                 factor *= durations[i]
-                finite = finite and abs(value) < INF
+                finite = finite and abs(step[v, k]) < INF
         if not finite:
-            return i, times[: i + 1].copy(), scaled[:i].copy()
-        times[i + 1] = times[i] + durations[i]
-    return count, times, scaled
+            return i
+        # Summed from the start of these steps, so that long arcs lose nothing.
+        total += durations[i]
+        times[first + i + 1] = times[first] + total
+    return taken
+
+
+@_kernel
+def end_state(coeffs: Floats, step: int, state: Floats) -> None:
+    """Write the state at the end of a step."""
+    for v in range(coeffs.shape[1]):
+        state[v] = _horner(coeffs, step, v, 1.0)
+
+
+@_kernel
+def cut_steps(times: Floats, coeffs: Floats, count: int, end: float, state: Floats) -> int:
+    """End an arc of `count` steps at local time `end`, in place, and write the state there.
+
+    Returns how many steps are kept; with none the state is left alone.
+    """
+    while count > 0 and times[count - 1] >= end:
+        count -= 1
+    if count > 0:
+        step = coeffs[count - 1]
+        s = (end - times[count - 1]) / (times[count] - times[count - 1])
+        times[count] = end
+        for v in range(step.shape[0]):
+            factor = 1.0
+            for k in range(step.shape[1]):
+                step[v, k] *= factor
+                factor *= s
+            state[v] = _horner(coeffs, count - 1, v, 1.0)
+    return count
 
 
 @_kernel
@@ -976,11 +1006,14 @@ def search(
     coeffs: Floats,
     parameters: Floats,
     start: float,
+    first: int,
+    last: int,
     budget: int,
-) -> tuple[int, int, int, float, int, float, int]:
+) -> tuple[int, int, int, float, float, float, int]:
     """First fall of an output below minus its tolerance: see `enclosure.first_crossing`.
 
-    Returns (verdict, guard, step and place of the event, step and place where it is certain,
+    The steps [first, last) are searched; a descent is followed into those before.
+    Returns (verdict, guard, step and place of the event, its local time, where it is certain,
     boxes).
     """
     n_out, n = outputs.shape[0], coeffs.shape[1]
@@ -1001,10 +1034,10 @@ def search(
         if not tolerances[i] >= 0.0:
             raise ValueError("the tolerances of margins are numbers >= 0")
     boxes = 0
-    for step in range(coeffs.shape[0]):
+    for step in range(first, last):
         finite = _prepare(coeffs, step, reads, bounds) and abs(start) < INF
         if not (finite and abs(times[step]) < INF and abs(times[step + 1]) < INF):
-            return NON_FINITE, -1, step, 0.0, step, 1.0, boxes
+            return NON_FINITE, -1, step, 0.0, times[step], times[step + 1], boxes
         found, root, sure, found_left = -1, INF, INF, 0.0
         top = 1
         lefts[0], rights[0] = 0.0, 1.0
@@ -1015,7 +1048,8 @@ def search(
             a, b = lefts[top], rights[top]
             boxes += 1
             if boxes > budget:
-                return BUDGET, -1, step, a, step, b, boxes - 1
+                at, end = _local(times, step, a), _local(times, step, b)
+                return BUDGET, -1, step, a, at, end, boxes - 1
             m = 0.5 * (a + b)
             # The natural enclosure alone is cheap, and often enough.
             _enclose(along, step, bounds, m, max(b - m, m - a), 0, jets)
@@ -1069,7 +1103,8 @@ def search(
                     if here == INF:
                         if found < 0 or b < root - 4.0 * NARROW:
                             verdict = GRAZE if bounded else NON_FINITE
-                            return verdict, i, step, a, step, b, boxes
+                            at, far = _local(times, step, a), _local(times, step, b)
+                            return verdict, i, step, a, at, far, boxes
                         state[i] = 0  # a tie with the crossing found, to within rounding
                         continue
                 if here < INF:
@@ -1097,8 +1132,9 @@ def search(
             event_step, event = _descent(
                 _alone(along, guard[0]), guard, step, found_left, root, bounds, regs, jets, aside
             )
-            return CROSSING, found, event_step, event, step, sure, boxes
-    return NONE, -1, 0, 0.0, 0, 0.0, boxes
+            at = _local(times, event_step, event)
+            return CROSSING, found, event_step, event, at, _local(times, step, sure), boxes
+    return NONE, -1, 0, 0.0, 0.0, 0.0, boxes
 
 
 def cached() -> bool:

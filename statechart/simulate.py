@@ -5,23 +5,21 @@ from __future__ import annotations
 import math
 import sys
 import time as wall
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
+from statechart.advance import CompiledMode, advance, compile_mode
 from statechart.automaton import HELD, Automaton, Flow, Setup
 from statechart.compose import build_mode
-from statechart.engine import CompiledMode, Engine, advance, compile_mode
+from statechart.engine import Engine, Path
 from statechart.errors import EventLoop, SimulationError
 from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace
 from statechart.zeno import Accumulation, between
 
 __all__ = ["Simulator"]
-
-Array = NDArray[np.float64]
 
 # More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
 _JUMPS_AT_ONCE = 64
@@ -142,6 +140,7 @@ class _Run:
     steps: int = 0
     entered: dict[Key, CompiledMode] = field(default_factory=dict)
     stalled: tuple[float, float, tuple[str, ...]] | None = None
+    path: Path = field(default_factory=Path)
 
     def __post_init__(self) -> None:
         self.flow: Flow | None = None
@@ -196,9 +195,11 @@ class _Run:
             compiled = self.simulator.compiled(flow.flow, self.setup)
             self.entered[flow.flow] = compiled
         tolerances, special = self.setup.tolerances, flow.tolerances
+        path = self.path
         reached = advance(
             self.simulator.engine,
             compiled,
+            path,
             parameters=self.setup.values,
             tolerances=np.array(
                 [special.get(m.name, tolerances[m.kind]) for m in compiled.mode.margins]
@@ -207,23 +208,20 @@ class _Run:
             state=self.state,
             duration=duration,
             horizon=self.horizon,
-            project=self._projector(flow.flow),
-            on_steps=self._show if self.simulator.progress else _silent,
+            project=self.simulator.automaton.laws.projector(
+                self.setup, flow.flow, self.clock.high, self.state
+            ),
+            on_steps=self._show if self.simulator.progress else None,
         )
         self.boxes += reached.boxes
         self.steps += reached.steps
-        if len(reached.times) > 1:
+        elapsed, terms = 0.0, flow.terms
+        if path.count > 0:
+            times, coefficients = path.arc()
+            elapsed, terms = times.item(-1), coefficients[-1]
             self.arcs.append(
-                Arc(
-                    flow.mode,
-                    flow.flow,
-                    self.clock,
-                    len(self.jumps),
-                    reached.times,
-                    reached.coefficients,
-                )
+                Arc(flow.mode, flow.flow, self.clock, len(self.jumps), times, coefficients)
             )
-        elapsed = float(reached.times[-1])
         if elapsed > 0.0:
             self.horizon = _AHEAD * elapsed
         self.clock = self.clock.later(elapsed)
@@ -234,7 +232,7 @@ class _Run:
             flow.remaining - elapsed,
             held=flow.held,
             tolerances=special,
-            terms=reached.coefficients[-1] if elapsed > 0.0 else flow.terms,
+            terms=terms,
         )
         if reached.failure is not None:
             raise reached.failure
@@ -321,18 +319,14 @@ class _Run:
             raise EventLoop(f"{', '.join(fired)} falls at t = {now[0]:.17g}, but no jump follows")
         self.stalled = now
 
-    def _projector(self, flow: Key) -> Callable[[Array, Array], tuple[Array, float]]:
-        project, setup = self.simulator.automaton.laws.project, self.setup
-        return lambda state, anchor: project(setup, flow, state, anchor)
-
-    def _show(self, local: float) -> None:
+    def _show(self, local: float, steps: int) -> None:
         now = wall.perf_counter()
         if now - self._shown < _PROGRESS_AFTER:
             return
         self._shown = now
         sys.stderr.write(
             f"t = {self.clock.high + local:.6g} of {self.until:g}, {len(self.jumps)} jumps, "
-            f"{self.steps} steps, {now - self._began:.0f} s\n"
+            f"{self.steps + steps} steps, {now - self._began:.0f} s\n"
         )
         sys.stderr.flush()
 
@@ -381,7 +375,3 @@ class _Run:
 
 _ERRORS = {Outcome[e.outcome]: e for e in SimulationError.__subclasses__()}
 _UNCERTIFIED = (Outcome.UNDECIDED, Outcome.NON_FINITE)
-
-
-def _silent(local: float) -> None:
-    """Report nothing."""

@@ -87,6 +87,25 @@ def test_a_block_rides_on_a_belt_until_its_acceleration_beats_friction(name: str
     assert trace.final[2] == pytest.approx(speed, abs=1e-9)
 
 
+def test_a_block_stays_where_it_stands_on_a_shaken_table(name: str) -> None:
+    scene = Scene(
+        name="table",
+        gravity=10,
+        bodies={"block": Body(mass=1, start={"x": 0.5, "y": 0.1, "dx": 1, "dy": 0.2})},
+        surfaces={"table": Surface(height=0, displacement=("sin(time)", "sin(2*time)/10 + 0.1"))},
+        contacts={
+            "base": Contact(
+                point=Point(body="block"), surface="table", friction=0.8, modes=(Slide(), Pin())
+            )
+        },
+    )
+    trace = run(scene, name, 40.0)
+    assert modes(trace) == ["pin"]
+    x, y = trace.final[:2]
+    assert x == pytest.approx(0.5 + math.sin(40.0), abs=1e-9)
+    assert y == pytest.approx(0.1 + math.sin(80.0) / 10, abs=1e-9)
+
+
 def test_a_block_on_a_free_cart_shares_its_momentum(name: str) -> None:
     scene = Scene(
         name="cart",

@@ -11,7 +11,7 @@ from scipy import integrate
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
-from statechart.engine import Begin, Engine, Steps, rates_tape
+from statechart.engine import Begin, Engine, Path, rates_tape
 from statechart.errors import NonFinite, StepFailure
 from statechart.tape import Tape
 
@@ -58,13 +58,14 @@ class SciPy(Engine):
     def steps(
         self,
         stepper: object,
+        path: Path,
         parameters: Array,
         start: float,
         state: Array,
         duration: float,
         count: int,
         begin: Begin,
-    ) -> Steps:
+    ) -> bool:
         """Take one step: they are dear, and the constraints are projected after each."""
         assert isinstance(stepper, _Stepper)
         if begin is not Begin.ON:
@@ -79,8 +80,8 @@ class SciPy(Engine):
             raise NonFinite(f"the state is not finite after t = {start:.17g}")
         stepper.suggested = getattr(solver, "h_abs", None)
         h = float(solver.t - solver.t_old)
-        coefficients = _polynomial(solver.dense_output(), h, solver.n)
-        return Steps(np.array([0.0, h]), coefficients[None], solver.status == "finished")
+        path.append(h, _polynomial(solver.dense_output(), h, solver.n))
+        return bool(solver.status == "finished")
 
     def _solver(
         self, stepper: _Stepper, parameters: Array, start: float, state: Array, duration: float

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
-from statechart.engine import LONGEST_CHUNK, Begin, Engine, Steps
+from statechart.engine import Begin, Engine, Path
 from statechart.errors import NonFinite, StatechartError, StepFailure
-from statechart.kernels import scaled_steps
+from statechart.kernels import append_steps
 
 __all__ = ["Taylor", "Unsupported"]
 
@@ -40,7 +40,7 @@ class _Stepper:
     series: Array
     used: NDArray[np.intp]  # indices of the automaton's parameters that the equations mention
     parametric: bool
-    buffer: Array
+    durations: Array
 
 
 class Taylor(Engine):
@@ -82,19 +82,20 @@ class Taylor(Engine):
             integrator.tc,
             used,
             len(integrator.pars) > 0,
-            np.empty((LONGEST_CHUNK, len(states), integrator.order + 1)),
+            np.empty(0),
         )
 
     def steps(
         self,
         stepper: object,
+        path: Path,
         parameters: Array,
         start: float,
         state: Array,
         duration: float,
         count: int,
         begin: Begin,
-    ) -> Steps:
+    ) -> bool:
         """Take up to `count` steps (see `Engine`)."""
         assert isinstance(stepper, _Stepper)
         if begin is not Begin.ON:
@@ -103,23 +104,33 @@ class Taylor(Engine):
             if stepper.parametric:
                 stepper.pars[0] = start
                 stepper.pars[1:] = parameters[stepper.used]
-        step, left, taken = stepper.integrator.step, duration, 0
-        series, now, durations = stepper.buffer, stepper.series, np.empty(count)
+        if count > len(stepper.durations):
+            stepper.durations = np.empty(count)
+        path.room(count, *stepper.series.shape)
+        step, durations, series, now = (
+            stepper.integrator.step,
+            stepper.durations,
+            path.coefficients,
+            stepper.series,
+        )
+        first, left, h = path.count, duration, duration
+        taken = 0
         while taken < count:
             h = step(left, True)[1]
-            series[taken] = now
+            series[first + taken] = now
             durations[taken] = h
             taken += 1
             # The step is cut to end at the duration exactly, and then its length is what was left.
             if h == left or not h > 0.0:
                 break
             left -= h
-        taken, times, coefficients = scaled_steps(series, durations, taken)
-        if taken == 0:
+        finite = append_steps(durations, taken, first, path.times, series)
+        if finite == 0:
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
-        if durations[taken - 1] == 0.0 and left > 0.0:
+        if h == 0.0 and left > 0.0:
             raise StepFailure(f"the step near t = {start:.17g} underflowed")
-        return Steps(times, coefficients, bool(durations[taken - 1] == left))
+        path.count = first + finite
+        return finite == taken and bool(h == left)
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
