@@ -164,6 +164,7 @@ class _Change:
             surfaces={name: self._surface(surface) for name, surface in old.surfaces.items()},
             contacts={name: self._contact(contact) for name, contact in old.contacts.items()},
             forces={name: self._force(force) for name, force in old.forces.items()},
+            simultaneous=old.simultaneous,
             stop=Stop(
                 time=None if end is None else _times(end, self.time),
                 conditions={
@@ -208,13 +209,28 @@ class _Change:
         )
 
     def _surface(self, surface: Surface) -> Surface:
-        if surface.height is not None:
-            height = self._read(parse(surface.height), {"x": self.x})
-            return Surface(height=_times(height, self.y))
-        assert surface.incline is not None
-        # In a mirror a slope goes the other way, as an angle does.
-        incline = _times(surface.incline, self.angle)
-        return Surface(incline=incline, through=self._pair(surface.through))
+        height, line, radius = surface.height, surface.line, surface.radius
+        if height is not None:
+            height = _times(self._read(parse(height), {"x": self.x}), self.y)
+        if line is not None:
+            # In a mirror the solid would be on the other side of the line.
+            first, second = line if self.x > 0.0 else line[::-1]
+            line = self._pair(first), self._pair(second)
+        dx, dy = surface.displacement
+        return Surface(
+            height=height,
+            # In a mirror a slope goes the other way, as an angle does.
+            incline=None if surface.incline is None else _times(surface.incline, self.angle),
+            through=self._pair(surface.through),
+            line=line,
+            circle=None if surface.circle is None else self._pair(surface.circle),
+            radius=None if radius is None else _times(radius, abs(self.x)),
+            body=surface.body,
+            displacement=(self._displaced(dx, self.x), self._displaced(dy, self.y)),
+        )
+
+    def _displaced(self, text: FormulaText, factor: float) -> FormulaText:
+        return text if text == 0 else _times(self._read(parse(text), self._factors), factor)
 
     def _contact(self, contact: Contact) -> Contact:
         at = self._pair(contact.point.at)
