@@ -165,6 +165,7 @@ class _Change:
             contacts={name: self._contact(contact) for name, contact in old.contacts.items()},
             forces={name: self._force(force) for name, force in old.forces.items()},
             simultaneous=old.simultaneous,
+            paradox=old.paradox,
             stop=Stop(
                 time=None if end is None else _times(end, self.time),
                 conditions={

@@ -34,6 +34,10 @@ def test_a_shipped_model_runs_alike_by_every_method(name, method):
     engine, _ = choose(engine="scipy", method=method, tolerance=1e-9)
     trace = Simulator(subject.automaton, engine).run(until=subject.end({}), throw=False)
     assert trace.outcome is case.trace.outcome, trace.message
+    if not trace.outcome.succeeded:
+        assert name == "no_slip_pencil"  # its paradox is what it shows
+        assert trace.modes == case.trace.modes
+        return
     try:
         assert_same(case.trace, trace, case.nudged)
     except Undecidable:
