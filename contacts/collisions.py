@@ -35,6 +35,8 @@ _ON_EDGE = 1e-9
 # Relative to the terms of each inequality: what rounding makes of equality, and what is refused.
 _EXACT, _TIE = 1e-13, 1e-11
 _SAME = 1e-8
+# Velocities below this part of the largest in their group are not compared with themselves.
+_ROUNDED = 1e-4
 # Elimination does not tell columns closer to dependent apart.
 _NEARLY_DEPENDENT = 1e-10
 
@@ -204,7 +206,9 @@ class _Problem:
         terms = np.abs(self.start) + np.einsum(
             "gdn,...n->...gd", np.abs(self.jacobians), np.abs(change)
         )
-        return after, terms
+        # Velocities that cancel (a ball that stays on the floor under an impact) carry rounding
+        # of the impulses, though their own terms are zero.
+        return after, np.maximum(terms, _ROUNDED * terms.max(axis=(-2, -1), keepdims=True))
 
     def _violations(self, table: NDArray[np.int64], changes: Array, impulses: Array) -> Array:
         """Return the largest violation of each combination, relative to its terms."""

@@ -1,0 +1,238 @@
+"""A soak over random scenes: nothing tunnels, nothing ends unexplained.
+
+Scenes of one to four contacts (balls on hills, sticks, boxes on slopes and in corners, balls that
+meet) start from random positions and velocities with random friction and restitution. Every run is
+sampled densely; counted are events, outcomes, and the deepest gap in units of its tolerance. A run
+may end because the laws have no answer, if it says so with the margins; a loop, a budget spent, a
+failed step or a gap beyond 1.1 tolerances is a defect and is printed with what reproduces it.
+
+    python benchmarks/soak.py [--events N] [--seed S] [--engine taylor|scipy] [--scene NAME]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from contacts.kind import automaton
+from contacts.parts import Body, Contact, Point, Surface
+from contacts.scene import Scene
+from statechart.enclosure import lowest
+from statechart.engines import choose
+from statechart.observe import Observer
+from statechart.simulate import Simulator
+from statechart.tape import compile_tape
+from statechart.trace import Outcome, Trace
+
+Numbers = Mapping[str, float]
+Draw = Callable[[np.random.Generator], dict[str, float]]
+
+START = {"x": "x0", "y": "y0", "angle": "a0", "dx": "u0", "dy": "w0", "dangle": "r0"}
+BALL = {name: START[name] for name in ("x", "y", "dx", "dy")}
+EXPLAINED = (Outcome.HORIZON, Outcome.TOO_MANY_JUMPS, Outcome.AMBIGUOUS_MODE)
+
+
+def scene(
+    name: str,
+    bodies: Mapping[str, Body],
+    surfaces: Mapping[str, Surface],
+    points: Mapping[str, tuple[str, tuple[str | float, str | float], str]],
+    parameters: Mapping[str, float],
+) -> Scene:
+    """Return a scene whose contacts all have friction mu and restitution e."""
+    return Scene(
+        name=name,
+        gravity="g",
+        parameters={"g": 1, "mu": 0.5, "e": 0.5, **parameters},
+        bodies=dict(bodies),
+        surfaces=dict(surfaces),
+        contacts={
+            label: Contact(
+                point=Point(body=body, at=at), surface=surface, friction="mu", restitution="e"
+            )
+            for label, (body, at, surface) in points.items()
+        },
+    )
+
+
+def coefficients(random: np.random.Generator) -> dict[str, float]:
+    return {
+        "mu": float(random.choice([0.0, random.uniform(0, 1), 10 ** random.uniform(-6, 4)])),
+        "e": float(random.choice([0.0, random.uniform(0, 0.98), 1.0], p=[0.4, 0.5, 0.1])),
+    }
+
+
+def motion(random: np.random.Generator, height: float) -> dict[str, float]:
+    return {
+        "x0": random.uniform(-1, 1),
+        "y0": height + random.uniform(0, 2),
+        "a0": random.uniform(-math.pi, math.pi),
+        "u0": random.normal(),
+        "w0": random.normal(),
+        "r0": random.normal(),
+    }
+
+
+@dataclass(frozen=True)
+class Family:
+    """Scenes of one structure, and how their numbers are drawn."""
+
+    scene: Scene
+    draw: Draw
+
+
+def families() -> dict[str, Family]:
+    """Return the scenes."""
+    zero = dict.fromkeys(("x0", "y0", "a0", "u0", "w0", "r0"), 0.0) | {"y0": 5.0}
+    rod = Body(mass=1, inertia="k", start=START)
+    box = Body(mass=1, inertia="(b**2 + h**2)/3", start=START)
+    corners = {f"c{i}": ("box", (f"{x}*b", f"{y}*h"), "floor")
+               for i, (x, y) in enumerate(((-1, -1), (1, -1), (1, 1), (-1, 1)))}  # fmt: skip
+    floor, hill = Surface(height=0), Surface(height="A*sin(w*x)")
+
+    def rod_numbers(random: np.random.Generator) -> dict[str, float]:
+        return {**motion(random, 1.0), **coefficients(random), "k": 10 ** random.uniform(-4, 0.5)}
+
+    def box_numbers(random: np.random.Generator) -> dict[str, float]:
+        b, h = random.uniform(0.1, 1, size=2)
+        found = {**motion(random, math.hypot(b, h)), **coefficients(random), "b": b, "h": h}
+        return found | {"slope": random.uniform(-0.5, 0.5), "y0": found["y0"] + 1.5}
+
+    def ball_numbers(random: np.random.Generator) -> dict[str, float]:
+        found = {**motion(random, 1.0), **coefficients(random)}
+        return found | {"A": random.uniform(0, 1), "w": random.uniform(0.5, 8)}
+
+    def pair_numbers(random: np.random.Generator) -> dict[str, float]:
+        found = {**motion(random, 0.6), **coefficients(random)}
+        return found | {"y1": found["y0"] + random.uniform(1.5, 3), "m": 10 ** random.normal()}
+
+    return {
+        "ball on hills": Family(
+            scene(
+                "hills",
+                {"ball": Body(mass=1, start=BALL)},
+                {"floor": hill},
+                {"tip": ("ball", (0, 0), "floor")},
+                {**zero, "A": 0.5, "w": 2},
+            ),
+            ball_numbers,
+        ),
+        "rod on floor": Family(
+            scene(
+                "rod",
+                {"rod": rod},
+                {"floor": floor},
+                {"A": ("rod", (0, -1), "floor"), "B": ("rod", (0, 1), "floor")},
+                {**zero, "k": 0.3},
+            ),
+            rod_numbers,
+        ),
+        "rod in a corner": Family(
+            scene(
+                "corner",
+                {"rod": rod},
+                {"floor": floor, "wall": Surface(line=((-3, 1), (-3, 0)))},
+                {
+                    "A": ("rod", (0, -1), "floor"),
+                    "B": ("rod", (0, 1), "floor"),
+                    "C": ("rod", (0, -1), "wall"),
+                    "D": ("rod", (0, 1), "wall"),
+                },
+                {**zero, "k": 0.3},
+            ),
+            rod_numbers,
+        ),
+        "box on a slope": Family(
+            scene(
+                "slope",
+                {"box": box},
+                {"floor": Surface(incline="slope")},
+                corners,
+                {**zero, "b": 0.5, "h": 0.5, "slope": 0.1},
+            ),
+            box_numbers,
+        ),
+        "two balls on a floor": Family(
+            scene(
+                "pair",
+                {
+                    "low": Body(mass=1, start=BALL),
+                    "high": Body(mass="m", start={"x": "x0/10", "y": "y1"}),
+                },
+                {"floor": floor, "shell": Surface(circle=(0, 0), radius=1, body="low")},
+                {
+                    "ground": ("low", (0, -0.5), "floor"),
+                    "between": ("high", (0, 0), "shell"),
+                    "far": ("high", (0, -0.5), "floor"),
+                },
+                {**zero, "y1": 9, "m": 1},
+            ),
+            pair_numbers,
+        ),
+    }
+
+
+def deepest(observer: Observer, family: Family, trace: Trace) -> float:
+    """Return the deepest gap of a run in units of its tolerance, on a grid in every step."""
+    built = observer.automaton
+    tape = compile_tape(
+        [built.observables[f"{name}.gap"] for name in family.scene.contacts],
+        variables=built.variables,
+        parameters=built.parameters,
+        time=built.time,
+    )
+    values = np.array(list(trace.parameters.values()))
+    least = 0.0
+    for arc in trace.arcs:
+        found = lowest(tape, arc.times, arc.coefficients, values, arc.start.high)
+        least = min(least, float(found.min()))
+    return -least / trace.tolerances["gap"]
+
+
+def soak(events: int, seed: int, engine: str, only: str | None) -> int:
+    """Run until so many events were seen; return the number of defects."""
+    random = np.random.default_rng(seed)
+    chosen = {name: f for name, f in families().items() if only in (None, name)}
+    simulators = {
+        name: Simulator(automaton(f.scene), choose(engine=engine, method=None, tolerance=None)[0])
+        for name, f in chosen.items()
+    }
+    seen: Counter[str] = Counter()
+    outcomes: Counter[str] = Counter()
+    worst, defects, began = 0.0, 0, time.perf_counter()
+    while sum(seen.values()) < events:
+        for name, family in chosen.items():
+            numbers = family.draw(random)
+            trace = simulators[name].run(numbers, until=20.0, max_jumps=2000, throw=False)
+            depth = deepest(Observer(simulators[name]), family, trace)
+            worst = max(worst, depth)
+            seen[name] += len(trace.jumps)
+            outcomes[trace.outcome.name] += 1
+            if trace.outcome not in EXPLAINED or depth > 1.1:
+                defects += 1
+                print(f"{name}: {trace.outcome.name}, deepest gap {depth:.3g}: {trace.message}")
+                print(f"  {numbers}", flush=True)
+        if time.perf_counter() - began > 10.0:
+            began = time.perf_counter()
+            print(f"{sum(seen.values())} events", file=sys.stderr, flush=True)
+    print(f"events: {dict(seen)}")
+    print(f"outcomes: {dict(outcomes)}")
+    print(f"deepest gap: {worst:.6g} of its tolerance; defects: {defects}")
+    return defects
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--events", type=int, default=1_000_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--engine", default="taylor", choices=("taylor", "scipy"))
+    parser.add_argument("--scene", default=None)
+    arguments = parser.parse_args()
+    sys.exit(bool(soak(arguments.events, arguments.seed, arguments.engine, arguments.scene)))
