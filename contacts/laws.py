@@ -26,8 +26,6 @@ __all__ = ["SceneLaws"]
 
 Array = NDArray[np.float64]
 
-# An impact may raise the energy by rounding, in units of the scene's.
-_ENERGY_ROUNDING = 1e-12
 # A start may be inside a surface by so much of the scene's length (and is projected out).
 _START_DEPTH = 1e-9
 
@@ -268,9 +266,6 @@ class SceneLaws:
             # Where bounces are skipped the contact is still free, and moves as if closed.
             target = tuple("free" if i in rests else name for i, name in enumerate(moving))
         before, left = snapshot.energy, self._energy(setup, after, clock.high)
-        if left > before + _ENERGY_ROUNDING * setup.scales.force * setup.scales.length:
-            names = " and ".join(dict.fromkeys(laws[i].impact for i in hitting))
-            warnings.append(f"the impact law {names!r} raised the energy by {left - before:.3g}")
         rest = max(rests.values(), default=None)
         jump = Jump(
             clock.high,

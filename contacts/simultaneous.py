@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from contacts.classify import ContactLaw
 from contacts.collisions import Collision, collisions, coupled
-from contacts.impact import impact
+from contacts.impact import Impact, impact
 from contacts.parts import Simultaneous
 from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import NoConsistentMode
@@ -102,7 +102,9 @@ def impacts(
     for group in _groups(snapshot, closed):
         if min(snapshot.contacts[i].gap_rate for i in group) >= 0.0:
             continue
-        if len(group) == 1 or choice == "sequential":
+        if len(group) == 1:
+            moved, given, steps, warning = _alone(snapshot, laws, group[0])
+        elif choice == "sequential":
             moved, given, steps, warning = _in_sequence(snapshot, laws, group)
         else:
             moved, given, part, steps, warning, unknown = _at_once(snapshot, laws, group, choice)
@@ -159,6 +161,8 @@ def without_collision(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int
 
 def _groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
     shut = [i for i, is_closed in enumerate(closed) if is_closed]
+    if len(shut) == 1:
+        return [shut]
     labels = coupled(snapshot, shut)
     groups: dict[int, list[int]] = {}
     for i in shut:
@@ -166,6 +170,28 @@ def _groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
         if touched.any():
             groups.setdefault(int(labels[touched][0]), []).append(i)
     return list(groups.values())
+
+
+def _alone(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], place: int
+) -> tuple[Array, Array, list[str], str]:
+    """Return change, impulses, path and warning of the impact of one contact."""
+    law, contact = laws[place], snapshot.contacts[place]
+    result = impact(snapshot, contact, law, law.restitution)
+    impulses = np.zeros((len(laws), 2))
+    impulses[place] = result.normal, result.tangential
+    change = result.velocity - snapshot.velocity
+    warning = _raised([law]) if _raises(contact, result, change) else ""
+    return change, impulses, [f"{law.name} {' '.join(result.path)}"], warning
+
+
+def _raises(contact: PerContact, result: Impact, change: Array) -> bool:
+    """Whether the impulse does work on the bodies, beyond rounding."""
+    normal, tangential = (contact.jacobian @ change).tolist()
+    work = result.normal * (contact.gap_rate + 0.5 * normal)
+    work += result.tangential * (contact.slip + 0.5 * tangential)
+    size = result.normal * abs(contact.gap_rate) + abs(result.tangential * contact.slip)
+    return work > 1e-9 * size
 
 
 def _at_once(
@@ -238,7 +264,7 @@ def _in_sequence(
     path: list[str] = []
     now, first = snapshot, 0.0
     terms = np.abs(snapshot.velocity)
-    raised = False
+    raised: list[ContactLaw] = []
     while True:
         moving = [_moved(snapshot, now, i) for i in group]
         limits = [
@@ -266,17 +292,17 @@ def _in_sequence(
         i = group[k]
         result = impact(now, moving[k], laws[i], laws[i].restitution)
         change = result.velocity - now.velocity
-        mean = moving[k].jacobian @ change
-        work = result.normal * (moving[k].gap_rate + 0.5 * mean[0])
-        work += result.tangential * (moving[k].slip + 0.5 * mean[1])
-        size = result.normal * approach + abs(result.tangential * moving[k].slip)
-        raised |= bool(work > 1e-9 * size)
+        raised += [laws[i]] if _raises(moving[k], result, change) else []
         terms = np.maximum(terms, np.abs(result.velocity))
         impulses[i] += result.normal, result.tangential
         path.append(f"{laws[i].name} {' '.join(result.path)}")
         now = dataclasses.replace(now, velocity=result.velocity)
-    warning = "the impact law raised the energy" if raised else ""
-    return now.velocity - snapshot.velocity, impulses, path, warning
+    return now.velocity - snapshot.velocity, impulses, path, _raised(raised)
+
+
+def _raised(laws: Sequence[ContactLaw]) -> str:
+    names = dict.fromkeys(f"{law.name}: the impact law {law.impact!r}" for law in laws)
+    return "; ".join(f"{name} raised the energy" for name in names)
 
 
 def _moved(snapshot: Snapshot, now: Snapshot, i: int) -> PerContact:
