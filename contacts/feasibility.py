@@ -18,17 +18,19 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Feasibility", "feasible_modes", "report"]
+__all__ = ["DRIVEN", "Feasibility", "feasible_modes", "without_direction"]
 
 Array = NDArray[np.float64]
 
 Condition = tuple[int, int, int]
 """Contact, row (0: normal, 1: tangential), sign of the velocity."""
+
+DRIVEN = "what is driven"
+"""What reasons call the coordinate of surfaces and joints that move as they are told."""
 
 _CONDITIONS: Mapping[str, tuple[tuple[int, int], ...]] = {
     "free": ((0, 1),),
@@ -81,7 +83,8 @@ def feasible_modes(
         slide- (v_n = 0, v_t < 0), slide (v_n = 0, of a frictionless contact). One state per
         contact asks for one mode.
     names : sequence of str, optional
-        Contacts as the reasons call them; "contact 1" and so on if not given.
+        Contacts as the reasons call them; "contact 1" and so on if not given. `DRIVEN` names the
+        row of a driven coordinate.
 
     Returns
     -------
@@ -117,65 +120,26 @@ def feasible_modes(
     return _judged(jacobians, product(*options), names)
 
 
-def report(
-    names: Sequence[str],
-    jacobians: ArrayLike,
-    options: Sequence[Sequence[str]],
-    asked: Iterable[Sequence[str]] = (),
-) -> dict[str, Any]:
-    """Return what is declared and what is feasible, with and without direction of sliding.
+def without_direction(judged: Iterable[Feasibility]) -> dict[tuple[str, ...], str]:
+    """Return modes without their directions of sliding, and why they are not possible.
 
     Parameters
     ----------
-    names : sequence of str
-        Of the contacts.
-    jacobians, options
-        As for `feasible_modes`.
-    asked : iterable of sequence of str
-        Modes to judge where there are too many to judge all.
+    judged : iterable of Feasibility
+        All directions of every mode.
 
     Returns
     -------
     dict
-        Ready for JSON: `contacts` (names), `enumerated` (whether all modes were judged), and
-        under `with_direction` and `without_direction` each `declared` (number of modes),
-        `feasible` (modes, as lists of states), `infeasible` (`mode` and `reason`). Without
-        direction a mode is infeasible where all its directions are known to be.
+        Mode -> reason; "" where one of its directions is possible. A reason that asks for no
+        direction stands alone, else those of all directions are joined.
     """
-    total = math.prod(len(states) for states in options)
-    enumerated = total <= _MOST_MODES
-    modes = product(*options) if enumerated else map(tuple, asked)
-    judged = _judged(jacobians, modes, names)
-    undirected = [[_undirected(state) for state in states] for states in options]
     groups: dict[tuple[str, ...], list[Feasibility]] = {}
     for mode in judged:
-        groups.setdefault(tuple(map(_undirected, mode.states)), []).append(mode)
-    possible = {key for key, group in groups.items() if any(mode.feasible for mode in group)}
-    impossible = {
-        key: _reason(group)
-        for key, group in groups.items()
-        if key not in possible
-        and len(group) == math.prod(map(list.count, undirected, key))  # all directions are known
-    }
+        groups.setdefault(tuple(s.rstrip("+-") for s in mode.states), []).append(mode)
     return {
-        "contacts": list(names),
-        "enumerated": enumerated,
-        "with_direction": {
-            "declared": total,
-            "feasible": [list(mode.states) for mode in judged if mode.feasible],
-            "infeasible": [
-                {"mode": list(mode.states), "reason": mode.reason}
-                for mode in judged
-                if not mode.feasible
-            ],
-        },
-        "without_direction": {
-            "declared": math.prod(len(set(states)) for states in undirected),
-            "feasible": [list(key) for key in groups if key in possible],
-            "infeasible": [
-                {"mode": list(key), "reason": reason} for key, reason in impossible.items()
-            ],
-        },
+        key: "" if any(mode.feasible for mode in group) else _reason(group)
+        for key, group in groups.items()
     }
 
 
@@ -232,10 +196,6 @@ def _conditions(states: Sequence[str], count: int) -> list[Condition]:
             f"of {', '.join(_CONDITIONS)}"
         )
     return [(c, row, sign) for c, state in enumerate(states) for row, sign in _CONDITIONS[state]]
-
-
-def _undirected(state: str) -> str:
-    return state.rstrip("+-")
 
 
 def _scaled(jacobians: Array) -> Array:
@@ -338,13 +298,16 @@ def _words(conflict: Sequence[Condition], names: Sequence[str]) -> str:
     strict = [condition for condition in conflict if condition[2] != 0]
     if len(strict) == 1:
         c, row, _ = strict[0]
-        lost = ("separation", "slip")[row]
+        lost = "motion" if names[c] == DRIVEN else ("separation", "slip")[row]
         if not zero:
             return f"no motion gives {names[c]} any {lost}"
         verb = "leaves" if len(zero) == 1 else "leave"
         return f"{_held(zero, names)} {verb} {names[c]} no {lost}"
     moving = []
     for c, row, sign in strict:
+        if names[c] == DRIVEN:
+            moving.append(DRIVEN)
+            continue
         verb = "slide" if zero.pop(c, None) else "slip"
         moving.append(f"{names[c]} " + (f"{verb}{'+' if sign > 0 else '-'}" if row else "free"))
     given = f" with {_held(zero, names)}" if zero else ""

@@ -14,7 +14,12 @@ from statechart.automaton import Automaton
 from statechart.kinds import Kind
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from contacts.modes import ContactSymbols
+    from statechart.automaton import Setup
+    from statechart.feasibility import Feasibility
     from statechart.testing import Property
 
 __all__ = ["SCENE", "automaton"]
@@ -91,6 +96,14 @@ def _alternatives(scene: BaseModel) -> Mapping[str, Scene]:
     }
 
 
+def _feasibility(
+    automaton: Automaton, setup: Setup, state: NDArray[np.float64], time: float
+) -> Feasibility:
+    from contacts.configuration import feasibility
+
+    return feasibility(automaton, setup, state, time)
+
+
 _STARTER = """\
 # A rod dropped on the floor: one body, one contact. Run it with
 #   statechart run NAME.yaml
@@ -154,4 +167,4 @@ outputs:
   t_flat: {value: time, at: end}
 """
 
-SCENE = Kind("scene", Scene, _automaton, _STARTER, _properties, _alternatives)
+SCENE = Kind("scene", Scene, _automaton, _STARTER, _properties, _alternatives, _feasibility)

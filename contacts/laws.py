@@ -80,6 +80,10 @@ class SceneLaws:
         """Evaluate parameters, initial state, scales and tolerances."""
         return self._numbers.at(overrides, relative)
 
+    def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
+        """Return the scene's numbers at a state."""
+        return self._tape.at(setup.values, state, time)
+
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode, checked against the declared one."""
         assert isinstance(setup, SceneSetup)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -95,10 +96,7 @@ def _parser() -> argparse.ArgumentParser:
 
     verb("validate", "read a model and check it, its initial state too")
     run = verb("run", "run a model and report what happened")
-    run.add_argument(
-        "--set", dest="parameters", metavar="NAME=VALUE", action="append", default=[],
-        type=_assignment, help="give a parameter another value: a number, 1/3, inf, 20*pi/180",
-    )  # fmt: skip
+    _settable(run)
     run.add_argument("--until", metavar="T", type=_number, help="end of the run")
     run.add_argument("--engine", choices=("auto", "taylor", "scipy"))
     run.add_argument("--method", metavar="M", help="RK45, DOP853, Radau or LSODA (engine scipy)")
@@ -111,7 +109,14 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     run.add_argument("--output", metavar="DIR", help="write tables, data set and figure there")
     run.add_argument("--json", action="store_true", help="print one JSON object")
-    modes = verb("modes", "list the states and transitions of a model's regions")
+    modes = verb("modes", "list a model's modes, which are possible, and their transitions")
+    _settable(modes)
+    where = modes.add_mutually_exclusive_group()
+    where.add_argument(
+        "--at", metavar="NAME=VALUE", action="append", default=[], type=_place,
+        help="judge another configuration than the initial one, such as bar.angle=0.3",
+    )  # fmt: skip
+    where.add_argument("--until", metavar="T", type=_number, help="judge where a run is then")
     modes.add_argument("--json", action="store_true", help="print one JSON object")
     draw = verb("draw", "draw the statechart of a model")
     draw.add_argument(
@@ -131,6 +136,13 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _settable(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set", dest="parameters", metavar="NAME=VALUE", action="append", default=[],
+        type=_assignment, help="give a parameter another value: a number, 1/3, inf, 20*pi/180",
+    )  # fmt: skip
+
+
 def _number(text: str) -> float:
     from statechart.errors import FormulaError
     from statechart.formula import parse
@@ -146,6 +158,13 @@ def _assignment(text: str) -> tuple[str, float]:
     if not equals or not name.strip():
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
     return name.strip(), _number(value)
+
+
+def _place(text: str) -> tuple[str, float]:
+    name, value = _assignment(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be finite")
+    return name, value
 
 
 def _count(text: str) -> int:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from statechart.errors import DeclarationError
+from statechart.formula import close_matches
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -22,11 +23,13 @@ __all__ = ["check", "draw", "modes", "new", "run", "schema", "validate"]
 
 def validate(arguments: argparse.Namespace) -> int:
     """Read a model and check its initial state; print one line."""
+    from statechart.listing import counted
+
     runner = _runner(arguments.file)
     mode, warnings = runner.start()
     automaton = runner.automaton
     kind = getattr(runner.model, "kind", "model")
-    count = _modes(automaton.modes_declared, automaton.modes_total)
+    count = counted(automaton.modes_declared, automaton.modes_total)
     remarks = "".join(f"; warning: {warning}" for warning in warnings)
     print(
         f"{arguments.file}: {kind} {automaton.name!r} is correct: "
@@ -37,11 +40,7 @@ def validate(arguments: argparse.Namespace) -> int:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run a model; print a summary or one object."""
-    parameters: dict[str, float] = {}
-    for name, value in arguments.parameters:
-        if name in parameters:
-            raise DeclarationError(f"--set {name} is given twice", advice="give it once")
-        parameters[name] = value
+    parameters = _assigned("--set", arguments.parameters)
     if arguments.output is not None and Path(arguments.output).is_file():
         raise DeclarationError(
             f"--output {arguments.output}: this is a file", advice="name a folder"
@@ -93,54 +92,39 @@ def _alternatives(
 
 
 def modes(arguments: argparse.Namespace) -> int:
-    """List regions, states and transitions; no mode is built for it."""
-    automaton = _runner(arguments.file).automaton
-    if arguments.json:
-        _print_json(
-            {
-                "model": automaton.name,
-                "modes_declared": automaton.modes_declared,
-                "modes_total": automaton.modes_total,
-                "modes_built": 0,
-                "regions": [
-                    {
-                        "name": region.name,
-                        "states": [
-                            {"name": state, "declared": region.declared(state)}
-                            for state in region.states
-                        ],
-                        "edges": [
-                            {
-                                "cause": edge.cause,
-                                "from": edge.source,
-                                "to": edge.target,
-                                "guard": edge.guard,
-                                "reset": edge.reset,
-                            }
-                            for edge in region.edges
-                        ],
-                    }
-                    for region in automaton.regions
-                ],
-            }
-        )
-        return 0
-    count = _modes(automaton.modes_declared, automaton.modes_total)
-    print(f"{automaton.name}: {count}; none is built before a run enters it")
-    from statechart.summary import table
+    """List modes, which of them are possible at a configuration, and every region's chart."""
+    from statechart.feasibility import feasibility
+    from statechart.listing import listing, text
 
-    for region in automaton.regions:
-        print(f"\n{region.name}: {', '.join(region.states)}")
-        rows = [
-            (
-                f"  {e.source} -> {e.target}",
-                e.cause,
-                f"[{e.guard}]",
-                f"/ {e.reset}" if e.reset else "",
+    parameters = _assigned("--set", arguments.parameters)
+    runner = _runner(arguments.file, progress=True)
+    automaton = runner.automaton
+    at = _assigned("--at", arguments.at)
+    for name in at:
+        if name not in automaton.names:
+            raise DeclarationError(
+                f"--at {name}: the model has no such variable",
+                advice=close_matches(name, automaton.names),
             )
-            for e in region.edges
-        ]
-        print(table(rows), end="")
+    setup = runner.setup(parameters)
+    state, time, built = setup.initial.copy(), 0.0, 0
+    if arguments.until is not None:
+        trace = runner.run(parameters, until=arguments.until).trace
+        _warn(trace.warnings)
+        state, time, built = trace.final.copy(), trace.t_end, trace.counts["modes_built"]
+    for name, value in at.items():
+        state[automaton.names.index(name)] = value
+    listed = listing(
+        automaton,
+        built=built,
+        time=time,
+        state=dict(zip(automaton.names, state.tolist(), strict=True)),
+        found=feasibility(runner.model, automaton, setup, state, time),
+    )
+    if arguments.json:
+        _print_json(listed)
+    else:
+        print(text(listed), end="")
     return 0
 
 
@@ -149,6 +133,7 @@ def draw(arguments: argparse.Namespace) -> int:
     from statechart.diagram import write
     from statechart.diagram.build import build, needs_run
     from statechart.diagram.write import SUFFIXES
+    from statechart.feasibility import feasibility
 
     path = Path(arguments.output)
     if path.suffix.lower() not in SUFFIXES:
@@ -164,7 +149,9 @@ def draw(arguments: argparse.Namespace) -> int:
         if not trace.outcome.succeeded:
             _warn([f"the run ended early: {trace.outcome.name}, {trace.message}"])
             code = 1
-    write(build(runner.automaton, start, trace), path)
+    setup = runner.setup()
+    found = feasibility(runner.model, runner.automaton, setup, setup.initial, 0.0)
+    write(build(runner.automaton, start, trace, found), path)
     print(path)
     return code
 
@@ -251,9 +238,13 @@ def _runner(file: str, **options: Any) -> Runner:
     return runner
 
 
-def _modes(declared: int, total: int) -> str:
-    words = f"{declared} mode{'s' if declared != 1 else ''}"
-    return words if declared == total else f"{words} ({total} with directions of sliding)"
+def _assigned(option: str, pairs: Iterable[tuple[str, float]]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for name, value in pairs:
+        if name in found:
+            raise DeclarationError(f"{option} {name} is given twice", advice="give it once")
+        found[name] = value
+    return found
 
 
 def _warn(warnings: Iterable[str]) -> None:

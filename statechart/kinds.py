@@ -13,6 +13,11 @@ from pydantic import BaseModel
 from statechart.chart import Chart
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from statechart.automaton import Automaton, Setup
+    from statechart.feasibility import Feasibility
     from statechart.testing import Property
 
 __all__ = ["CHART", "Kind", "kind", "kinds"]
@@ -37,6 +42,8 @@ class Kind:
         What must hold for every run of a model, besides what holds for every automaton.
     alternatives : callable, optional
         The model under the other choices that its laws leave open, by what the choice is called.
+    feasibility : callable, optional
+        Judges every product mode at a configuration (see `statechart.feasibility`).
     """
 
     name: str
@@ -45,6 +52,7 @@ class Kind:
     starter: str
     properties: Callable[[BaseModel], Sequence[Property]] | None = None
     alternatives: Callable[[BaseModel], Mapping[str, BaseModel]] | None = None
+    feasibility: Callable[[Automaton, Setup, NDArray[np.float64], float], Feasibility] | None = None
 
 
 def kinds() -> Mapping[str, EntryPoint]:

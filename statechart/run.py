@@ -198,10 +198,32 @@ class Runner:
             If no run can start there.
         """
         overrides = dict(parameters or {})
-        self._check(overrides)
-        setup, mode, warning = self._begin(overrides)
+        setup = self.setup(overrides)
+        mode, warning = self._begin(setup, overrides)
         found = (self._reason, *setup.warnings, warning)
         return mode, tuple(dict.fromkeys(text for text in found if text))
+
+    def setup(self, parameters: Mapping[str, float] | None = None) -> Setup:
+        """Return the numbers of a run: parameters, initial state, tolerances.
+
+        Parameters
+        ----------
+        parameters : mapping of str to float, optional
+            As for `run`.
+
+        Raises
+        ------
+        DeclarationError
+            If a parameter or a number that follows from it is wrong.
+        """
+        overrides = dict(parameters or {})
+        self._check(overrides)
+        try:
+            return self.automaton.laws.setup(overrides, self._engine.tolerance)
+        except DeclarationProblem as problem:
+            raise self._located(problem, overrides) from None
+        except FormulaError as error:
+            raise self._formula(error, ("parameters", error.name)) from None
 
     def _settle(
         self,
@@ -351,16 +373,12 @@ class Runner:
                 return observer, _warned(trace, warnings[-1:]), estimate
         return observer, _warned(trace, ["interrupted before its error was estimated"]), math.inf
 
-    def _begin(self, overrides: Mapping[str, float]) -> tuple[Setup, Key, str]:
-        laws = self.automaton.laws
+    def _begin(self, setup: Setup, overrides: Mapping[str, float]) -> tuple[Key, str]:
         try:
-            setup = laws.setup(overrides, self._engine.tolerance)
-            flow, _ = laws.begin(setup)
+            flow, _ = self.automaton.laws.begin(setup)
         except DeclarationProblem as problem:
             raise self._located(problem, overrides) from None
-        except FormulaError as error:
-            raise self._formula(error, ("parameters", error.name)) from None
-        return setup, flow.mode, flow.warning
+        return flow.mode, flow.warning
 
     def _located(
         self, problem: DeclarationProblem, overrides: Mapping[str, float]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
+from collections.abc import Iterable
 
 import hypothesis.extra.numpy as hnp
 import numpy as np
@@ -15,7 +15,7 @@ from runs import golden
 from scipy.linalg import null_space
 from scipy.optimize import nnls
 
-from contacts.feasibility import Feasibility, feasible_modes, report
+from contacts.feasibility import DRIVEN, Feasibility, feasible_modes, without_direction
 
 CASES = golden("planar_contact_modes")["cases"]
 ALL = ("free", "pin", "slide+", "slide-")
@@ -56,37 +56,35 @@ def names(count: int) -> list[str]:
     return list("ABCDEFGH"[:count])
 
 
-def whole(jacobians: np.ndarray) -> dict:
+def undirected(jacobians: np.ndarray) -> dict[tuple[str, ...], str]:
     count = len(jacobians)
-    return report(names(count), jacobians, [ALL] * count)
+    return without_direction(feasible_modes(jacobians, [ALL] * count, names(count)))
 
 
 def counts(jacobians: np.ndarray) -> tuple[int, int]:
-    found = whole(jacobians)
-    return len(found["without_direction"]["feasible"]), len(found["with_direction"]["feasible"])
+    plain, directed = undirected(jacobians).values(), verdicts(jacobians).values()
+    return sum(not reason for reason in plain), sum(directed)
 
 
 def verdicts(jacobians: np.ndarray) -> dict[tuple[str, ...], bool]:
     return {m.states: m.feasible for m in feasible_modes(jacobians, [ALL] * len(jacobians))}
 
 
-def strings(modes: list) -> list[str]:
+def strings(modes: Iterable[tuple[str, ...]]) -> list[str]:
     return sorted("".join(LETTERS[state] for state in mode) for mode in modes)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case["id"])
 def test_reference_counts_and_lists(case: dict) -> None:
     jacobians = reference(case)
-    found = whole(jacobians)
-    directed, undirected = found["with_direction"], found["without_direction"]
-    assert found["enumerated"]
-    assert directed["declared"] == 4 ** case["n_contacts"]
-    assert undirected["declared"] == case["naive_product"]
-    assert strings(directed["feasible"]) == sorted(case["feasible_with_direction"])
-    assert strings(undirected["feasible"]) == sorted(case["feasible_without_direction"])
-    for level in (directed, undirected):
-        assert len(level["feasible"]) + len(level["infeasible"]) == level["declared"]
-        assert all(refused["reason"] for refused in level["infeasible"])
+    directed, plain = feasible_modes(jacobians, [ALL] * len(jacobians)), undirected(jacobians)
+    assert len(directed) == 4 ** case["n_contacts"]
+    assert len(plain) == case["naive_product"]
+    feasible = strings(mode.states for mode in directed if mode.feasible)
+    assert feasible == sorted(case["feasible_with_direction"])
+    feasible = strings(mode for mode, reason in plain.items() if not reason)
+    assert feasible == sorted(case["feasible_without_direction"])
+    assert all(mode.feasible or mode.reason for mode in directed)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case["id"])
@@ -155,17 +153,14 @@ def test_two_legs_have_all_9_and_with_direction_all_16() -> None:
 
 def test_a_joint_is_a_contact_that_is_always_pinned() -> None:
     pinned = planar([(0, 1), (0, -1)], [(0, 1), (0, 1)])
-    found = report(["hinge", "foot"], pinned, [("pin",), ALL])
-    assert found["with_direction"]["declared"] == 4
-    assert found["with_direction"]["feasible"] == [
-        ["pin", "pin"],
-        ["pin", "slide+"],
-        ["pin", "slide-"],
-    ]
+    found = feasible_modes(pinned, [("pin",), ALL], ["hinge", "foot"])
     # The foot is below the hinge: its normal passes through it, turning cannot lift it.
-    assert found["with_direction"]["infeasible"] == [
-        {"mode": ["pin", "free"], "reason": "hinge closed leaves foot no separation"}
-    ]
+    assert {mode.states: mode.reason for mode in found} == {
+        ("pin", "free"): "hinge closed leaves foot no separation",
+        ("pin", "pin"): "",
+        ("pin", "slide+"): "",
+        ("pin", "slide-"): "",
+    }
 
 
 def test_belts_that_run_apart_cannot_both_hold_a_body() -> None:
@@ -175,17 +170,20 @@ def test_belts_that_run_apart_cannot_both_hold_a_body() -> None:
     belts[:2, 1, 3] = 1.0, -1.0
     belts[2, 0, 3] = 1.0
     options = [("pin", "slide+", "slide-"), ("pin", "slide+", "slide-"), ("free",)]
-    found = report(["left", "right", "drive"], belts, options)
-    assert ["pin", "pin", "free"] not in found["without_direction"]["feasible"]
-    assert ["pin", "slide", "free"] in found["without_direction"]["feasible"]
+    found = without_direction(feasible_modes(belts, options, ["left", "right", DRIVEN]))
+    reason = f"left without slip and right without slip leave {DRIVEN} no motion"
+    assert found["pin", "pin", "free"] == reason
+    assert found["pin", "slide", "free"] == ""
+    belts[1, 1, 3] = 0.0
+    (mode,) = feasible_modes(belts, [["slide-"], ["slide+"], ["free"]], ["left", "right", DRIVEN])
+    assert mode.reason == f"left slip-, right slip+ and {DRIVEN} exclude one another"
 
 
 def test_a_frictionless_contact_slides_without_direction() -> None:
     jacobians = planar([(-1, 0), (1, 0)], [(0, 1), (0, 1)])
-    found = report(["A", "B"], jacobians, [("free", "slide"), ("free", "slide")])
-    assert found["with_direction"] == found["without_direction"]
-    assert found["with_direction"]["declared"] == 4
-    assert found["with_direction"]["infeasible"] == []
+    found = feasible_modes(jacobians, [("free", "slide"), ("free", "slide")])
+    assert without_direction(found) == {mode.states: "" for mode in found}
+    assert len(found) == 4
 
 
 def test_a_contact_that_nothing_moves_is_pinned() -> None:
@@ -224,8 +222,8 @@ def test_reasons_name_the_contacts_and_what_they_hold() -> None:
 
 def test_a_mode_without_direction_carries_the_reasons_of_its_directions() -> None:
     corner = planar([(-1, -1), (1, -1), (-1, 1)], [(0, 1), (0, 1), (1, 0)])
-    refused = whole(corner)["without_direction"]["infeasible"]
-    reasons = {tuple(mode["mode"]): mode["reason"].split("; ") for mode in refused}
+    refused = undirected(corner)
+    reasons = {mode: reason.split("; ") for mode, reason in refused.items() if reason}
     directed = {m.states: m.reason for m in feasible_modes(corner, [ALL] * 3, names(3))}
     assert reasons["slide", "pin", "free"] == ["B without slip leaves A no slip"]
     # A reason that holds for both directions stands alone, although slide+ has a shorter one.
@@ -332,24 +330,11 @@ def test_twenty_contacts_are_judged_mode_by_mode() -> None:
         ["pin"] * 19 + ["free"],
         ["free"] * 7 + ["slide-"] + ["free"] * 12,
     ]
-    found = report(labels, table, [ALL] * 20, asked)
-    assert not found["enumerated"]
-    assert found["with_direction"]["declared"] == 4**20
-    assert found["without_direction"]["declared"] == 3**20
-    assert found["with_direction"]["feasible"] == asked[:3]
-    assert [refused["mode"] for refused in found["with_direction"]["infeasible"]] == asked[3:]
-    assert found["without_direction"]["feasible"] == [asked[0], ["slide"] * 20, asked[2]]
-    # The other direction of leg 7 was not asked for, so that nothing is said about both.
-    assert [r["mode"] for r in found["without_direction"]["infeasible"]] == [asked[3]]
+    found = [feasible_modes(table, [[state] for state in mode], labels)[0] for mode in asked]
+    assert [mode.feasible for mode in found] == [True, True, True, False, False]
+    assert all(mode.reason for mode in found[3:])
     with pytest.raises(ValueError, match=r"1099511627776 modes are too many .* fewer states"):
         feasible_modes(table, [ALL] * 20)
-    assert feasible_modes(table, [[state] for state in asked[2]])[0].feasible
-
-
-def test_a_report_is_json_and_back() -> None:
-    found = whole(walker(0.25, 0.25))
-    assert json.loads(json.dumps(found)) == found
-    assert found["contacts"] == ["A", "B"]
 
 
 def test_bad_input_is_named() -> None:

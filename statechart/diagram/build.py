@@ -8,12 +8,15 @@ from itertools import product
 
 from statechart.automaton import Automaton, Edge, Margin, Region
 from statechart.diagram.model import Diagram, Link, Node
+from statechart.feasibility import Feasibility
 from statechart.trace import Key, Trace
 
 __all__ = ["build", "needs_run"]
 
 # Two contacts have nine modes as users count, and a product of more than this cannot be read.
 _MOST_MODES = 16
+# Of more regions alike than this not all are named.
+_MOST_NAMES = 8
 
 _Ends = tuple[Key, Key, str]
 
@@ -23,7 +26,12 @@ def needs_run(automaton: Automaton) -> bool:
     return len(automaton.regions) > 1 and automaton.modes_declared > _MOST_MODES
 
 
-def build(automaton: Automaton, start: Key, trace: Trace | None = None) -> Diagram:
+def build(
+    automaton: Automaton,
+    start: Key,
+    trace: Trace | None = None,
+    found: Feasibility | None = None,
+) -> Diagram:
     """Return the diagram of an automaton.
 
     One region is drawn as its own chart. Several are drawn as their product, without the
@@ -38,31 +46,41 @@ def build(automaton: Automaton, start: Key, trace: Trace | None = None) -> Diagr
         The mode that it starts in.
     trace : Trace, optional
         A run, whose path and counts are shown; needed where `needs_run`.
+    found : Feasibility, optional
+        Which modes are possible where the run starts; the others are marked, with the reason.
     """
     if len(automaton.regions) == 1:
-        return _chart(automaton, start, trace)
+        return _chart(automaton, start, trace, found)
     if not needs_run(automaton):
-        return _product(automaton, start, trace)
+        return _product(automaton, start, trace, found)
     if trace is None:
         raise ValueError("a product of so many modes is drawn as a run visited it")
     return _visited(automaton, trace)
 
 
-def _chart(automaton: Automaton, start: Key, trace: Trace | None) -> Diagram:
+def _chart(
+    automaton: Automaton, start: Key, trace: Trace | None, found: Feasibility | None
+) -> Diagram:
     """Draw the only region, directions of sliding told apart."""
     region = automaton.regions[0]
     run = None if trace is None else _Run(trace)
     links = [_link((e.source,), (e.target,), [e], "", run) for e in region.edges]
+    refused = _refused({} if found is None else found.modes, run)
     return Diagram(
         automaton.name,
-        tuple(_state(automaton, region, state, (state,) == start, run) for state in region.states),
+        tuple(
+            _state(automaton, region, state, (state,) == start, run, refused.get((state,)))
+            for state in region.states
+        ),
         tuple(links) + _unlisted(run),
-        _notes(automaton),
+        _notes(automaton, refused),
         () if run is None else tuple(map(_name, run.path)),
     )
 
 
-def _product(automaton: Automaton, start: Key, trace: Trace | None) -> Diagram:
+def _product(
+    automaton: Automaton, start: Key, trace: Trace | None, found: Feasibility | None
+) -> Diagram:
     """Draw all modes, sliding without direction."""
     run = None if trace is None else _Run(trace, automaton)
     declared = [
@@ -70,12 +88,14 @@ def _product(automaton: Automaton, start: Key, trace: Trace | None) -> Diagram:
         for region in automaton.regions
     ]
     initial = _declared(automaton, start)
+    refused = _refused({} if found is None else found.declared, run)
     nodes = tuple(
         Node(
             _name(key),
             "\n".join(f"{r.name}: {s}" for r, s in zip(automaton.regions, key, strict=True)),
             initial=key == initial,
             visits=None if run is None else run.entries[key],
+            infeasible=refused.get(key),
         )
         for key in product(*declared)
     )
@@ -89,28 +109,42 @@ def _product(automaton: Automaton, start: Key, trace: Trace | None) -> Diagram:
         automaton.name,
         nodes,
         tuple(links) + _unlisted(run),
-        _notes(automaton),
+        _notes(automaton, refused),
         () if run is None else tuple(map(_name, run.path)),
     )
 
 
 def _visited(automaton: Automaton, trace: Trace) -> Diagram:
-    """Draw the modes that a run visited, and the chart of every region."""
+    """Draw the modes that a run visited, and the chart of every region, those alike once."""
     run = _Run(trace)
+    changing = {
+        region.name
+        for region, states in zip(automaton.regions, zip(*run.entries, strict=True), strict=True)
+        if len(set(states)) > 1
+    } or {region.name for region in automaton.regions}
     nodes = [
         Node(
             _name(key),
-            "\n".join(f"{r.name}: {s}" for r, s in zip(automaton.regions, key, strict=True)),
+            "\n".join(
+                f"{r.name}: {s}"
+                for r, s in zip(automaton.regions, key, strict=True)
+                if r.name in changing
+            ),
             group="modes of the run",
             initial=key == trace.start_mode,
             visits=run.entries[key],
         )
         for key in dict.fromkeys(run.path)
     ]
+    resting: dict[str, list[str]] = {}
+    for region, state in zip(automaton.regions, trace.start_mode, strict=True):
+        if region.name not in changing:
+            resting.setdefault(state, []).append(region.name)
     links = list(_unlisted(run))
-    for region in automaton.regions:
-        for state in region.states:
-            nodes.append(Node(f"{region.name}:{state}", state, group=region.name))
+    for regions in _alike(automaton.regions):
+        region = regions[0]
+        group = ", ".join(_cut([r.name for r in regions]))
+        nodes += [Node(f"{region.name}:{s}", s, group=group) for s in region.states]
         links += [
             Link(
                 f"{region.name}:{edge.source}", f"{region.name}:{edge.target}",
@@ -118,14 +152,29 @@ def _visited(automaton: Automaton, trace: Trace) -> Diagram:
             )
             for edge in region.edges
         ]  # fmt: skip
-    note = "too many modes to draw: those that a run visited, and the chart of every region"
+    notes = [
+        *_notes(automaton),
+        "too many modes to draw: those that a run visited, and the chart of every region",
+        *(f"always {state}: {', '.join(_cut(names))}" for state, names in resting.items()),
+    ]
     return Diagram(
-        automaton.name,
-        tuple(nodes),
-        tuple(links),
-        (*_notes(automaton), note),
-        tuple(map(_name, run.path)),
+        automaton.name, tuple(nodes), tuple(links), tuple(notes), tuple(map(_name, run.path))
     )
+
+
+def _alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
+    """Return regions whose charts are the same together."""
+    found: dict[tuple[tuple[str, ...], tuple[Edge, ...]], list[Region]] = {}
+    for region in regions:
+        found.setdefault((region.states, region.edges), []).append(region)
+    return found.values()
+
+
+def _cut(names: list[str]) -> list[str]:
+    """Return names for a line of text: of many the first ones, and how many there are."""
+    if len(names) <= _MOST_NAMES:
+        return names
+    return [*names[:3], f"... {names[-1]} ({len(names)} in all)"]
 
 
 class _Run:
@@ -200,7 +249,12 @@ def _sense(automaton: Automaton, margin: Margin) -> str:
 
 
 def _state(
-    automaton: Automaton, region: Region, state: str, initial: bool, run: _Run | None
+    automaton: Automaton,
+    region: Region,
+    state: str,
+    initial: bool,
+    run: _Run | None,
+    infeasible: str | None,
 ) -> Node:
     declared = region.declared(state)
     built = region.build(state)
@@ -219,13 +273,22 @@ def _state(
         invariants=tuple(conditions),
         initial=initial,
         visits=None if run is None else run.entries[(state,)],
+        infeasible=infeasible,
     )
 
 
-def _notes(automaton: Automaton) -> tuple[str, ...]:
+def _refused(verdicts: Mapping[Key, str], run: _Run | None) -> dict[Key, str]:
+    """Return the modes that are not possible; what a run visited became possible on its way."""
+    visited = set() if run is None else set(run.entries)
+    return {key: why for key, why in verdicts.items() if why and key not in visited}
+
+
+def _notes(automaton: Automaton, refused: Mapping[Key, str] | None = None) -> tuple[str, ...]:
     notes = [automaton.declaration.doc] if automaton.declaration.doc else []
     if automaton.stops:
         notes.append(f"stops when: {', '.join(automaton.stops)}")
+    if refused:
+        notes.append("infeasible: no velocity agrees with the mode where the run starts")
     return tuple(notes)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from itertools import groupby
 
 from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
@@ -23,7 +23,8 @@ def dot(diagram: Diagram) -> str:
     """Render a diagram as DOT source.
 
     Links between the same two states share one edge, each with its own lines of label. Where
-    a run is shown, what it visited is coloured and counted and the rest is greyed.
+    a run is shown, what it visited is coloured and counted and what it did not is greyed, and so
+    is an infeasible state with all that leads to it and away.
 
     Parameters
     ----------
@@ -87,10 +88,11 @@ def dot(diagram: Diagram) -> str:
             color=_INK, tooltip="start",
         )  # fmt: skip
         graph.edge("_start", states[diagram.initial.name], color=_INK)
+    refused = {node.name for node in diagram.nodes if node.infeasible is not None}
     rank = {node.name: i for i, node in enumerate(diagram.nodes)}
     ordered = sorted(diagram.links, key=lambda link: (rank[link.source], rank[link.target]))
     for (source, target), links in groupby(ordered, key=lambda link: (link.source, link.target)):
-        graph.edge(states[source], states[target], **_arrow(tuple(links), diagram.counted))
+        graph.edge(states[source], states[target], **_arrow(tuple(links), refused))
     return str(graph.source)
 
 
@@ -108,7 +110,7 @@ def _title(diagram: Diagram) -> str:
 
 def _box(node: Node, diagram: Diagram) -> dict[str, str]:
     visited = bool(node.visits)
-    faint = node.infeasible is not None or (diagram.counted and not visited)
+    faint = node.infeasible is not None or node.visits == 0
     ink = _FAINT if faint else _INK
     rows = [_text(node.label, bold=True, colour=ink)]
     if visited:
@@ -116,7 +118,7 @@ def _box(node: Node, diagram: Diagram) -> dict[str, str]:
     rows += [_text(line, size=9, colour=ink) for line in node.invariants]
     loops = [link for link in diagram.links if link.source == link.target == node.name]
     if loops:
-        rows += [_text(" ", size=3), *_lines(loops, diagram.counted, mark="↻ ")]
+        rows += [_text(" ", size=3), *_lines(loops, node.infeasible is not None, mark="↻ ")]
     if node.infeasible is not None:
         reason = "infeasible: " + node.infeasible
         rows += [
@@ -133,23 +135,26 @@ def _box(node: Node, diagram: Diagram) -> dict[str, str]:
     }
 
 
-def _arrow(links: Sequence[Link], counted: bool) -> dict[str, str]:
-    visited = any(link.visits for link in links)
+def _arrow(links: Sequence[Link], refused: Container[str]) -> dict[str, str]:
+    source, target = links[0].source, links[0].target
+    faint = source in refused or target in refused
     label = {}
     # Other edges cross a label beside a loop, whatever dot is told: its lines are in the box.
-    if links[0].source != links[0].target:
-        label["label"] = _table(_lines(links, counted), padding=5)
+    if source != target:
+        label["label"] = _table(_lines(links, faint), padding=5)
+    visited = any(link.visits for link in links)
+    untaken = faint or all(link.visits == 0 for link in links)
     return label | {
         "tooltip": _plain("\n".join(f"{x.cause} [{x.guard}] / {x.reset}" for x in links)),
-        "color": _RUN if visited else _FAINT if counted else _FRAME,
+        "color": _RUN if visited else _FAINT if untaken else _FRAME,
         "penwidth": "1.8" if visited else "1",
     }
 
 
-def _lines(links: Sequence[Link], counted: bool, mark: str = "") -> list[str]:
+def _lines(links: Sequence[Link], faint: bool, mark: str = "") -> list[str]:
     rows: list[str] = []
     for link in links:
-        ink = _RUN if link.visits else _FAINT if counted else _INK
+        ink = _RUN if link.visits else _FAINT if faint or link.visits == 0 else _INK
         count = f" x{link.visits}" if link.visits else ""
         rows.append(_text(f"{mark}{link.cause}{count}", size=9, bold=True, colour=ink))
         if link.guard:

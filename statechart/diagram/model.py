@@ -119,12 +119,6 @@ class Diagram:
                 )
 
     @property
-    def counted(self) -> bool:
-        """Whether a run is shown, so that what it did not visit is to stand back."""
-        visits = [n.visits for n in self.nodes] + [link.visits for link in self.links]
-        return any(count is not None for count in visits)
-
-    @property
     def initial(self) -> Node | None:
         """The state the chart starts in, if one is declared."""
         return next((node for node in self.nodes if node.initial), None)

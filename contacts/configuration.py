@@ -1,0 +1,90 @@
+"""Which product modes of a scene are kinematically possible at a configuration."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.feasibility import DRIVEN, feasible_modes, without_direction
+from contacts.laws import SceneLaws
+from contacts.setup import SceneSetup
+from contacts.snapshot import Snapshot
+from statechart.automaton import Automaton, Setup
+from statechart.errors import StatechartError
+from statechart.feasibility import Feasibility
+
+__all__ = ["feasibility"]
+
+Array = NDArray[np.float64]
+
+
+def feasibility(automaton: Automaton, setup: Setup, state: Array, time: float) -> Feasibility:
+    """Judge every product mode of a scene by the velocities that it asks for.
+
+    Contacts that do not touch at the configuration are judged as if they did: their gaps are
+    among the remarks. Regions that are no contact's ask for no velocity.
+
+    Parameters
+    ----------
+    automaton, setup, state, time
+        As for `statechart.feasibility.feasibility`; of the state only the positions count.
+
+    Raises
+    ------
+    StatechartError
+        If a contact has no direction there (a point at the centre of a circle).
+    """
+    laws = automaton.laws
+    assert isinstance(laws, SceneLaws)
+    assert isinstance(setup, SceneSetup)
+    snapshot = laws.snapshot(setup, state, time)
+    names = [law.name for law in setup.contacts]
+    options = [law.states for law in setup.contacts]
+    jacobians = snapshot.jacobians
+    driven = _driven(snapshot)
+    if driven.any():
+        further = np.zeros((1, 2, jacobians.shape[2] + 1))
+        further[0, 0, -1] = 1.0
+        jacobians = np.concatenate(
+            [np.concatenate([jacobians, driven[:, :, None]], axis=2), further]
+        )
+        names, options = [*names, DRIVEN], [*options, ("free",)]
+    if not np.isfinite(jacobians).all():
+        raise StatechartError(
+            "the contacts have no direction at this configuration: give another one"
+        )
+    judged = feasible_modes(jacobians, options, names)
+    count = len(setup.contacts)
+    directed = {mode.states[:count]: mode.reason for mode in judged}
+    undirected = {key[:count]: reason for key, reason in without_direction(judged).items()}
+    places = [[region.name for region in automaton.regions].index(n) for n in names[:count]]
+    regions = automaton.regions
+    declared = (dict.fromkeys(map(region.declared, region.states)) for region in regions)
+    return Feasibility(
+        {k: directed[tuple(k[i] for i in places)] for k in product(*(r.states for r in regions))},
+        {k: undirected[tuple(k[i] for i in places)] for k in product(*declared)},
+        _remarks(setup, snapshot),
+    )
+
+
+def _driven(snapshot: Snapshot) -> Array:
+    """Return the velocities (c, 2) of the contacts while all that is not driven rests."""
+    rates = np.array([(contact.gap_rate, contact.slip) for contact in snapshot.contacts])
+    moved = snapshot.jacobians @ snapshot.velocity
+    found: Array = rates.reshape(-1, 2) - moved
+    sizes = np.abs(snapshot.jacobians) @ np.abs(snapshot.velocity)
+    # What is left of a difference of equal numbers is rounding.
+    return np.where(np.abs(found) > 1e-12 * (sizes + np.abs(moved)), found, 0.0)
+
+
+def _remarks(setup: SceneSetup, snapshot: Snapshot) -> tuple[str, ...]:
+    near = setup.tolerances["gap"]
+    found = []
+    for law, contact in zip(setup.contacts, snapshot.contacts, strict=True):
+        if contact.gap > near:
+            found.append(f"{law.name} does not touch (gap {contact.gap:.6g}): judged as if it did")
+        elif contact.gap < -near:
+            found.append(f"{law.name} is {-contact.gap:.6g} inside its surface")
+    return tuple(found)

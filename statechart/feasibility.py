@@ -1,0 +1,78 @@
+"""Which product modes are possible at a configuration, as the kind of a model judges them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from statechart.automaton import Automaton, Setup
+from statechart.kinds import kind
+from statechart.trace import Key
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from statechart.declaration import Declaration
+
+__all__ = ["MOST_MODES", "Feasibility", "feasibility"]
+
+MOST_MODES = 4096
+"""Products of more modes than this, six contacts' for one, are never enumerated."""
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """Which product modes are possible at a configuration.
+
+    Attributes
+    ----------
+    modes : mapping
+        Every product mode -> why it is not possible; "" where it is.
+    declared : mapping
+        The same as the declaration counts modes (sliding without direction).
+    remarks : tuple of str
+        What a reader must know of the configuration.
+    """
+
+    modes: Mapping[Key, str]
+    declared: Mapping[Key, str]
+    remarks: tuple[str, ...] = ()
+
+
+def feasibility(
+    model: Declaration, automaton: Automaton, setup: Setup, state: NDArray[np.float64], time: float
+) -> Feasibility | None:
+    """Judge every product mode at a configuration.
+
+    Parameters
+    ----------
+    model : Declaration
+        As read.
+    automaton : Automaton
+        Composed of it.
+    setup : Setup
+        Values of the parameters.
+    state : (n,) array
+        Values of the variables.
+    time : float
+        When.
+
+    Returns
+    -------
+    Feasibility or None
+        None where the kind of the model knows no reason against any mode (a chart), or there are
+        more modes than `MOST_MODES`.
+
+    Raises
+    ------
+    StatechartError
+        If the modes cannot be judged there.
+    """
+    judge = kind(str(getattr(model, "kind", ""))).feasibility
+    if judge is None or automaton.modes_total > MOST_MODES:
+        return None
+    found = judge(automaton, setup, state, time)
+    assert isinstance(found, Feasibility)
+    return found

@@ -1,0 +1,150 @@
+"""The modes of a model: its regions, and which products are possible at a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from statechart.automaton import Automaton, Region
+from statechart.feasibility import MOST_MODES, Feasibility
+from statechart.summary import table
+from statechart.trace import Key
+
+__all__ = ["counted", "listing", "text"]
+
+
+def listing(
+    automaton: Automaton,
+    *,
+    built: int,
+    time: float,
+    state: Mapping[str, float],
+    found: Feasibility | None,
+) -> dict[str, Any]:
+    """Return the modes of a model as one plain object, ready for JSON.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        Whose modes.
+    built : int
+        How many of them have been built.
+    time : float
+        Of the configuration.
+    state : mapping
+        Variable -> value there.
+    found : Feasibility or None
+        What is possible there; None where nothing was judged.
+    """
+    return {
+        "model": automaton.name,
+        "modes_declared": automaton.modes_declared,
+        "modes_total": automaton.modes_total,
+        "modes_built": built,
+        "enumerated": automaton.modes_total <= MOST_MODES,
+        "time": time,
+        "state": dict(state),
+        "feasibility": None if found is None else _feasibility(automaton, found),
+        "regions": [_region(region) for region in automaton.regions],
+    }
+
+
+def text(listed: Mapping[str, Any]) -> str:
+    """Return a listing as lines of text; of modes those without direction of sliding."""
+    count = counted(listed["modes_declared"], listed["modes_total"])
+    built = listed["modes_built"]
+    blocks = [f"{listed['model']}: {count}; {built or 'none'} built, each when a run enters it\n"]
+    if not listed["enumerated"]:
+        blocks.append(
+            f"the product is not enumerated (above {MOST_MODES} modes); modes of each region:\n"
+            + table(
+                [(f"  {r['name']}", counted(r["modes_declared"], r["modes_total"]))
+                 for r in listed["regions"]]
+            )
+        )  # fmt: skip
+    if listed["feasibility"] is not None:
+        blocks.append(_possible(listed))
+    blocks += [_edges(region) for region in listed["regions"]]
+    return "\n".join(blocks)
+
+
+def counted(declared: int, total: int) -> str:
+    """Return numbers of modes in words, without and with directions of sliding."""
+    words = f"{declared} mode{'s' if declared != 1 else ''}"
+    return words if declared == total else f"{words} ({total} with directions of sliding)"
+
+
+def _region(region: Region) -> dict[str, Any]:
+    return {
+        "name": region.name,
+        "modes_declared": len({region.declared(state) for state in region.states}),
+        "modes_total": len(region.states),
+        "states": [{"name": s, "declared": region.declared(s)} for s in region.states],
+        "edges": [
+            {
+                "cause": edge.cause,
+                "from": edge.source,
+                "to": edge.target,
+                "guard": edge.guard,
+                "reset": edge.reset,
+            }
+            for edge in region.edges
+        ],
+    }
+
+
+def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
+    names = [region.name for region in automaton.regions]
+
+    def judged(verdicts: Mapping[Key, str]) -> dict[str, Any]:
+        named = {key: dict(zip(names, key, strict=True)) for key in verdicts}
+        return {
+            "declared": len(verdicts),
+            "feasible": [named[key] for key, reason in verdicts.items() if not reason],
+            "infeasible": [
+                {"mode": named[key], "reason": reason} for key, reason in verdicts.items() if reason
+            ],
+        }
+
+    return {
+        "remarks": list(found.remarks),
+        "with_direction": judged(found.modes),
+        "without_direction": judged(found.declared),
+    }
+
+
+def _possible(listed: Mapping[str, Any]) -> str:
+    found = listed["feasibility"]
+    plain, directed = found["without_direction"], found["with_direction"]
+    counts = f"{len(plain['feasible'])} of {plain['declared']}"
+    if directed["declared"] != plain["declared"]:
+        counts += f" ({len(directed['feasible'])} of {directed['declared']} with directions)"
+    where = ", ".join(f"{name} = {value:.6g}" for name, value in listed["state"].items())
+    lines = [f"kinematically possible at t = {listed['time']:.6g}: {counts}\n", f"  {where}\n"]
+    lines += [f"  {remark}\n" for remark in found["remarks"]]
+    names = [region["name"] for region in listed["regions"]]
+    rows = [(f"  {names[0]}", *names[1:], "")] if names else []
+    for mode in plain["feasible"]:
+        rows.append(_row(mode, "possible"))
+    for refused in plain["infeasible"]:
+        rows.append(_row(refused["mode"], f"not: {refused['reason']}"))
+    return "".join(lines) + table(rows)
+
+
+def _row(mode: Mapping[str, str], verdict: str) -> tuple[str, ...]:
+    first, *others = mode.values()
+    return (f"  {first}", *others, verdict)
+
+
+def _edges(region: Mapping[str, Any]) -> str:
+    title = f"{region['name']}: {', '.join(state['name'] for state in region['states'])}\n"
+    rows = [
+        (
+            f"  {edge['from']} -> {edge['to']}",
+            edge["cause"],
+            f"[{edge['guard']}]",
+            f"/ {edge['reset']}" if edge["reset"] else "",
+        )
+        for edge in region["edges"]
+    ]
+    return title + (table(rows) if rows else "")
