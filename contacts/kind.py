@@ -51,6 +51,7 @@ def automaton(scene: Scene) -> Automaton:
         for name, contact in scene.contacts.items()
     )
     forces = [symbol for pair in mechanics.forces.values() for symbol in pair]
+    forces += [row.force for row in mechanics.joint_rows]
     return Automaton(
         name=scene.name,
         declaration=scene,

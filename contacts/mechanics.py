@@ -1,7 +1,8 @@
-"""Positions to equations of motion: mass matrix, forces, contact Jacobians, by SymPy.
+"""Positions to equations of motion: mass matrix, forces, Jacobians of contacts and joints, by SymPy.
 
-The kinetic energy of bodies whose centres and angles are expressions of coordinates q and time
-gives ``M(q) a + b(q, v, t) = Q + sum J_n^T V + J_t^T H``; nothing is simplified.
+The kinetic energy of bodies whose centres and angles are expressions of coordinates q gives
+``M(q) a + b(q, v) = Q + sum J_n^T V + J_t^T H + sum J^T X`` (contacts, joints); nothing is
+simplified.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ from functools import cached_property
 import sympy as sp
 
 from contacts.modes import ContactSymbols
-from contacts.parts import Body, Contact, Point, Surface
+from contacts.parts import Body, Contact, Path, Point, Surface
 from contacts.scene import Scene
 from statechart.declaration import TIME
 from statechart.formula import parse
 
-__all__ = ["ContactGeometry", "Mechanics"]
+__all__ = ["ContactGeometry", "JointRow", "Mechanics"]
 
 Vector = tuple[sp.Expr, sp.Expr]
 
@@ -52,6 +53,38 @@ class ContactGeometry:
     bias_t: sp.Expr
 
 
+@dataclass(frozen=True, eq=False)
+class JointRow:
+    """One component of a joint: what it holds at zero, in every mode.
+
+    Attributes
+    ----------
+    joint, component : str
+        Its name; X or Y.
+    gap, gap_rate, bias : Expr
+        Point less place; its rate; the part of its second derivative that does not depend on the
+        unknown accelerations.
+    jacobian : tuple of Expr
+        d(gap)/d(coordinates).
+    force : Symbol
+        On the body of the point.
+    path_rate : Expr
+        Velocity of the place, where it is driven in time; what the force works on from outside.
+    redundant : Symbol
+        Parameter: 1 where the rows before imply this one in a run, else 0.
+    """
+
+    joint: str
+    component: str
+    gap: sp.Expr
+    gap_rate: sp.Expr
+    bias: sp.Expr
+    jacobian: tuple[sp.Expr, ...]
+    force: sp.Symbol
+    path_rate: sp.Expr
+    redundant: sp.Symbol
+
+
 class Mechanics:
     """The equations of a scene.
 
@@ -60,7 +93,8 @@ class Mechanics:
     scene : Scene
         As declared.
     parameters : mapping
-        Parameter -> symbol, the bodies' moments of inertia (``stick.inertia``) among them.
+        Parameter -> symbol, the bodies' moments of inertia (``stick.inertia``) and the joints'
+        redundancies (``hip.redundant_x``) among them.
     cones : mapping
         Contact -> (cone_n, cone_t).
     """
@@ -130,7 +164,7 @@ class Mechanics:
 
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
-        """(n,): each = 0, in the unknown accelerations and contact forces."""
+        """(n + joints,): each = 0, in the unknown accelerations and forces."""
         geometry = [self.contact(name) for name in self.scene.contacts]
         result = []
         for i, right in enumerate(self.generalised_forces):
@@ -138,8 +172,40 @@ class Mechanics:
             contact_forces = sp.Add(
                 *(c.jacobian_n[i] * c.symbols.V + c.jacobian_t[i] * c.symbols.H for c in geometry)
             )
-            result.append(left - right - contact_forces)
+            joint_forces = sp.Add(*(row.jacobian[i] * row.force for row in self.joint_rows))
+            result.append(left - right - contact_forces - joint_forces)
+        for row in self.joint_rows:
+            held = sp.Add(row.bias, *(j * a for j, a in zip(row.jacobian, self.a, strict=True)))
+            # What the other rows imply leaves its force undetermined: it is taken as zero.
+            result.append(held + row.redundant * row.force)
         return tuple(result)
+
+    @cached_property
+    def joint_rows(self) -> tuple[JointRow, ...]:
+        """What all joints hold, in the order of their declaration."""
+        at_rest = dict.fromkeys(self.a, sp.S.Zero)
+        rows: list[JointRow] = []
+        for name, joint in self.scene.joints.items():
+            here, there = self.point(joint.point), self._end(joint.to)
+            for component, one, other in zip(("X", "Y"), here, there, strict=True):
+                if component not in joint.components:
+                    continue
+                gap = one - other
+                rate = self.rate(gap)
+                rows.append(
+                    JointRow(
+                        name,
+                        component,
+                        gap,
+                        rate,
+                        self.rate(rate).xreplace(at_rest),
+                        tuple(sp.diff(gap, q) for q in self.q),
+                        sp.Symbol(f"{component}{len(rows)}", real=True),
+                        sp.diff(other, self.time),
+                        self._parameters[f"{name}.redundant_{component.lower()}"],
+                    )
+                )
+        return tuple(rows)
 
     @cached_property
     def energy(self) -> sp.Expr:
@@ -158,8 +224,9 @@ class Mechanics:
 
     @cached_property
     def power(self) -> sp.Expr:
-        """Power of the applied forces, gravity excepted."""
-        return sp.Add(*(q * v for q, v in zip(self._applied_forces, self.v, strict=True)))
+        """Power of the applied forces, gravity excepted, and of what drives joints in time."""
+        applied = (q * v for q, v in zip(self._applied_forces, self.v, strict=True))
+        return sp.Add(*applied, *(row.force * row.path_rate for row in self.joint_rows))
 
     @cached_property
     def gravity(self) -> Vector:
@@ -188,6 +255,7 @@ class Mechanics:
                 f"{name}.V": symbols.V,
                 f"{name}.H": symbols.H,
             }
+        result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
         result["energy"] = self.energy
         return result
 
@@ -277,6 +345,12 @@ class Mechanics:
         return ContactGeometry(
             point, normal, tangent, symbols, jacobian_n, jacobian_t, bias_n, bias_t
         )
+
+    def _end(self, to: Point | Path) -> Vector:
+        """Return the place that a joint holds its point to; 0 for a component it leaves free."""
+        if isinstance(to, Point):
+            return self.point(to)
+        return self._formula(to.x or 0), self._formula(to.y or 0)
 
     def _in_frame(self, surface: Surface, point: Vector) -> Vector:
         """Return a point in the frame of a surface.

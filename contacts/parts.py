@@ -1,10 +1,10 @@
-"""What a scene is made of, as declared: coordinates, bodies, surfaces, contacts, forces."""
+"""What a scene is made of: coordinates, bodies, surfaces, contacts, joints, forces."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from contacts.modes import ContactMode, Free, Pin, Slide, as_mode
 from statechart.declaration import Part
@@ -12,7 +12,18 @@ from statechart.errors import DeclarationProblem
 from statechart.fields import FormulaText
 from statechart.formula import parse
 
-__all__ = ["Body", "Contact", "Coordinate", "Force", "Pair", "Point", "Simultaneous", "Surface"]
+__all__ = [
+    "Body",
+    "Contact",
+    "Coordinate",
+    "Force",
+    "Joint",
+    "Pair",
+    "Path",
+    "Point",
+    "Simultaneous",
+    "Surface",
+]
 
 Pair = tuple[FormulaText, FormulaText]
 """Two components, along x and y."""
@@ -223,3 +234,69 @@ class Force(Part):
     force: Pair = (0, 0)
     at: Pair = (0, 0)
     moment: FormulaText = 0
+
+
+class Path(Part):
+    """A place in the world, or one component of it, as formulas of time."""
+
+    x: FormulaText | None = None
+    y: FormulaText | None = None
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if self.x is None and self.y is None:
+            raise DeclarationProblem(
+                "a path has an x, a y, or both", advice="write [0, 0] for a fixed pivot"
+            )
+        return self
+
+
+def _as_path(value: Any) -> Any:
+    """Let a path be declared as its two components."""
+    if isinstance(value, list | tuple):
+        if len(value) != 2:
+            raise DeclarationProblem(f"must be two components, not {len(value)}")
+        return {"x": value[0], "y": value[1]}
+    return value
+
+
+def _end(value: Any) -> str:
+    point = "body" in value if isinstance(value, dict) else isinstance(value, Point)
+    return "point" if point else "path"
+
+
+_End = Annotated[
+    Annotated[
+        Annotated[Point, Tag("point")] | Annotated[Path, Tag("path")],
+        Discriminator(_end),
+    ],
+    BeforeValidator(_as_path, json_schema_input_type=Point | Path | Pair),
+]
+
+
+class Joint(Part):
+    """A point of a body held to a point of another body, or to a path in the world.
+
+    It turns freely. A path without time is a fixed pivot; one with time drives the point. A path
+    with one component holds that one only.
+    """
+
+    point: Point
+    to: _End = Field(description="A point of another body, or a path: [x, y], {x: ...}, {y: ...}.")
+
+    @property
+    def components(self) -> tuple[Literal["X", "Y"], ...]:
+        """Names of the forces, one for each component that is held."""
+        if isinstance(self.to, Point) or (self.to.x is not None and self.to.y is not None):
+            return ("X", "Y")
+        return ("X",) if self.to.y is None else ("Y",)
+
+    @model_validator(mode="after")
+    def _two_bodies(self) -> Self:
+        if isinstance(self.to, Point) and self.to.body == self.point.body:
+            raise DeclarationProblem(
+                "a joint holds two bodies together",
+                advice="name another body, or write to: [x, y] for a place in the world",
+                loc=("to", "body"),
+            )
+        return self

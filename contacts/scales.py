@@ -69,6 +69,10 @@ class ScaleTape:
             geometry = mechanics.contact(name)
             lengths += [geometry.symbols.gap, *geometry.point]
             speeds += [mechanics.rate(component) for component in geometry.point]
+        for joint in scene.joints.values():
+            place = mechanics.point(joint.point)
+            lengths += place
+            speeds += [mechanics.rate(component) for component in place]
         pushes = [
             force / mechanics.mass_matrix[i, i]
             for i, force in enumerate(mechanics.generalised_forces)
@@ -79,6 +83,7 @@ class ScaleTape:
         duration = parse(end).to_sympy(known) if end is not None else sp.S.One
         points = [mechanics.body_frame(name)[0] for name in scene.bodies]
         points += [mechanics.contact(name).point for name in scene.contacts]
+        points += [mechanics.point(joint.point) for joint in scene.joints.values()]
         self._components = 2 * len(points)
         moves = [sp.diff(c, q) for q in mechanics.q for point in points for c in point]
         groups = [lengths, speeds, masses, list(mechanics.gravity), pushes, [duration], moves]

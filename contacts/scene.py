@@ -8,13 +8,24 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from contacts.parts import Body, Contact, Coordinate, Force, Pair, Point, Simultaneous, Surface
+from contacts.parts import (
+    Body,
+    Contact,
+    Coordinate,
+    Force,
+    Joint,
+    Pair,
+    Path,
+    Point,
+    Simultaneous,
+    Surface,
+)
 from statechart.declaration import TIME, Declaration, check_names
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, NameText, problem
 from statechart.formula import close_matches, parse
 
-__all__ = ["Body", "Contact", "Coordinate", "Force", "Point", "Scene", "Surface"]
+__all__ = ["Body", "Contact", "Coordinate", "Force", "Joint", "Point", "Scene", "Surface"]
 
 
 class Scene(Declaration):
@@ -23,7 +34,8 @@ class Scene(Declaration):
     Formulas of forces, stop conditions and outputs may use ``time``, the parameters, the
     coordinates (``stick.x``, ``stick.angle``, ...) and their rates (``stick.dx``, ...), and of
     every contact ``gap``, ``slip`` (tangential velocity), ``V`` and ``H`` (normal and tangential
-    force on the body), as in ``tip.V``.
+    force on the body), as in ``tip.V``, of every joint ``X`` and ``Y`` (force on the body of its
+    point).
     """
 
     kind: Literal["scene"] = "scene"
@@ -34,6 +46,7 @@ class Scene(Declaration):
     bodies: dict[NameText, Body] = Field(min_length=1)
     surfaces: dict[NameText, Surface] = Field(default={})
     contacts: dict[NameText, Contact] = Field(default={})
+    joints: dict[NameText, Joint] = Field(default={})
     forces: dict[NameText, Force] = Field(default={})
     simultaneous: Simultaneous = Field(
         default="capped",
@@ -86,7 +99,8 @@ class Scene(Declaration):
                         loc=("coordinates", name),
                         key=True,
                     )
-        for section, names in (("contacts", self.contacts), ("bodies", self.bodies)):
+        sections = {"contacts": self.contacts, "joints": self.joints, "bodies": self.bodies}
+        for section, names in sections.items():
             for name in names:
                 if name in self.parameters or name in self.coordinates:
                     raise DeclarationProblem(
@@ -95,14 +109,16 @@ class Scene(Declaration):
                         loc=(section, name),
                         key=True,
                     )
-        for name in self.contacts:
-            if name in self.bodies:
-                raise DeclarationProblem(
-                    f"{name!r} is a body already",
-                    advice="choose another name for the contact",
-                    loc=("contacts", name),
-                    key=True,
-                )
+        for what, names in (("contact", self.contacts), ("joint", self.joints)):
+            for name in names:
+                other = "body" if name in self.bodies else "contact"
+                if name in self.bodies or (what == "joint" and name in self.contacts):
+                    raise DeclarationProblem(
+                        f"{name!r} is a {other} already",
+                        advice=f"choose another name for the {what}",
+                        loc=(f"{what}s", name),
+                        key=True,
+                    )
         return self
 
     @model_validator(mode="after")
@@ -113,6 +129,11 @@ class Scene(Declaration):
         for name, surface in self.surfaces.items():
             if surface.body is not None:
                 self._member("body", surface.body, self.bodies, "surfaces", name, "body")
+        for name, joint in self.joints.items():
+            at = ("joints", name)
+            self._member("body", joint.point.body, self.bodies, *at, "point", "body")
+            if isinstance(joint.to, Point):
+                self._member("body", joint.to.body, self.bodies, *at, "to", "body")
         for name, force in self.forces.items():
             self._member("body", force.body, self.bodies, "forces", name, "body")
         for name, mode in self.modes.items():
@@ -165,6 +186,17 @@ class Scene(Declaration):
                 text = getattr(contact, key)
                 if text is not None:
                     check_names(parse(text), parameters, *at, key)
+        for name, joint in self.joints.items():
+            at = ("joints", name)
+            self._formulas(joint.point.at, parameters, *at, "point", "at")
+            if isinstance(joint.to, Path):
+                for place, key in enumerate(("x", "y")):
+                    text = getattr(joint.to, key)
+                    if text is not None:
+                        # Declared as a list or as a mapping: what it is not is skipped.
+                        check_names(parse(text), parameters | {TIME}, *at, "to", place, key)
+            else:
+                self._formulas(joint.to.at, parameters, *at, "to", "at")
         for name, force in self.forces.items():
             at = ("forces", name)
             self._formulas(force.force, self.kinematic_names, *at, "force")
@@ -204,6 +236,7 @@ class Scene(Declaration):
 
         quantities = ("gap", "slip", "V", "H")
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
+        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
         self.check_uses(
             names | {"energy"},
             {

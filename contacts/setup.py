@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from contacts.classify import ContactLaw
 from contacts.mechanics import Mechanics
-from contacts.parts import Contact
+from contacts.parts import Contact, Point
 from contacts.regions import states
 from contacts.scales import Scales, ScaleTape
 from contacts.scene import Scene
@@ -91,6 +91,9 @@ def scene_parameters(scene: Scene) -> Parameters:
         for name, body in scene.bodies.items():
             if body.inertia is not None:
                 result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
+        for name, joint in scene.joints.items():
+            # Found from the start of a run, see `contacts.joints.redundant`.
+            result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
         return result
 
     def initial(known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
@@ -106,11 +109,13 @@ def scene_parameters(scene: Scene) -> Parameters:
         return [*positions, *rates, *(lever(name, known) for name in scene.bodies)]
 
     def lever(name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
-        """Return mass times the longest arm squared of the body's contact points."""
+        """Return mass times the longest arm squared of the body's contact points and joints."""
+        points = [part.point for part in (*scene.contacts.values(), *scene.joints.values())]
+        points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
         arms = [
-            sp.Add(*(parse(text).to_sympy(known) ** 2 for text in contact.point.at))
-            for contact in scene.contacts.values()
-            if contact.point.body == name
+            sp.Add(*(parse(text).to_sympy(known) ** 2 for text in point.at))
+            for point in points
+            if point.body == name
         ]
         mass = parse(scene.bodies[name].mass).to_sympy(known)
         return mass * (sp.Max(*arms) if arms else sp.S.Zero)
@@ -144,13 +149,14 @@ class SceneNumbers:
             self._reader(name, contact) for name, contact in scene.contacts.items()
         )
         self._stops = tuple(stops)
-        contact_forces = (force for pair in mechanics.forces.values() for force in pair)
+        forces = [force for pair in mechanics.forces.values() for force in pair]
+        forces += [row.force for row in mechanics.joint_rows]
         self._stop_tape = compile_tape(
             [margin.expression for margin in stops.values()],
             variables=(*mechanics.q, *mechanics.v),
             parameters=symbols,
             time=mechanics.time,
-            definitions=[(force, sp.S.Zero) for force in contact_forces],
+            definitions=[(force, sp.S.Zero) for force in forces],
         )
         self._inertias = [(name, self._places.get(f"{name}.inertia")) for name in scene.bodies]
         self._physical: set[tuple[tuple[str, float], ...]] = set()

@@ -10,12 +10,13 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from contacts.joints import Block, JointNumbers, blocks, motions
 from contacts.kernels import INEXACT, SINGULAR, saddle
 from contacts.mechanics import Mechanics
 from statechart.errors import SingularMode
 from statechart.tape import Tape, compile_tape
 
-__all__ = ["PerContact", "Snapshot", "SnapshotTape", "solve_kkt"]
+__all__ = ["Held", "PerContact", "Snapshot", "SnapshotTape", "solve_kkt"]
 
 Array = NDArray[np.float64]
 
@@ -58,6 +59,10 @@ class PerContact(NamedTuple):
 class Snapshot:
     """A scene's numbers at one state.
 
+    Where there are joints, `n` counts the motions that they allow: mass, forces, velocity,
+    Jacobians and biases are those of the bodies held together, so that nothing that is computed
+    of them needs to know of joints.
+
     Attributes
     ----------
     mass : (n, n) array
@@ -65,7 +70,7 @@ class Snapshot:
     forces : (n,) array
         Right-hand side of ``M a = forces`` without contacts.
     velocity : (n,) array
-        Rates of the coordinates.
+        Rates of the coordinates, or of the motions.
     energy : float
         Kinetic plus gravity's.
     contacts : tuple of PerContact
@@ -73,6 +78,8 @@ class Snapshot:
     jacobians : (c, 2, n) array
     biases : (c, 2) array
         Of all contacts.
+    held : Held or None
+        None where there are no joints.
     """
 
     mass: Array
@@ -82,6 +89,38 @@ class Snapshot:
     contacts: tuple[PerContact, ...]
     jacobians: Array
     biases: Array
+    held: Held | None = None
+
+    @property
+    def whole(self) -> Snapshot:
+        """The numbers in the scene's own coordinates, as if there were no joints."""
+        return self if self.held is None else self.held.whole
+
+    def moved(self, state: Array, velocity: Array) -> Array:
+        """Return `state` (of the scene) after its velocity (n,) has jumped to `velocity`."""
+        size = len(state) // 2
+        if self.held is None:
+            return np.concatenate([state[:size], velocity])
+        change = self.held.basis @ (velocity - self.velocity)
+        return np.concatenate([state[:size], state[size:] + change])
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """The numbers of joints at one state.
+
+    Attributes
+    ----------
+    whole : Snapshot
+        As if there were no joints.
+    joints : JointNumbers
+    basis : (coordinates, motions) array
+        What the motions do to the coordinates.
+    """
+
+    whole: Snapshot
+    joints: JointNumbers
+    basis: Array
 
 
 class SnapshotTape:
@@ -109,6 +148,17 @@ class SnapshotTape:
         for geometry in contacts:
             outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
             outputs += [*geometry.point, *geometry.tangent]
+        rows = mechanics.joint_rows
+        self.joints = len(rows)
+        self._blocks: tuple[Block, ...] = blocks(
+            np.array([[j != 0 for j in row.jacobian] for row in rows], dtype=np.bool_).reshape(
+                self.joints, self.size
+            )
+        )
+        for row in rows:
+            outputs += [row.gap, row.gap_rate, row.bias, row.redundant]
+        for row in rows:
+            outputs += row.jacobian
         self.tape: Tape = compile_tape(
             outputs,
             variables=(*mechanics.q, *mechanics.v),
@@ -122,10 +172,11 @@ class SnapshotTape:
         numbers = self.tape.at(state, values, time)
         count, at = self.count, n * n + n + 1
         end = at + 2 * n * count
+        last = end + (2 + _SCALARS) * count
         jacobians = numbers[at:end].reshape(count, 2, n)
-        listed = numbers[end:].tolist()
+        listed = numbers[end:last].tolist()
         biases, scalars = listed[: 2 * count], listed[2 * count :]
-        return Snapshot(
+        whole = Snapshot(
             numbers[: n * n].reshape(n, n),
             numbers[n * n : n * n + n],
             state[n:],
@@ -143,6 +194,35 @@ class SnapshotTape:
             jacobians,
             numbers[end : end + 2 * count].reshape(count, 2),
         )
+        if not self.joints:
+            return whole
+        gaps, rates, bias, redundant = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
+        rows = numbers[last + 4 * self.joints :].reshape(self.joints, n)
+        return _held(whole, JointNumbers(gaps, rates, bias, rows, redundant != 0.0), self._blocks)
+
+
+def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[Block]) -> Snapshot:
+    """Return the numbers of the motions that joints allow."""
+    allowed = motions(joints, whole.velocity, parts)
+    basis = allowed.basis
+    mass = basis.T @ whole.mass @ basis
+    jacobians = whole.jacobians @ basis
+    biases = whole.biases + whole.jacobians @ allowed.acceleration
+    return Snapshot(
+        0.5 * (mass + mass.T),
+        basis.T @ (whole.forces - whole.mass @ allowed.acceleration),
+        allowed.left @ (whole.velocity - allowed.velocity),
+        whole.energy,
+        tuple(
+            contact._replace(bias_n=normal, bias_t=along, jacobian=jacobian)
+            for contact, jacobian, (normal, along) in zip(
+                whole.contacts, jacobians, biases.tolist(), strict=True
+            )
+        ),
+        jacobians,
+        biases,
+        Held(whole, joints, basis),
+    )
 
 
 def solve_kkt(

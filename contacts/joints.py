@@ -1,0 +1,147 @@
+"""What joints leave free: rows of coinciding points, their redundancy, and the motions they allow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Block", "JointNumbers", "Motions", "blocks", "motions", "redundant", "well_posed"]
+
+Array = NDArray[np.float64]
+
+# A row that the others imply but for this part of it is implied: a start may be this far off.
+_DEPENDENT = 1e-8
+# Singular values below this part of the largest are rounding.
+_RANK = 1e-12
+
+
+class JointNumbers(NamedTuple):
+    """Numbers of every row of the joints at a state.
+
+    Attributes
+    ----------
+    gaps, rates, biases : (m,) array
+        Point less place, its rate, and the part of its second derivative that the unknown
+        accelerations do not enter.
+    jacobian : (m, n) array
+    redundant : (m,) array of bool
+        Rows that those before them imply.
+    """
+
+    gaps: Array
+    rates: Array
+    biases: Array
+    jacobian: Array
+    redundant: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rows and coordinates that joints link; coordinates alone where no joint holds them."""
+
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """The velocities that joints allow are ``basis u + velocity``, accelerations alike.
+
+    Attributes
+    ----------
+    basis : (n, k) array
+        What the rows do not see.
+    left : (k, n) array
+        ``left @ basis`` is the identity.
+    velocity, acceleration : (n,) array
+        Particular ones: of driven points, and centripetal.
+    """
+
+    basis: Array
+    left: Array
+    velocity: Array
+    acceleration: Array
+
+
+def blocks(pattern: NDArray[np.bool_]) -> tuple[Block, ...]:
+    """Return the parts that joints link; `pattern` (m, n) is where the Jacobian has entries."""
+    count, size = pattern.shape
+    labels = list(range(size))
+    for row in pattern:
+        linked = {labels[k] for k in np.flatnonzero(row)}
+        if linked:
+            labels = [min(linked) if label in linked else label for label in labels]
+    found = []
+    for label in dict.fromkeys(labels):
+        columns = tuple(k for k in range(size) if labels[k] == label)
+        rows = tuple(i for i in range(count) if pattern[i, list(columns)].any())
+        found.append(Block(rows, columns))
+    return tuple(found)
+
+
+def redundant(jacobian: Array) -> NDArray[np.bool_]:
+    """Return which rows (m, n) those before them imply; rows without entries among them."""
+    scaled = jacobian * _scales(jacobian)
+    found = np.zeros(len(scaled), dtype=np.bool_)
+    kept = np.zeros((0, scaled.shape[1]))
+    for i, row in enumerate(scaled):
+        left = row
+        for _ in range(2):  # once more, against rounding
+            left = left - kept.T @ (kept @ left)
+        length = float(np.linalg.norm(left))
+        found[i] = length <= _DEPENDENT * float(np.linalg.norm(row))
+        if not found[i]:
+            kept = np.vstack([kept, left / length])
+    return found
+
+
+def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[Block]) -> Motions:
+    """Return what the joints allow at a state with rates `velocity` (n,)."""
+    size = len(velocity)
+    driven = numbers.rates - numbers.jacobian @ velocity
+    basis, left = [np.zeros((size, 0))], [np.zeros((0, size))]
+    particular = np.zeros((2, size))
+    for part in parts:
+        columns = list(part.columns)
+        rows = [i for i in part.rows if not numbers.redundant[i]]
+        if not rows:
+            basis.append(np.eye(size)[:, columns])
+            left.append(np.eye(size)[columns])
+            continue
+        jacobian = numbers.jacobian[np.ix_(rows, columns)]
+        scale = _scales(jacobian)
+        outer, sizes, right = np.linalg.svd(jacobian * scale)
+        seen, free = right[: len(rows)], right[len(rows) :]
+        # At a singular configuration the motion is not determined; the least one is finite.
+        inverse = np.where(sizes > _RANK * sizes[0], 1.0 / np.maximum(sizes, 1e-300), 0.0)
+        right_sides = np.array([driven[rows], numbers.biases[rows]])
+        particular[:, columns] = -((right_sides @ outer) * inverse @ seen) * scale
+        basis.append(np.zeros((size, len(free))))
+        basis[-1][columns] = (free * scale).T
+        left.append(np.zeros((len(free), size)))
+        left[-1][:, columns] = free / scale
+    return Motions(np.hstack(basis), np.vstack(left), particular[0], particular[1])
+
+
+def well_posed(rows: Array, right: Array) -> tuple[Array, Array]:
+    """Return independent rows, and right-hand sides (m, ...), with the same solutions.
+
+    Where the sides contradict each other, the least-squares ones.
+    """
+    scale = _scales(rows)
+    outer, sizes, inner = np.linalg.svd(rows * scale, full_matrices=False)
+    rank = int((sizes > _DEPENDENT * sizes[0]).sum())
+    if rank == len(rows):
+        return rows, right
+    return inner[:rank] / scale, (outer[:, :rank].T @ right) / sizes[:rank, None]
+
+
+def _scales(rows: Array) -> Array:
+    """Return powers of two (exact) that bring the columns to size 1."""
+    largest = np.abs(rows).max(axis=0, initial=0.0)
+    largest[(largest == 0.0) | ~np.isfinite(largest)] = 1.0
+    return np.ldexp(1.0, -np.frexp(largest)[1])
