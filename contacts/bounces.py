@@ -24,7 +24,7 @@ _FAST = 1e-3
 
 
 def rests_of_bounces(
-    setup: SceneSetup, snapshot: Snapshot, coordinates: Array, closed: Sequence[bool]
+    setup: SceneSetup, snapshot: Snapshot, state: Array, closed: Sequence[bool]
 ) -> dict[int, float]:
     """Return how long the further bounces take, for the contacts whose need no resolving.
 
@@ -38,7 +38,7 @@ def rests_of_bounces(
         The numbers of the run.
     snapshot : Snapshot
         Just after the impact.
-    coordinates : (n,) array
+    state : (2 n,) array
         There.
     closed : sequence of bool
         Which contacts took part in it.
@@ -58,7 +58,8 @@ def rests_of_bounces(
             continue
         # How high it bounces, against what rounding of the coordinates does to the gap.
         height = rebound**2 / (2.0 * falling)
-        rounding = _EPS * float(np.abs(contact.jacobian[0]) @ np.abs(coordinates))
+        coordinates = np.abs(state[: len(state) // 2])
+        rounding = _EPS * float(np.abs(snapshot.whole.jacobians[i, 0]) @ coordinates)
         if rebound <= setup.capture or height <= _DIGITS * rounding:
             rests[i] = 2.0 * rebound / (falling * (1.0 - e))
     return rests

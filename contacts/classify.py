@@ -187,7 +187,7 @@ def candidates(
         A `Candidate`, or (states, reason) where the combination determines no motion.
     """
     combinations, codes = _combinations(tuple(options))
-    cones = np.array([(law.cone_n, law.cone_t) for law in laws])
+    cones = np.array([(law.cone_n, law.cone_t) for law in laws], dtype=float).reshape(-1, 2)
     status, accelerations, forces, verdicts = solve_modes(
         snapshot.mass,
         snapshot.forces,
@@ -195,8 +195,8 @@ def candidates(
         snapshot.biases,
         cones,
         codes,
-        np.array(closed),
-        np.array(still),
+        np.array(closed, dtype=np.bool_),
+        np.array(still, dtype=np.bool_),
         scales.force,
         scales.acceleration,
     )
@@ -208,7 +208,7 @@ def candidates(
             found.append((states, "its equations do not determine the motion"))
             continue
         violation, contact, which, number = verdict
-        broken = (laws[int(contact)].name, int(which), number)
+        broken = (laws[int(contact)].name if laws else "", int(which), number)
         found.append(Candidate(states, accelerations[k], forces[k], violation, broken))
     return found
 
@@ -219,7 +219,7 @@ def _combinations(
 ) -> tuple[tuple[tuple[str, ...], ...], NDArray[np.int64]]:
     """Return every combination of states, in names and as the kernel numbers them."""
     combinations = tuple(product(*options))
-    return combinations, np.array([[_CODES[state] for state in s] for s in combinations])
+    return combinations, np.array([[_CODES[state] for state in s] for s in combinations], np.int64)
 
 
 def choose(

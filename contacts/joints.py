@@ -9,7 +9,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Block", "JointNumbers", "Motions", "blocks", "motions", "redundant", "well_posed"]
+__all__ = [
+    "Block",
+    "JointNumbers",
+    "Motions",
+    "blocks",
+    "column_scales",
+    "motions",
+    "redundant",
+    "well_posed",
+]
 
 Array = NDArray[np.float64]
 
@@ -85,7 +94,7 @@ def blocks(pattern: NDArray[np.bool_]) -> tuple[Block, ...]:
 
 def redundant(jacobian: Array) -> NDArray[np.bool_]:
     """Return which rows (m, n) those before them imply; rows without entries among them."""
-    scaled = jacobian * _scales(jacobian)
+    scaled = jacobian * column_scales(jacobian)
     found = np.zeros(len(scaled), dtype=np.bool_)
     kept = np.zeros((0, scaled.shape[1]))
     for i, row in enumerate(scaled):
@@ -113,7 +122,7 @@ def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[Block]) -> M
             left.append(np.eye(size)[columns])
             continue
         jacobian = numbers.jacobian[np.ix_(rows, columns)]
-        scale = _scales(jacobian)
+        scale = column_scales(jacobian)
         outer, sizes, right = np.linalg.svd(jacobian * scale)
         seen, free = right[: len(rows)], right[len(rows) :]
         # At a singular configuration the motion is not determined; the least one is finite.
@@ -132,7 +141,7 @@ def well_posed(rows: Array, right: Array) -> tuple[Array, Array]:
 
     Where the sides contradict each other, the least-squares ones.
     """
-    scale = _scales(rows)
+    scale = column_scales(rows)
     outer, sizes, inner = np.linalg.svd(rows * scale, full_matrices=False)
     rank = int((sizes > _DEPENDENT * sizes[0]).sum())
     if rank == len(rows):
@@ -140,7 +149,7 @@ def well_posed(rows: Array, right: Array) -> tuple[Array, Array]:
     return inner[:rank] / scale, (outer[:, :rank].T @ right) / sizes[:rank, None]
 
 
-def _scales(rows: Array) -> Array:
+def column_scales(rows: Array) -> Array:
     """Return powers of two (exact) that bring the columns to size 1."""
     largest = np.abs(rows).max(axis=0, initial=0.0)
     largest[(largest == 0.0) | ~np.isfinite(largest)] = 1.0

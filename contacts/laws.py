@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from contacts.bounces import rests_of_bounces
 from contacts.classify import Choice, ContactLaw, choose
+from contacts.closing import check_joints
 from contacts.mechanics import Mechanics
 from contacts.painleve import Paradox, paradoxes
 from contacts.projection import Projection, landed, on_constraints
@@ -68,6 +69,7 @@ class SceneLaws:
         self, mechanics: Mechanics, parameters: Parameters, stops: Mapping[str, Margin]
     ) -> None:
         symbols = list(parameters.symbols.values())
+        self._mechanics = mechanics
         self._modes = mechanics.scene.modes
         self._simultaneous = mechanics.scene.simultaneous
         self._paradox = mechanics.scene.paradox
@@ -88,6 +90,7 @@ class SceneLaws:
         """Return the first mode, checked against the declared one."""
         assert isinstance(setup, SceneSetup)
         state = setup.initial
+        check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
         for law, contact in zip(setup.contacts, snapshot.contacts, strict=True):
             if contact.gap < -max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"]):
@@ -238,18 +241,17 @@ class SceneLaws:
             return impacts(snapshot, laws, closed, self._simultaneous)
 
         laws, slow = setup.contacts, setup.tolerances["speed"]
-        coordinates = state[: len(snapshot.velocity)]
         result = collided(laws)
-        after = np.concatenate([coordinates, result.velocity])
+        after = snapshot.moved(state, result.velocity)
         following = self._tape.at(setup.values, after, clock.high)
-        rests = rests_of_bounces(setup, following, coordinates, closed)
+        rests = rests_of_bounces(setup, following, after, closed)
         if rests:
             laws = tuple(
                 dataclasses.replace(law, restitution=0.0) if i in rests else law
                 for i, law in enumerate(laws)
             )
             result = collided(laws)
-            after = np.concatenate([coordinates, result.velocity])
+            after = snapshot.moved(state, result.velocity)
             following = self._tape.at(setup.values, after, clock.high)
         rates = [contact.gap_rate for contact in following.contacts]
         touching = [shut and rate <= slow for shut, rate in zip(closed, rates, strict=True)]

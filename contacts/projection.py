@@ -1,4 +1,4 @@
-"""Positions and velocities brought back onto the constraints of the closed contacts."""
+"""Positions and velocities brought back onto the constraints of joints and closed contacts."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from contacts.joints import well_posed
 from contacts.mechanics import Mechanics
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
 from statechart.automaton import Projector
+from statechart.errors import NoConsistentMode
 from statechart.tape import compile_tape
 from statechart.trace import Key
 
@@ -46,6 +48,9 @@ class Projection:
             geometry = mechanics.contact(name)
             outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
             outputs += geometry.point
+        for row in mechanics.joint_rows:
+            outputs += [row.gap, row.gap_rate]
+        self._joints = tuple(row.joint for row in mechanics.joint_rows)
         self._snapshots = snapshots
         self._tape = compile_tape(
             outputs,
@@ -64,7 +69,8 @@ class Projection:
     ) -> Projector | None:
         """Return what keeps the constraints of `flow` (see `statechart.automaton.Laws`).
 
-        It leaves a state alone that is off by no more than a part of the tolerances.
+        It leaves a state alone that is off by no more than a part of the tolerances, and raises
+        `NoConsistentMode` where the joints cannot be kept together.
 
         Parameters
         ----------
@@ -80,14 +86,19 @@ class Projection:
             Of `gap` and `speed`.
         """
         closed = [(i, name == "pin") for i, name in enumerate(flow) if name != "free"]
-        if not closed:
+        if not closed and not self._joints:
             return None
         then = self._tape.at(anchor, values, start).tolist() if "pin" in flow else []
         near, slow = tolerances["gap"], tolerances["speed"]
+        held = 5 * len(flow)
+
+        def apart(now: list[float]) -> float:
+            gaps, rates = now[held::2], now[held + 1 :: 2]
+            return max(max(map(abs, gaps)) / near, max(map(abs, rates)) / slow)
 
         def project(state: Array, local: float) -> tuple[Array, float]:
             now = self._tape.at(state, values, start + local).tolist()
-            off = 0.0
+            off = apart(now) if self._joints else 0.0
             for i, pinned in closed:
                 gap, gap_rate, slip, x, y = now[5 * i : 5 * i + 5]
                 off = max(off, abs(gap) / near, abs(gap_rate) / slow)
@@ -98,10 +109,22 @@ class Projection:
             if off <= _DRIFT or not math.isfinite(off):
                 return state, 0.0
             snapshot = self._snapshots.at(values, state, start + local)
-            held = self._snapshots.at(values, anchor, start)
-            return on_constraints(flow, snapshot, state, held=held), off
+            pins = self._snapshots.at(values, anchor, start)
+            projected = on_constraints(flow, snapshot, state, held=pins)
+            if self._joints:
+                now = self._tape.at(projected, values, start + local).tolist()
+                if apart(now) > max(1.0, 0.5 * off):
+                    raise self._broken(now[held::2], start + local)
+            return projected, off
 
         return project
+
+    def _broken(self, gaps: Sequence[float], time: float) -> NoConsistentMode:
+        widest = max(range(len(gaps)), key=lambda i: abs(gaps[i]))
+        return NoConsistentMode(
+            f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all be kept at "
+            f"t = {time:.17g}: {self._joints[widest]!r} comes apart by {abs(gaps[widest]):.3g}"
+        )
 
 
 def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, float]) -> Array:
@@ -119,6 +142,10 @@ def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, 
         Of `gap` and `speed`.
     """
     near, slow = _DRIFT * tolerances["gap"], _DRIFT * tolerances["speed"]
+    if snapshot.held is not None:
+        joints = snapshot.held.joints
+        if np.abs(joints.gaps).max() > near or np.abs(joints.rates).max() > slow:
+            return on_constraints(key, snapshot, state)
     for contact, name in zip(snapshot.contacts, key, strict=True):
         off = abs(contact.gap) > near or abs(contact.gap_rate) > slow
         if name != "free" and (off or (name == "pin" and abs(contact.slip) > slow)):
@@ -149,32 +176,34 @@ def on_constraints(
     inside : sequence of bool
         Free contacts whose gap is to be closed too (a start just inside a surface).
     """
-    n = len(snapshot.velocity)
+    whole = snapshot.whole
     rows: list[Array] = []
-    off: list[float] = []
-    rates: list[float] = []
-    for i, (contact, name) in enumerate(zip(snapshot.contacts, key, strict=True)):
+    off: list[tuple[float, float]] = []
+    if snapshot.held is not None:
+        joints = snapshot.held.joints
+        for i in np.flatnonzero(~joints.redundant):
+            rows.append(joints.jacobian[i])
+            off.append((-joints.gaps[i], -joints.rates[i]))
+    for i, (contact, name) in enumerate(zip(whole.contacts, key, strict=True)):
         if name == "free" and not (inside and inside[i]):
             continue
         rows.append(contact.jacobian[0])
-        off.append(-contact.gap)
-        rates.append(-contact.gap_rate if name != "free" else 0.0)
+        off.append((-contact.gap, -contact.gap_rate if name != "free" else 0.0))
         if name == "pin":
             moved = 0.0
             if held is not None:
                 before = held.contacts[i]
                 moved = contact.tx * (contact.x - before.x) + contact.ty * (contact.y - before.y)
             rows.append(contact.jacobian[1])
-            off.append(-moved)
-            rates.append(-contact.slip)
+            off.append((-moved, -contact.slip))
     if not rows:
         return state
-    jacobian = np.array(rows)
-    count = len(rows)
+    jacobian, sides = well_posed(np.array(rows), np.array(off))
+    count = len(jacobian)
     block = np.hstack([jacobian, np.zeros((count, count))])
-    zero = np.zeros(n)
-    shift = solve_kkt(snapshot.mass, zero, block, jacobian.T, np.array(off))
-    change = solve_kkt(snapshot.mass, zero, block, jacobian.T, np.array(rates))
+    zero = np.zeros(len(whole.velocity))
+    shift = solve_kkt(whole.mass, zero, block, jacobian.T, sides[:, 0].copy())
+    change = solve_kkt(whole.mass, zero, block, jacobian.T, sides[:, 1].copy())
     if shift is None or change is None:
         return state
     return state + np.concatenate([shift[0], change[0]])

@@ -11,6 +11,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from contacts.classify import ContactLaw
+from contacts.joints import redundant
 from contacts.mechanics import Mechanics
 from contacts.parts import Contact, Point
 from contacts.regions import states
@@ -158,6 +159,15 @@ class SceneNumbers:
             time=mechanics.time,
             definitions=[(force, sp.S.Zero) for force in forces],
         )
+        rows = mechanics.joint_rows
+        self._joint_names = tuple(row.joint for row in rows)
+        self._redundant = [self._places[f"{r.joint}.redundant_{r.component.lower()}"] for r in rows]
+        self._joint_tape = compile_tape(
+            [entry for row in rows for entry in row.jacobian],
+            variables=(*mechanics.q, *mechanics.v),
+            parameters=symbols,
+            time=mechanics.time,
+        )
         self._inertias = [(name, self._places.get(f"{name}.inertia")) for name in scene.bodies]
         self._physical: set[tuple[tuple[str, float], ...]] = set()
 
@@ -178,6 +188,7 @@ class SceneNumbers:
             self._physical.add(key)
         if not all(map(math.isfinite, initial.tolist())):
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
+        values, implied = self._implied(values, initial)
         listed = values.tolist()
         contacts = tuple(read(listed) for read in self._contacts)
         scales = self._scales.at(values, initial)
@@ -193,7 +204,7 @@ class SceneNumbers:
             initial=initial,
             tolerances=tolerances,
             relative=relative,
-            warnings=warnings,
+            warnings=(*warnings, *implied),
             sizes=scales.sizes,
             horizon=_LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
@@ -214,6 +225,22 @@ class SceneNumbers:
                 values = values.copy()
                 values[place] = 0.0
         return values, tuple(warnings)
+
+    def _implied(self, values: Array, initial: Array) -> tuple[Array, tuple[str, ...]]:
+        """Mark the rows of joints that other rows imply: their forces are not determined."""
+        if not self._redundant:
+            return values, ()
+        rows = self._joint_tape.at(initial, values, 0.0).reshape(len(self._redundant), -1)
+        found = redundant(rows)
+        if not found.any():
+            return values, ()
+        values = values.copy()
+        values[self._redundant] = found
+        names = [n for n, implied in zip(self._joint_names, found.tolist(), strict=True) if implied]
+        return values, (
+            f"other joints imply {' and '.join(map(repr, dict.fromkeys(names)))}: the motion is "
+            "determined, how they share the forces is not",
+        )
 
     def _reader(self, name: str, contact: Contact) -> Callable[[Sequence[float]], ContactLaw]:
         """Return what reads a contact's coefficients off the values of a run."""

@@ -1,0 +1,277 @@
+"""Joints: pivots, linkages, loops, driven points, and what happens to them in impacts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from runs import ENGINES, engine
+
+from contacts.kind import automaton
+from contacts.mechanics import Mechanics
+from contacts.parts import Body, Contact, Coordinate, Force, Joint, Path, Point, Surface
+from contacts.scene import Scene
+from contacts.setup import cones, scene_parameters
+from contacts.testing import assert_energy
+from statechart.document import dump, read_text, validate
+from statechart.engines.taylor import Taylor
+from statechart.errors import DeclarationError, DeclarationProblem, NoConsistentMode
+from statechart.simulate import Simulator
+from statechart.testing import Subject
+from statechart.trace import Outcome, Trace
+
+# A crank of length 1, a coupler of length 2, ends on the x axis: angles at the start.
+_CRANK = 0.6
+_COUPLER = -math.asin(math.sin(_CRANK) / 2)
+
+
+def _body(x: float, y: float, angle: float = 0.0, **rates: float) -> Body:
+    return Body(mass=2, inertia=0.3, start={"x": x, "y": y, "angle": angle, **rates})
+
+
+def _run(scene: Scene, name: str = "taylor", until: float = 3.0, **parameters: float) -> Trace:
+    chosen = Taylor(1e-15) if name == "taylor" else engine(name)
+    return Simulator(automaton(scene), chosen).run(parameters, until=until)
+
+
+def _distance(scene: Scene, trace: Trace) -> float:
+    """Return how far the joints were open at most, at the ends of all steps."""
+    parameters = scene_parameters(scene)
+    mechanics = Mechanics(scene, parameters.symbols, cones(scene, parameters.symbols))
+    gaps = [row.gap for row in mechanics.joint_rows]
+    subject = Subject(scene)
+    worst = 0.0
+    for arc in trace.arcs:
+        times = arc.start.high + (arc.start.low + arc.times[:-1])
+        worst = max(worst, float(np.abs(subject.values(trace, gaps, arc.coefficients[:, :, 0], times)).max()))  # fmt: skip
+    return worst
+
+
+def _pendulum(lean: float, **more: Any) -> Scene:
+    start = _body(math.sin(lean), -math.cos(lean), lean)
+    pivot = Joint(point=Point(body="rod", at=(0, 1)), to=(0, 0))
+    return Scene(name="p", gravity=9.81, bodies={"rod": start}, joints={"pivot": pivot}, **more)
+
+
+def _double(start: tuple[float, float]) -> tuple[Scene, Scene]:
+    """Return a double pendulum of bars of length 2: by joints, and in generalised coordinates."""
+    a, b = start
+    x, y = 2 * math.sin(a), -2 * math.cos(a)
+    jointed = Scene(
+        name="double",
+        gravity=9.81,
+        bodies={
+            "upper": _body(x / 2, y / 2, a),
+            "lower": _body(x + math.sin(b), y - math.cos(b), b),
+        },
+        joints={
+            "shoulder": Joint(point=Point(body="upper", at=(0, 1)), to=(0, 0)),
+            "elbow": Joint(
+                point=Point(body="lower", at=(0, 1)), to=Point(body="upper", at=(0, -1))
+            ),
+        },
+    )
+    reduced = Scene(
+        name="double",
+        gravity=9.81,
+        coordinates={"a": Coordinate(start=a), "b": Coordinate(start=b)},
+        bodies={
+            "upper": Body(mass=2, inertia=0.3, position=("sin(a)", "-cos(a)"), angle="a"),
+            "lower": Body(
+                mass=2, inertia=0.3,
+                position=("2*sin(a) + sin(b)", "-2*cos(a) - cos(b)"), angle="b",
+            ),
+        },
+    )  # fmt: skip
+    return jointed, reduced
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_pendulum_by_a_joint_is_the_pendulum_in_its_angle(name: str) -> None:
+    lean = 0.7
+    reduced = Scene(
+        name="p",
+        gravity=9.81,
+        coordinates={"th": Coordinate(start=lean)},
+        bodies={"rod": Body(mass=2, inertia=0.3, position=("sin(th)", "-cos(th)"), angle="th")},
+    )
+    jointed = _run(_pendulum(lean), name, 5.0)
+    expected = _run(reduced, name, 5.0).final
+    assert jointed.final[[2, 5]] == pytest.approx(expected, abs=1e-11)
+    assert _distance(_pendulum(lean), jointed) < (1e-14 if name == "taylor" else 1e-11)
+
+
+def test_the_force_in_a_pivot_is_weight_and_centripetal_force() -> None:
+    scene = _pendulum(
+        0.7,
+        outputs={
+            "X": {"value": "pivot.X", "at": "end"},
+            "Y": {"value": "pivot.Y", "at": "end"},
+            "angle": {"value": "rod.angle", "at": "end"},
+            "rate": {"value": "rod.dangle", "at": "end"},
+        },
+    )
+    from statechart.observe import Observer
+    from statechart.outputs import Outputs
+
+    simulator = Simulator(automaton(scene), Taylor(1e-15))
+    found = Outputs(Observer(simulator)).of(simulator.run(until=1.3))
+    th, w, m, inertia = found["angle"], found["rate"], 2.0, 0.3
+    turning = -m * 9.81 * math.sin(th) / (m + inertia)
+    along = m * w**2 + m * 9.81 * math.cos(th)
+    across = m * turning + m * 9.81 * math.sin(th)
+    assert found["X"] == pytest.approx(across * math.cos(th) - along * math.sin(th), abs=1e-12)
+    assert found["Y"] == pytest.approx(across * math.sin(th) + along * math.cos(th), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_double_pendulum_by_joints_is_the_one_in_its_angles(name: str) -> None:
+    jointed, reduced = _double((1.0, 0.4))
+    found = _run(jointed, name, 2.0).final
+    expected = _run(reduced, name, 2.0).final
+    assert found[[2, 5, 8, 11]] == pytest.approx(expected, abs=1e-9)
+
+
+def _four_bar(**more: Any) -> Scene:
+    """Return a crank, a coupler and a rocker between pivots at x = 0 and 3."""
+    crank, ground, long, rocker = 1.0, 3.0, 2.5, 2.0
+    a = 1.0
+    x, y = crank * math.cos(a), crank * math.sin(a)
+    reach = math.hypot(ground - x, y)
+    inner = math.acos((long**2 + reach**2 - rocker**2) / (2 * long * reach))
+    b = math.atan2(-y, ground - x) + inner
+    u, v = x + long * math.cos(b), y + long * math.sin(b)
+    c = math.atan2(v, u - ground)
+    return Scene(
+        name="four_bar",
+        gravity=9.81,
+        bodies={
+            "crank": _body(x / 2, y / 2, a),
+            "coupler": _body((x + u) / 2, (y + v) / 2, b),
+            "rocker": _body((u + ground) / 2, v / 2, c),
+        },
+        joints={
+            "A": Joint(point=Point(body="crank", at=(-crank / 2, 0)), to=(0, 0)),
+            "B": Joint(
+                point=Point(body="coupler", at=(-long / 2, 0)),
+                to=Point(body="crank", at=(crank / 2, 0)),
+            ),
+            "C": Joint(
+                point=Point(body="rocker", at=(rocker / 2, 0)),
+                to=Point(body="coupler", at=(long / 2, 0)),
+            ),
+            "D": Joint(point=Point(body="rocker", at=(-rocker / 2, 0)), to=(ground, 0)),
+        },
+        **more,
+    )
+
+
+def test_a_closed_loop_keeps_its_energy_and_its_joints() -> None:
+    scene = _four_bar()
+    trace = _run(scene, until=5.0)
+    assert _distance(scene, trace) < 2e-14
+    assert_energy(*_energy_arguments(scene), trace)
+    agreed = _run(scene, "scipy", 5.0)
+    assert trace.final == pytest.approx(agreed.final, abs=1e-8)
+
+
+def _energy_arguments(scene: Scene) -> tuple[Mechanics, Subject]:
+    parameters = scene_parameters(scene)
+    return Mechanics(scene, parameters.symbols, cones(scene, parameters.symbols)), Subject(scene)
+
+
+def test_a_slider_crank_moves_as_its_closed_form() -> None:
+    # The crank is driven at its pin, so nothing is left free: the slider's place is geometry.
+    pin = (math.cos(_CRANK), math.sin(_CRANK))
+    end = pin[0] + 2 * math.cos(_COUPLER)
+    slope = -math.cos(_CRANK) / (2 * math.cos(_COUPLER))
+    turn = (-math.sin(_COUPLER), math.cos(_COUPLER))
+    rate = (-math.sin(_CRANK), math.cos(_CRANK))
+    scene = Scene(
+        name="slider",
+        bodies={
+            "coupler": _body(
+                pin[0] + math.cos(_COUPLER), pin[1] + math.sin(_COUPLER), _COUPLER,
+                dx=rate[0] + slope * turn[0], dy=rate[1] + slope * turn[1], dangle=slope,
+            ),
+        },
+        joints={
+            "pin": Joint(
+                point=Point(body="coupler", at=(-1, 0)),
+                to=(f"cos({_CRANK!r} + time)", f"sin({_CRANK!r} + time)"),
+            ),
+            "guide": Joint(point=Point(body="coupler", at=(1, 0)), to=Path(y=0)),
+        },
+    )  # fmt: skip
+    assert end == pytest.approx(scene.values().get("end", end))
+    trace = _run(scene, until=20.0)
+    angle = -math.asin(math.sin(_CRANK + 20.0) / 2)
+    assert trace.final[2] == pytest.approx(angle, abs=1e-12)
+    assert trace.final[0] == pytest.approx(math.cos(_CRANK + 20.0) + math.cos(angle), abs=1e-12)
+
+
+def test_what_drives_a_pivot_pays_for_the_energy() -> None:
+    # Kapitza's pendulum stands upright where its pivot is shaken fast enough.
+    scene = Scene(
+        name="kapitza",
+        gravity=1,
+        parameters={"w": 40, "A": 0.1},
+        bodies={"rod": Body(mass=1, inertia=0, start={"x": "sin(0.2)", "y": "cos(0.2)", "angle": "-0.2", "dy": "A*w"})},
+        joints={"pivot": Joint(point=Point(body="rod", at=(0, -1)), to=(0, "A*sin(w*time)"))},
+    )  # fmt: skip
+    trace = _run(scene, until=8.0)
+    assert_energy(*_energy_arguments(scene), trace)
+    leans = [float(np.abs(arc.coefficients[:, 2, 0]).max()) for arc in trace.arcs]
+    assert max(leans) < 0.5
+    free = _run(scene, until=8.0, A=0.0)
+    assert max(float(np.abs(arc.coefficients[:, 2, 0]).max()) for arc in free.arcs) > 2.0
+
+
+def test_a_joint_that_others_imply_changes_nothing_but_the_share_of_forces() -> None:
+    once, twice = _pendulum(0.7), _pendulum(0.7)
+    pivot = once.joints["pivot"]
+    twice = once.model_copy(update={"joints": {"pivot": pivot, "again": pivot}})
+    trace = _run(twice)
+    assert trace.final == pytest.approx(_run(once).final, abs=1e-12)
+    assert any("'again'" in warning for warning in trace.warnings)
+    assert trace.parameters["again.redundant_x"] == trace.parameters["again.redundant_y"] == 1.0
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_parallel_crank_more_than_needed(name: str) -> None:
+    # A plate on three parallel cranks: three loops of which one is redundant in every position.
+    def crank(x: float) -> Body:
+        return _body(x + math.sin(a) / 2, math.cos(a) / 2, -a)
+
+    a = 0.3
+    places = {"one": -1.0, "two": 0.0, "three": 2.0}
+    scene = Scene(
+        name="plate",
+        gravity=9.81,
+        bodies={
+            "plate": _body(math.sin(a), math.cos(a)),
+            **{name: crank(x) for name, x in places.items()},
+        },
+        joints={
+            **{
+                f"foot_{name}": Joint(point=Point(body=name, at=(0, -0.5)), to=(x, 0))
+                for name, x in places.items()
+            },
+            **{
+                f"top_{name}": Joint(
+                    point=Point(body="plate", at=(x, 0)), to=Point(body=name, at=(0, 0.5))
+                )
+                for name, x in places.items()
+            },
+        },
+    )
+    trace = _run(scene, name, 2.0)
+    assert sum(v for k, v in trace.parameters.items() if ".redundant_" in k) == 1.0
+    assert trace.final[2] == pytest.approx(0.0, abs=1e-9)
+    # One angle th: (m (1 + 3/4) + 3 I) th'' = m g (1 + 3/2) sin th, by energy.
+    th, w = -trace.final[5], -trace.final[14 + 3]
+    inertia = 2 * (1 + 3 / 4) + 3 * 0.3
+    fallen = 2 * 9.81 * 2.5 * (math.cos(a) - math.cos(th))
+    assert 0.5 * inertia * w**2 == pytest.approx(fallen, abs=1e-8)
