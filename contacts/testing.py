@@ -93,9 +93,8 @@ def assert_impulses(scene: Scene, trace: Trace) -> None:
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
-    """Check that energy, less the work of applied forces, never grows; impacts included."""
+    """Check that energy, less the work of applied forces and drives, never grows; impacts included."""
     energy, power = mechanics.energy, mechanics.power
-    driven = bool(mechanics.scene.forces)
     points: list[tuple[float, float, str]] = []  # (time, energy less work, where)
     work, size, j = 0.0, 0.0, 0
 
@@ -117,11 +116,15 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
         j = arc.j
         grid = np.concatenate([[0.0], tau, [arc.duration]])
         done = np.full(len(grid), work)
-        if driven:
+        if power != 0:
             middle, half = (grid[1:] + grid[:-1]) / 2, np.diff(grid) / 2
             nodes = (middle[:, None] + half[:, None] * _NODES).ravel()
             powers = subject.values(
-                trace, [power], arc.states(nodes), arc.start.high + (arc.start.low + nodes)
+                trace,
+                [power],
+                arc.states(nodes),
+                arc.start.high + (arc.start.low + nodes),
+                subject.mode(trace, arc),
             )
             parts = (powers.reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * half
             done[1:] += np.cumsum(parts)

@@ -275,3 +275,31 @@ def test_a_parallel_crank_more_than_needed(name: str) -> None:
     inertia = 2 * (1 + 3 / 4) + 3 * 0.3
     fallen = 2 * 9.81 * 2.5 * (math.cos(a) - math.cos(th))
     assert 0.5 * inertia * w**2 == pytest.approx(fallen, abs=1e-8)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_jointed_body_lands_as_the_same_body_in_its_angles(name: str) -> None:
+    # Two links from a pivot fall on the ground: a frictional impact, then sliding.
+    a, b = 1.2, 0.5
+    contact = {
+        "tip": Contact(
+            point=Point(body="lower", at=(0, -1)), surface="ground", friction=0.3, restitution=0.4
+        )
+    }
+    ground = {"ground": Surface(height=-2.9)}
+    scenes = [
+        scene.model_copy(update={"contacts": contact, "surfaces": ground})
+        for scene in _double((a, b))
+    ]
+    jointed, reduced = (_run(scene, name, 1.5) for scene in scenes)
+    assert [j.cause for j in jointed.jumps] == [j.cause for j in reduced.jumps]
+    assert len(jointed.jumps) > 1
+    for one, other in zip(jointed.jumps, reduced.jumps, strict=True):
+        assert one.t == pytest.approx(other.t, abs=1e-9)
+        for k in one.impulse:
+            assert one.impulse[k] == pytest.approx(other.impulse[k], rel=1e-7, abs=1e-9)
+        # What joints hold together moves together after an impact as well.
+        (x, y, th, u, v, w), (_, _, b, _, _, _) = one.after[[0, 1, 2, 6, 7, 8]], one.after[:6]
+        assert (u, v) == pytest.approx((w * math.cos(th), w * math.sin(th)), abs=1e-10)
+    assert jointed.final[[2, 5, 8, 11]] == pytest.approx(reduced.final, abs=1e-7)
+    assert_energy(*_energy_arguments(scenes[0]), jointed)
