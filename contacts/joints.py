@@ -1,4 +1,4 @@
-"""What joints leave free: rows of coinciding points, their redundancy, and the motions they allow."""
+"""What joints hold and what they leave free: rows, their redundancy, the motions they allow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Positions to equations of motion: mass matrix, forces, Jacobians of contacts and joints, by SymPy.
+"""Positions to equations of motion: mass matrix, forces, Jacobians, by SymPy.
 
 The kinetic energy of bodies whose centres and angles are expressions of coordinates q gives
 ``M(q) a + b(q, v) = Q + sum J_n^T V + J_t^T H + sum J^T X`` (contacts, joints); nothing is

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contacts.parts import Body, Contact, Force, Surface
+from contacts.parts import Body, Contact, Force, Joint, Path, Point, Surface
 from contacts.scene import Scene
 from statechart.comparison import Reading
 from statechart.declaration import TIME, Stop
@@ -163,6 +163,7 @@ class _Change:
             bodies={name: self._body(body) for name, body in old.bodies.items()},
             surfaces={name: self._surface(surface) for name, surface in old.surfaces.items()},
             contacts={name: self._contact(contact) for name, contact in old.contacts.items()},
+            joints={name: self._joint(joint) for name, joint in old.joints.items()},
             forces={name: self._force(force) for name, force in old.forces.items()},
             simultaneous=old.simultaneous,
             paradox=old.paradox,
@@ -190,6 +191,8 @@ class _Change:
         for name in old.contacts:
             found |= {f"{name}.gap": self.gap, f"{name}.slip": self.slip}
             found |= {f"{name}.V": self.normal, f"{name}.H": self.tangential}
+        for name in old.joints:
+            found |= {f"{name}.X": self.tangential, f"{name}.Y": self.normal}
         return found
 
     def _body(self, body: Body) -> Body:
@@ -234,9 +237,18 @@ class _Change:
         return text if text == 0 else _times(self._read(parse(text), self._factors), factor)
 
     def _contact(self, contact: Contact) -> Contact:
-        at = self._pair(contact.point.at)
-        point = contact.point.model_copy(update={"at": at})
-        return contact.model_copy(update={"point": point})
+        return contact.model_copy(update={"point": self._point(contact.point)})
+
+    def _point(self, point: Point) -> Point:
+        return Point(body=point.body, at=self._pair(point.at))
+
+    def _joint(self, joint: Joint) -> Joint:
+        to = joint.to
+        if isinstance(to, Point):
+            return Joint(point=self._point(joint.point), to=self._point(to))
+        x = None if to.x is None else self._displaced(to.x, self.x)
+        y = None if to.y is None else self._displaced(to.y, self.y)
+        return Joint(point=self._point(joint.point), to=Path(x=x, y=y))
 
     def _force(self, force: Force) -> Force:
         def formula(text: FormulaText, factor: float) -> FormulaText:

@@ -93,7 +93,7 @@ def assert_impulses(scene: Scene, trace: Trace) -> None:
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
-    """Check that energy, less the work of applied forces and drives, never grows; impacts included."""
+    """Check that energy, less the work of forces and drives, never grows; impacts included."""
     energy, power = mechanics.energy, mechanics.power
     points: list[tuple[float, float, str]] = []  # (time, energy less work, where)
     work, size, j = 0.0, 0.0, 0

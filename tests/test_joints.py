@@ -11,7 +11,7 @@ from runs import ENGINES, engine
 
 from contacts.kind import automaton
 from contacts.mechanics import Mechanics
-from contacts.parts import Body, Contact, Coordinate, Force, Joint, Path, Point, Surface
+from contacts.parts import Body, Contact, Coordinate, Joint, Path, Point, Surface
 from contacts.scene import Scene
 from contacts.setup import cones, scene_parameters
 from contacts.testing import assert_energy
@@ -45,7 +45,8 @@ def _distance(scene: Scene, trace: Trace) -> float:
     worst = 0.0
     for arc in trace.arcs:
         times = arc.start.high + (arc.start.low + arc.times[:-1])
-        worst = max(worst, float(np.abs(subject.values(trace, gaps, arc.coefficients[:, :, 0], times)).max()))  # fmt: skip
+        apart = subject.values(trace, gaps, arc.coefficients[:, :, 0], times)
+        worst = max(worst, float(np.abs(apart).max()))
     return worst
 
 
@@ -218,7 +219,12 @@ def test_what_drives_a_pivot_pays_for_the_energy() -> None:
         name="kapitza",
         gravity=1,
         parameters={"w": 40, "A": 0.1},
-        bodies={"rod": Body(mass=1, inertia=0, start={"x": "sin(0.2)", "y": "cos(0.2)", "angle": "-0.2", "dy": "A*w"})},
+        bodies={
+            "rod": Body(
+                mass=1, inertia=0,
+                start={"x": "sin(0.2)", "y": "cos(0.2)", "angle": "-0.2", "dy": "A*w"},
+            ),
+        },
         joints={"pivot": Joint(point=Point(body="rod", at=(0, -1)), to=(0, "A*sin(w*time)"))},
     )  # fmt: skip
     trace = _run(scene, until=8.0)
@@ -299,7 +305,132 @@ def test_a_jointed_body_lands_as_the_same_body_in_its_angles(name: str) -> None:
         for k in one.impulse:
             assert one.impulse[k] == pytest.approx(other.impulse[k], rel=1e-7, abs=1e-9)
         # What joints hold together moves together after an impact as well.
-        (x, y, th, u, v, w), (_, _, b, _, _, _) = one.after[[0, 1, 2, 6, 7, 8]], one.after[:6]
+        th, u, v, w = one.after[[2, 6, 7, 8]]
         assert (u, v) == pytest.approx((w * math.cos(th), w * math.sin(th)), abs=1e-10)
     assert jointed.final[[2, 5, 8, 11]] == pytest.approx(reduced.final, abs=1e-7)
     assert_energy(*_energy_arguments(scenes[0]), jointed)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_mirrored_and_in_other_units_linkages_move_alike(name: str) -> None:
+    from contacts.symmetry import mirrored, rescaled
+    from statechart.comparison import assert_same
+
+    scene = _four_bar(stop={"time": 2})
+    subject = Subject(scene)
+    case = subject.case({})
+    for changed, reading in (mirrored(scene), rescaled(scene)):
+        image = Subject(changed).case({}).traces[name]
+        assert_same(case.traces[name], image, case.nudged, reading=reading)
+
+
+_DOCUMENT = """\
+kind: scene
+name: held
+gravity: 9.81
+parameters: {v: 0.5}
+bodies:
+  rod: {mass: 1, inertia: 1/3, start: {dx: v}}
+  other: {mass: 1, inertia: 1/3, start: {x: 1}}
+joints:
+  hip: {point: {body: rod, at: [0, 1]}, to: {body: other, at: [-1, 1]}}
+"""
+
+
+def _read(text: str) -> Scene:
+    return validate(read_text(text), Scene)
+
+
+def test_a_joint_is_read_back_as_it_was_written() -> None:
+    scene = Scene(
+        name="held",
+        bodies={"rod": _body(0, 0), "other": _body(1, 0)},
+        joints={
+            "hip": Joint(point=Point(body="rod"), to=Point(body="other", at=(-1, 0))),
+            "crank": Joint(point=Point(body="rod"), to=("v*time", 0)),
+            "guide": Joint(point=Point(body="other"), to=Path(y=0)),
+        },
+        parameters={"v": 1},
+    )
+    assert _read(dump(scene)) == scene
+
+
+@pytest.mark.parametrize(
+    ("joint", "message"),
+    [
+        ("{point: {body: rod}, to: {body: rod}}", "holds two bodies together"),
+        ("{point: {body: rod}, to: {body: rood}}", "no body 'rood'"),
+        ("{point: {body: rod}, to: {}}", "an x, a y, or both"),
+        ("{point: {body: rod}, to: [1]}", "two components, not 1"),
+        ("{point: {body: rod}, to: [w*time, 0]}", "'w'"),
+        ("{point: {body: rod}, to: {x: rod.y}}", "'rod.y'"),
+        ("{point: {body: rod}, to: {body: other, x: 1}}", "unknown key 'x'"),
+        ("{point: {body: rod}}", "'to' is missing"),
+    ],
+)
+def test_a_joint_that_says_nothing_is_refused_with_its_place(joint: str, message: str) -> None:
+    lines = [*_DOCUMENT.splitlines()[:-1], f"  hip: {joint}"]
+    with pytest.raises(DeclarationError, match=message) as caught:
+        _read("\n".join(lines))
+    assert caught.value.line == len(lines)
+
+
+def test_names_of_joints_are_their_own() -> None:
+    with pytest.raises(DeclarationError, match="'rod' is a body already"):
+        _read(_DOCUMENT.replace("hip", "rod"))
+
+
+def _refused(text: str) -> DeclarationProblem:
+    with pytest.raises(DeclarationProblem) as caught:
+        Simulator(automaton(_read(text)), Taylor(1e-12)).run(until=1.0)
+    return caught.value
+
+
+def test_a_joint_open_at_the_start_is_named_with_the_position_that_closes_it() -> None:
+    problem = _refused(_DOCUMENT.replace("[-1, 1]", "[-1, 1.25]"))
+    assert problem.loc == ("joints", "hip")
+    assert "'hip' is open at the start: its points of 'rod' and 'other' are 0.25 apart" in str(
+        problem
+    )
+    assert "a position that closes all: " in problem.advice
+    assert "rod.y = " in problem.advice
+
+
+def test_a_loop_that_cannot_close_says_so() -> None:
+    third = "  far: {point: {body: other, at: [1, 0]}, to: [9, 0]}\n"
+    near = "  near: {point: {body: rod, at: [0, 0]}, to: [0, 0]}\n"
+    problem = _refused(_DOCUMENT + third + near)
+    assert "no position near the start closes all joints" in problem.advice
+
+
+def test_bodies_that_move_apart_at_the_start_are_told_the_rates_that_do_not() -> None:
+    problem = _refused(_DOCUMENT)
+    assert "moving apart at 0.5" in str(problem)
+    assert "velocities that it allows: " in problem.advice
+
+
+@pytest.mark.parametrize(
+    ("paths", "what"),
+    [
+        (("[time, 0]", "[0, 0]"), "velocity"),
+        (("[time**2, 0]", "[0, 0]"), "acceleration"),
+    ],
+)
+def test_joints_that_contradict_one_another_are_named(paths: tuple[str, str], what: str) -> None:
+    text = _DOCUMENT.replace("dx: v", "dx: 0")
+    for name, path in zip(("one", "two"), paths, strict=True):
+        text += f"  {name}: {{point: {{body: rod}}, to: {path}}}\n"
+    problem = _refused(text)
+    assert f"'one', 'two' contradict one another: no {what}" in str(problem)
+
+
+def test_joints_that_come_to_contradict_one_another_end_the_run() -> None:
+    text = _DOCUMENT.replace("dx: v", "dx: 0")
+    for name, path in (("one", "[time**4, 0]"), ("two", "[0, 0]")):
+        text += f"  {name}: {{point: {{body: rod}}, to: {path}}}\n"
+    simulator = Simulator(automaton(_read(text)), Taylor(1e-12))
+    trace = simulator.run(until=1.0, throw=False)
+    assert trace.outcome is Outcome.NO_CONSISTENT_MODE
+    assert "cannot all be kept" in trace.message
+    with pytest.raises(NoConsistentMode):
+        simulator.run(until=1.0)
