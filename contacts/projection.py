@@ -181,7 +181,7 @@ def on_constraints(
     off: list[tuple[float, float]] = []
     if snapshot.held is not None:
         joints = snapshot.held.joints
-        for i in np.flatnonzero(~joints.redundant):
+        for i in np.flatnonzero(~joints.redundant).tolist():
             rows.append(joints.jacobian[i])
             off.append((-joints.gaps[i], -joints.rates[i]))
     for i, (contact, name) in enumerate(zip(whole.contacts, key, strict=True)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
@@ -99,7 +99,11 @@ class Scene(Declaration):
                         loc=("coordinates", name),
                         key=True,
                     )
-        sections = {"contacts": self.contacts, "joints": self.joints, "bodies": self.bodies}
+        sections: dict[str, Iterable[str]] = {
+            "contacts": self.contacts,
+            "joints": self.joints,
+            "bodies": self.bodies,
+        }
         for section, names in sections.items():
             for name in names:
                 if name in self.parameters or name in self.coordinates:
@@ -109,8 +113,8 @@ class Scene(Declaration):
                         loc=(section, name),
                         key=True,
                     )
-        for what, names in (("contact", self.contacts), ("joint", self.joints)):
-            for name in names:
+        for what in ("contact", "joint"):
+            for name in sections[f"{what}s"]:
                 other = "body" if name in self.bodies else "contact"
                 if name in self.bodies or (what == "joint" and name in self.contacts):
                     raise DeclarationProblem(

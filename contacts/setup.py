@@ -111,7 +111,8 @@ def scene_parameters(scene: Scene) -> Parameters:
 
     def lever(name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
         """Return mass times the longest arm squared of the body's contact points and joints."""
-        points = [part.point for part in (*scene.contacts.values(), *scene.joints.values())]
+        points = [contact.point for contact in scene.contacts.values()]
+        points += [joint.point for joint in scene.joints.values()]
         points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
         arms = [
             sp.Add(*(parse(text).to_sympy(known) ** 2 for text in point.at))
