@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import sympy as sp
@@ -98,12 +99,10 @@ class ScaleTape:
     def at(self, values: Array, state: Array) -> Scales:
         """Return the scales of a run that starts at `state` (2 n,)."""
         found = self._tape.at(state, values, 0.0).tolist()
-        numbers = [abs(x) if math.isfinite(x) else 0.0 for x in found]
-        groups, at = [], 0
-        for size in self._sizes:
-            groups.append(numbers[at : at + size])
-            at += size
-        lengths, speeds, masses, gravity, pushes, (duration,), moves = groups
+        numbers = iter([abs(x) if math.isfinite(x) else 0.0 for x in found])
+        lengths, speeds, masses, gravity, pushes, (duration,), moves = (
+            list(islice(numbers, size)) for size in self._sizes
+        )
         length, speed = max(lengths, default=0.0), max(speeds, default=0.0)
         acceleration = math.hypot(*gravity) or max(pushes, default=0.0)
         if length == 0.0:
@@ -115,6 +114,6 @@ class ScaleTape:
         per = self._components
         largest = [max(moves[i : i + per]) for i in range(0, len(moves), per)]
         # A coordinate that moves no point is an angle about a centre.
-        coordinates = np.array([length / move if move > 0.0 else 1.0 for move in largest])
-        sizes = np.concatenate([coordinates, coordinates * (speed / length)])
+        coordinates = [length / move if move > 0.0 else 1.0 for move in largest]
+        sizes = np.array([*coordinates, *(size * (speed / length) for size in coordinates)])
         return Scales(length, speed, acceleration, sum(masses) * acceleration, sizes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -82,12 +83,11 @@ class Parameters:
         if given not in self._tapes:
             self._tapes[given] = self._tape(given)
         tape, inputs = self._tapes[given]
-        numbers = np.array(
-            [overrides.get(name, self._literals.get(name, np.nan)) for name in inputs]
-        )
-        found = tape.values(_NO_VARIABLES, numbers, 0.0)
+        known = {**self._literals, **overrides}
+        numbers = np.array([known[name] for name in inputs])
+        found = tape.at(_NO_VARIABLES, numbers, 0.0)
         parameters, further = found[: len(self.names)], found[len(self.names) :]
-        if np.isnan(found).any():
+        if any(map(math.isnan, found.tolist())):
             # Evaluated one by one, the formula at fault is named.
             evaluate_parameters(self._formulas, dict(overrides))
         return parameters, further

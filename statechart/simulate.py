@@ -46,7 +46,7 @@ class Simulator:
         self.engine = engine
         self.progress = progress
         self._compiled: dict[tuple[Key, frozenset[int]], CompiledMode] = {}
-        self._structural: dict[Key, frozenset[int]] = {}
+        self.path = Path()
 
     def run(
         self,
@@ -96,16 +96,16 @@ class Simulator:
 
     def compiled(self, key: Key, setup: Setup) -> CompiledMode:
         """Return the mode `key`, compiled for the parameters that are zero in `setup`."""
-        structural = self._structural.get(key)
-        if structural is None:
-            structural = self._structural[key] = self._used(key)
-        zeros = setup.zeros & structural
-        found = self._compiled.get((key, zeros))
+        found = self._compiled.get((key, setup.zeros))
         if found is None:
-            symbols = self.automaton.parameters
-            mode = build_mode(self.automaton, key, frozenset(symbols[i] for i in zeros))
-            found = compile_mode(self.engine, self.automaton, mode)
-            self._compiled[key, zeros] = found
+            # Zeros that its equations do not mention call for no mode of its own.
+            zeros = setup.zeros & self._used(key)
+            found = self._compiled.get((key, zeros))
+            if found is None:
+                symbols = self.automaton.parameters
+                mode = build_mode(self.automaton, key, frozenset(symbols[i] for i in zeros))
+                found = self._compiled[key, zeros] = compile_mode(self.engine, self.automaton, mode)
+            self._compiled[key, setup.zeros] = found
         return found
 
     def _used(self, key: Key) -> frozenset[int]:
@@ -140,7 +140,6 @@ class _Run:
     steps: int = 0
     entered: dict[Key, CompiledMode] = field(default_factory=dict)
     stalled: tuple[float, float, tuple[str, ...]] | None = None
-    path: Path = field(default_factory=Path)
 
     def __post_init__(self) -> None:
         self.flow: Flow | None = None
@@ -195,7 +194,7 @@ class _Run:
             compiled = self.simulator.compiled(flow.flow, self.setup)
             self.entered[flow.flow] = compiled
         tolerances, special = self.setup.tolerances, flow.tolerances
-        path = self.path
+        path = self.simulator.path
         reached = advance(
             self.simulator.engine,
             compiled,

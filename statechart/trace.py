@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +39,7 @@ class Outcome(Enum):
         return self in (Outcome.HORIZON, Outcome.STOPPED)
 
 
-@dataclass(frozen=True)
-class Clock:
+class Clock(NamedTuple):
     """Time as an unevaluated sum of two floats, so that long runs keep their resolution.
 
     Attributes

@@ -103,16 +103,13 @@ class Taylor(Engine):
             stepper.state[:] = state
             if stepper.parametric:
                 stepper.pars[0] = start
-                stepper.pars[1:] = parameters[stepper.used]
+                if begin is Begin.NEW:
+                    stepper.pars[1:] = parameters[stepper.used]
         if count > len(stepper.durations):
             stepper.durations = np.empty(count)
         path.room(count, *stepper.series.shape)
-        step, durations, series, now = (
-            stepper.integrator.step,
-            stepper.durations,
-            path.coefficients,
-            stepper.series,
-        )
+        step, durations = stepper.integrator.step, stepper.durations
+        series, now = path.coefficients, stepper.series
         first, left, h = path.count, duration, duration
         taken = 0
         while taken < count:
