@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import accumulate, pairwise
 
 import numpy as np
 import sympy as sp
@@ -88,7 +88,8 @@ class ScaleTape:
         self._components = 2 * len(points)
         moves = [sp.diff(c, q) for q in mechanics.q for point in points for c in point]
         groups = [lengths, speeds, masses, list(mechanics.gravity), pushes, [duration], moves]
-        self._sizes = [len(group) for group in groups]
+        ends = accumulate(map(len, groups), initial=0)
+        self._groups = [slice(begin, end) for begin, end in pairwise(ends)]
         self._tape = compile_tape(
             [expression for group in groups for expression in group],
             variables=(*mechanics.q, *mechanics.v),
@@ -99,10 +100,10 @@ class ScaleTape:
     def at(self, values: Array, state: Array) -> Scales:
         """Return the scales of a run that starts at `state` (2 n,)."""
         found = self._tape.at(state, values, 0.0).tolist()
-        numbers = iter([abs(x) if math.isfinite(x) else 0.0 for x in found])
-        lengths, speeds, masses, gravity, pushes, (duration,), moves = (
-            list(islice(numbers, size)) for size in self._sizes
-        )
+        numbers = [abs(x) if math.isfinite(x) else 0.0 for x in found]
+        lengths, speeds, masses, gravity, pushes, (duration,), moves = [
+            numbers[group] for group in self._groups
+        ]
         length, speed = max(lengths, default=0.0), max(speeds, default=0.0)
         acceleration = math.hypot(*gravity) or max(pushes, default=0.0)
         if length == 0.0:

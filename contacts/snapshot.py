@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -55,8 +54,7 @@ class PerContact(NamedTuple):
     jacobian: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Snapshot:
+class Snapshot(NamedTuple):
     """A scene's numbers at one state.
 
     Where there are joints, `n` counts the motions that they allow: mass, forces, velocity,

@@ -13,7 +13,7 @@ from statechart.compose import Mode
 from statechart.enclosure import Crossing, Search, Verdict, search
 from statechart.engine import Begin, Engine, Path
 from statechart.errors import NonFinite, SimulationError, Undecided
-from statechart.kernels import cut_steps, end_state
+from statechart.kernels import cut_steps
 from statechart.tape import Tape, compile_tape
 
 __all__ = ["Advance", "CompiledMode", "advance", "compile_mode"]
@@ -151,6 +151,7 @@ def advance(
     try:
         while reached < duration:
             path.count = kept
+            ended = np.empty(len(state))
             finished = engine.steps(
                 compiled.stepper,
                 path,
@@ -160,14 +161,13 @@ def advance(
                 end - reached,
                 count,
                 begin,
+                ended,
             )
             last = path.count
             taken = last - kept
             total += taken
             if finished:
                 path.times[last] = end
-            ended = np.empty(len(state))
-            end_state(path.coefficients, last - 1, ended)
             local = path.times.item(last)
             following, off = ended, 0.0
             if project is not None:

@@ -113,6 +113,7 @@ class Engine(ABC):
         duration: float,
         count: int,
         begin: Begin,
+        end: Array,
     ) -> bool:
         """Take up to `count` steps, and append them to `path`.
 
@@ -134,6 +135,8 @@ class Engine(ABC):
             At most so many steps.
         begin : Begin
             How `state` follows from the last call with this stepper.
+        end : (n,) array
+            Takes the state at the end of the last step.
 
         Returns
         -------

@@ -107,7 +107,7 @@ class Tape:
         if state.shape != (self.n_variables,):
             raise ValueError(f"the state has shape {state.shape}, not ({self.n_variables},)")
         self.require(parameters)
-        return tape_values(self.code, self.constants, self.outputs, state, parameters, float(time))
+        return self.at(state, parameters, float(time))
 
     def at(
         self, state: NDArray[np.float64], parameters: NDArray[np.float64], time: float
@@ -116,7 +116,9 @@ class Tape:
 
         For inner loops: nothing is checked, and a wrong shape reads beyond the arrays.
         """
-        return tape_values(self.code, self.constants, self.outputs, state, parameters, time)
+        result = np.empty(len(self.outputs))
+        tape_values(self.code, self.constants, self.outputs, state, parameters, time, result)
+        return result
 
     def table(
         self, states: ArrayLike, parameters: ArrayLike, times: ArrayLike
@@ -354,7 +356,9 @@ class _Writer:
         code = np.array([[op, 1, 2 if binary else right]], dtype=np.int32)
         nothing = np.empty(0)
         outputs = np.array([3], dtype=np.int32)
-        return float(tape_values(code, np.array(constants), outputs, nothing, nothing, 0.0)[0])
+        result = np.empty(1)
+        tape_values(code, np.array(constants), outputs, nothing, nothing, 0.0, result)
+        return result.item()
 
     def finish(self, outputs: list[int], n_variables: int, n_parameters: int) -> Tape:
         """Give registers their numbers, operations on parameters and constants first."""

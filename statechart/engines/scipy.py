@@ -65,6 +65,7 @@ class SciPy(Engine):
         duration: float,
         count: int,
         begin: Begin,
+        end: Array,
     ) -> bool:
         """Take one step: they are dear, and the constraints are projected after each."""
         assert isinstance(stepper, _Stepper)
@@ -80,7 +81,9 @@ class SciPy(Engine):
             raise NonFinite(f"the state is not finite after t = {start:.17g}")
         stepper.suggested = getattr(solver, "h_abs", None)
         h = float(solver.t - solver.t_old)
-        path.append(h, _polynomial(solver.dense_output(), h, solver.n))
+        polynomial = _polynomial(solver.dense_output(), h, solver.n)
+        path.append(h, polynomial)
+        polynomial.sum(axis=1, out=end)
         return bool(solver.status == "finished")
 
     def _solver(

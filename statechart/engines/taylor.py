@@ -95,6 +95,7 @@ class Taylor(Engine):
         duration: float,
         count: int,
         begin: Begin,
+        end: Array,
     ) -> bool:
         """Take up to `count` steps (see `Engine`)."""
         assert isinstance(stepper, _Stepper)
@@ -121,7 +122,7 @@ class Taylor(Engine):
             if h == left or not h > 0.0:
                 break
             left -= h
-        finite = append_steps(durations, taken, first, path.times, series)
+        finite = append_steps(durations, taken, first, path.times, series, end)
         if finite == 0:
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
         if h == 0.0 and left > 0.0:
