@@ -9,7 +9,6 @@ well.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -278,9 +277,7 @@ def _in_sequence(
         first = first or approach
         if len(path) >= _LONGEST_SEQUENCE or approach < _SPENT * first:
             names = ", ".join(laws[i].name for i in group)
-            rest = dataclasses.replace(
-                now, contacts=tuple(_moved(snapshot, now, i) for i in range(len(laws)))
-            )
+            rest = now._replace(contacts=tuple(_moved(snapshot, now, i) for i in range(len(laws))))
             change, given, _, _, warning, _ = _at_once(rest, laws, group, "plastic")
             endless = (
                 f"{names}: the sequence of impacts does not end; after {len(path)} the approach "
@@ -296,7 +293,7 @@ def _in_sequence(
         terms = np.maximum(terms, np.abs(result.velocity))
         impulses[i] += result.normal, result.tangential
         path.append(f"{laws[i].name} {' '.join(result.path)}")
-        now = dataclasses.replace(now, velocity=result.velocity)
+        now = now._replace(velocity=result.velocity)
     return now.velocity - snapshot.velocity, impulses, path, _raised(raised)
 
 
