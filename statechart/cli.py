@@ -107,6 +107,10 @@ def _parser() -> argparse.ArgumentParser:
         "--alternatives", action="store_true",
         help="run under the other choices of simultaneous: too, and show where that matters",
     )  # fmt: skip
+    run.add_argument(
+        "--explain", action="store_true",
+        help="of every event: what fired, the margins, what else was considered, the energy",
+    )  # fmt: skip
     run.add_argument("--output", metavar="DIR", help="write tables, data set and figure there")
     run.add_argument("--json", action="store_true", help="print one JSON object")
     modes = verb("modes", "list a model's modes, which are possible, and their transitions")

@@ -54,7 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
         progress=True,
     )
     result = runner.run(parameters, until=arguments.until, throw=False)
-    report = result.report()
+    # What was saved must be able to answer why, too.
+    report = result.report(explain=arguments.explain or arguments.output is not None)
     if arguments.alternatives:
         report["alternatives"] = _alternatives(runner, result, parameters, arguments)
     _warn(result.warnings)
@@ -68,6 +69,10 @@ def run(arguments: argparse.Namespace) -> int:
         from statechart.summary import summary
 
         print(summary(report), end="")
+        if arguments.explain:
+            from statechart.explanation import explanation
+
+            print(f"\n{explanation(report)}", end="")
     return 0 if result.trace.outcome.succeeded else 1
 
 

@@ -210,6 +210,31 @@ class Observer:
             ),
         )
 
+    def margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
+        """Return the margins of the flow that each of the jumps ended, just before it.
+
+        None where a mode that was passed in no time has singular equations.
+        """
+        values, modes = _parameters(trace), self._modes(trace)
+        found: list[dict[str, float]] = [{} for _ in jumps]
+        flows: dict[Key | None, list[int]] = {}
+        for place, jump in enumerate(jumps):
+            flow = self._flow(trace, jump.j, jump.source, ends=True)
+            flows.setdefault(flow, []).append(place)
+        for flow, places in flows.items():
+            mode = modes(flow)
+            if mode is None or not mode.margins:
+                continue
+            names = [margin.name for margin in mode.margins]
+            rows = self._tape(tuple(m.expression for m in mode.margins), mode).table(
+                np.array([jumps[place].before for place in places]),
+                values,
+                np.array([jumps[place].t for place in places]),
+            )
+            for place, row in zip(places, rows.tolist(), strict=True):
+                found[place] = dict(zip(names, row, strict=True))
+        return found
+
     def integrals(
         self,
         trace: Trace,

@@ -23,6 +23,7 @@ def report(
     *,
     error_estimate: float | None = None,
     timings: Mapping[str, float] | None = None,
+    explain: bool = False,
 ) -> dict[str, Any]:
     """Return a run as an object of dicts, lists, strings and numbers.
 
@@ -40,6 +41,8 @@ def report(
         Of the final state, where an accuracy was asked for.
     timings : mapping of str to float, optional
         What took how many seconds.
+    explain : bool
+        Give every event its `margins`: those of the mode left, at that instant.
 
     Returns
     -------
@@ -50,6 +53,10 @@ def report(
         `outputs`, `margins`, `warnings`, `counts`, `timings`, `parameters`, `tolerances`.
     """
     automaton = observer.automaton
+    events = [_event(trace, jump) for jump in trace.jumps]
+    if explain:
+        for event, values in zip(events, observer.margins(trace, trace.jumps), strict=True):
+            event["margins"] = values
     result = {
         "model": trace.name,
         "outcome": trace.outcome.name,
@@ -64,7 +71,7 @@ def report(
         "modes_declared": automaton.modes_declared,
         "modes_built": trace.counts.get("modes_built", 0),
         "modes": [dict(zip(trace.regions, key, strict=True)) for key in trace.modes],
-        "events": [_event(trace, jump) for jump in trace.jumps],
+        "events": events,
         "final": dict(zip(trace.variables, trace.final.tolist(), strict=True)),
         "outputs": outputs(observer, trace),
         "margins": margins(observer, trace),

@@ -74,7 +74,7 @@ class Result:
         """The outputs that the model declares."""
         return Outputs(self.observer).of(self.trace)
 
-    def report(self) -> dict[str, Any]:
+    def report(self, *, explain: bool = False) -> dict[str, Any]:
         """Return the run as one plain object; see `statechart.report.report`."""
         from statechart.report import report
 
@@ -83,13 +83,14 @@ class Result:
             self.trace,
             error_estimate=self.error_estimate,
             timings=self.timings,
+            explain=explain,
         )
 
     def save(self, folder: Path | str) -> tuple[str, ...]:
         """Write tables, data set and figure; see `statechart.tables.write_run`."""
         from statechart.tables import write_run
 
-        return write_run(folder, self.observer, self.trace, self.report())
+        return write_run(folder, self.observer, self.trace, self.report(explain=True))
 
 
 class Runner:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from statechart.trace import Outcome
 
-__all__ = ["summary", "table"]
+__all__ = ["change", "shown", "summary", "table"]
 
 # Of more events than twice this only the first and the last are listed.
 _SHOWN = 20
@@ -69,17 +69,27 @@ def _events(report: Mapping[str, Any]) -> str:
     if not events:
         return "no events\n"
     rows = [("t", "region", "cause", "from -> to")]
-    left_out = len(events) - 2 * _SHOWN
-    for place, event in enumerate(events):
-        if left_out > 0 and _SHOWN <= place < len(events) - _SHOWN:
-            if place == _SHOWN:
-                rows.append((f"... {left_out} more: --json or --output has all", "", "", ""))
-            continue
-        rows.append((repr(event["t"]), event["contact"] or "", event["cause"], _change(event)))
+    for event in shown(events):
+        if isinstance(event, int):
+            rows.append((f"... {event} more: --json or --output has all", "", "", ""))
+        else:
+            rows.append((repr(event["t"]), event["contact"] or "", event["cause"], change(event)))
     return table(rows)
 
 
-def _change(event: Mapping[str, Any]) -> str:
+def shown(events: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any] | int]:
+    """Yield the events that people are shown, in the place of many the number left out."""
+    left_out = len(events) - 2 * _SHOWN
+    if left_out <= 0:
+        yield from events
+        return
+    yield from events[:_SHOWN]
+    yield left_out
+    yield from events[-_SHOWN:]
+
+
+def change(event: Mapping[str, Any]) -> str:
+    """Return the states that an event changes, such as ``A: free -> pin``."""
     before, after = event["from"], event["to"]
     changed = [name for name in before if before[name] != after[name]]
     if not changed and event["contact"]:

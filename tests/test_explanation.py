@@ -1,0 +1,114 @@
+"""`run --explain`: of every jump what fired, the margins, what else was considered."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from statechart.cli import main
+from statechart.document import read_text
+from statechart.explanation import explanation
+from statechart.run import Runner
+
+BAR = """\
+kind: scene
+name: bar
+gravity: 9.81
+bodies: {bar: {mass: 1, inertia: 1/3, start: {y: 1, angle: 0.1}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  A: {point: {body: bar, at: [-1, 0]}, surface: floor, friction: 0.3, restitution: 0}
+  B: {point: {body: bar, at: [1, 0]}, surface: floor, friction: 0.3, restitution: 0}
+stop: {time: 0.45, conditions: {low: bar.y <= 0.05}}
+"""
+
+
+def test_margins_are_those_of_the_mode_left() -> None:
+    events = Runner("toppling_stick").run().report(explain=True)["events"]
+    slip, reverse, stop = events
+    assert slip["fired"] == ["tip.mu V - H"]
+    assert set(slip["margins"]) == {
+        "tip.V", "tip.mu V - H", "tip.mu V + H", "fallen", "fallen backward",
+    }  # fmt: skip
+    assert slip["margins"]["tip.mu V - H"] == pytest.approx(0.0, abs=1e-11)
+    assert slip["margins"]["tip.mu V + H"] > 0.1
+    assert set(reverse["margins"]) == {"tip.V", "tip.slip", "fallen", "fallen backward"}
+    assert stop["fired"] == ["fallen"]
+    assert stop["margins"]["fallen"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_margins_agree_with_what_the_observer_says() -> None:
+    result = Runner("toppling_stick").run()
+    events = result.report(explain=True)["events"]
+    values = result.observer.at(result.trace, ["tip.V"], result.trace.jumps, before=True)[:, 0]
+    shown = [event["margins"].get("tip.V") for event in events]
+    # Of a pin and of a slide backwards; on the cone's edge the margin is the length of the force.
+    assert shown[0] == pytest.approx(values[0], rel=1e-12)
+    mu = result.trace.parameters["mu"]
+    assert shown[1] == pytest.approx(values[1] * (1 + mu**2) ** 0.5, rel=1e-12)
+
+
+def test_without_explain_no_margins_are_evaluated() -> None:
+    events = Runner("toppling_stick").run().report()["events"]
+    assert all("margins" not in event for event in events)
+
+
+def test_margins_of_charts_and_of_what_a_zeno_sequence_holds() -> None:
+    events = Runner("bouncing_ball_chart").run().report(explain=True)["events"]
+    assert events[0]["margins"] == {"ball.bounce": pytest.approx(0.0, abs=1e-12)}
+    assert events[-1]["cause"] == "settle"
+    ball = Runner("bouncing_ball").run().report(explain=True)["events"]
+    assert all(event["margins"] for event in ball)
+    json.dumps(ball, allow_nan=False)
+
+
+def test_the_words_name_all_that_the_jump_holds() -> None:
+    report = Runner(read_text(BAR)).run().report(explain=True)
+    said = explanation(report)
+    first, last = said.split("\n\n")
+    assert first.splitlines()[0].endswith("jump 0: A touchdown, A: free -> slide+")
+    for words in ("fired       A.gap", "margins     A.gap", "B.gap", "impulse     A  normal"):
+        assert words in first
+    for event in report["events"]:
+        for verdict in event["considered"].values():
+            assert verdict in said
+    # What B does is the same in all candidates, and left out.
+    assert "  A:slide+  taken" in first
+    assert last.splitlines()[1] == "  fired    low"
+
+
+def test_of_many_events_the_first_and_the_last_are_explained() -> None:
+    report = Runner("bouncing_ball").run().report(explain=True)
+    said = explanation(report)
+    events = report["events"]
+    assert len(events) > 40
+    assert f"... {len(events) - 40} more" in said
+    assert said.count("\nt = ") + said.startswith("t = ") == 40
+
+
+def test_the_command_line_explains_and_what_it_saves_can(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bar.yaml").write_text(BAR, encoding="utf-8")
+    assert main(["run", "bar.yaml", "--explain"]) == 0
+    said = capsys.readouterr().out
+    assert "considered  A:free" in said
+    assert main(["run", "bar.yaml"]) == 0
+    assert "considered" not in capsys.readouterr().out
+    assert main(["run", "bar.yaml", "--json", "--explain"]) == 0
+    explained = json.loads(capsys.readouterr().out)
+    assert all(event["margins"] for event in explained["events"])
+    assert main(["run", "bar.yaml", "--json"]) == 0
+    assert "margins" not in json.loads(capsys.readouterr().out)["events"][0]
+    assert main(["run", "bar.yaml", "--output", "saved"]) == 0
+    saved = json.loads(Path("saved/run.json").read_text(encoding="utf-8"))
+    assert explanation(saved) == explanation(explained)
+    assert explanation(saved) in said
+
+
+def test_a_run_without_events_has_nothing_to_explain() -> None:
+    runner = Runner(read_text(BAR.replace("time: 0.45", "time: 0.1")))
+    assert explanation(runner.run().report(explain=True)) == ""
