@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         from statechart.summary import summary
 
         print(summary(report), end="")
-        if arguments.explain:
+        if arguments.explain and report["events"]:
             from statechart.explanation import explanation
 
             print(f"\n{explanation(report)}", end="")
