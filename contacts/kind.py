@@ -27,11 +27,12 @@ __all__ = ["SCENE", "automaton"]
 
 def automaton(scene: Scene) -> Automaton:
     """Compose the automaton of a scene; modes are built when a run enters them."""
+    from contacts.controllers import ControlledLaws, controller
     from contacts.laws import SceneLaws
     from contacts.mechanics import Mechanics
     from contacts.regions import region
     from contacts.setup import cones, scene_parameters
-    from statechart.automaton import Margin
+    from statechart.automaton import Laws, Margin
     from statechart.formula import parse_relation
 
     parameters = scene_parameters(scene)
@@ -52,6 +53,12 @@ def automaton(scene: Scene) -> Automaton:
     )
     forces = [symbol for pair in mechanics.forces.values() for symbol in pair]
     forces += [row.force for row in mechanics.joint_rows]
+    contact_laws = SceneLaws(mechanics, parameters, stops)
+    laws: Laws = contact_laws
+    if scene.regions:
+        regions += tuple(controller(n, r, mechanics) for n, r in scene.regions.items())
+        values = tuple(parameters.symbols.values())
+        laws = ControlledLaws(contact_laws, mechanics, values, regions)
     return Automaton(
         name=scene.name,
         declaration=scene,
@@ -66,7 +73,8 @@ def automaton(scene: Scene) -> Automaton:
         regions=regions,
         stops=stops,
         observables=observables,
-        laws=SceneLaws(mechanics, parameters, stops),
+        laws=laws,
+        controls=mechanics.controls,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
@@ -74,13 +75,19 @@ class SceneLaws:
         self._simultaneous = mechanics.scene.simultaneous
         self._paradox = mechanics.scene.paradox
         self._names = tuple(mechanics.scene.contacts)
-        self._numbers = SceneNumbers(mechanics, parameters, stops)
+        self.numbers = SceneNumbers(mechanics, parameters, stops)
         self._tape = SnapshotTape(mechanics, symbols)
         self._projection = Projection(mechanics, symbols, self._tape)
 
+    def under(self, tape: SnapshotTape) -> SceneLaws:
+        """Return the laws where forces and coefficients are those of `tape`."""
+        laws = copy.copy(self)
+        laws._tape = tape
+        return laws
+
     def setup(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
         """Evaluate parameters, initial state, scales and tolerances."""
-        return self._numbers.at(overrides, relative)
+        return self.numbers.at(overrides, relative)
 
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
         """Return the scene's numbers at a state."""

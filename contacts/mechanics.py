@@ -18,8 +18,12 @@ from contacts.parts import Body, Contact, Path, Point, Surface
 from contacts.scene import Scene
 from statechart.declaration import TIME
 from statechart.formula import parse
+from statechart.linear import Definition
 
-__all__ = ["ContactGeometry", "JointRow", "Mechanics"]
+__all__ = ["COEFFICIENTS", "ContactGeometry", "JointRow", "Mechanics"]
+
+COEFFICIENTS = ("friction", "cone_n", "cone_t")
+"""Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
 
 Vector = tuple[sp.Expr, sp.Expr]
 
@@ -97,6 +101,12 @@ class Mechanics:
         redundancies (``hip.redundant_x``) among them.
     cones : mapping
         Contact -> (cone_n, cone_t).
+
+    Attributes
+    ----------
+    controls : tuple of Symbol
+        What states of controllers set, each after those that its values use: coefficients of
+        contacts and the scene's controls.
     """
 
     def __init__(
@@ -118,10 +128,23 @@ class Mechanics:
         }
         self._cones = cones
         self._parameters = dict(parameters)
+        self._controls = scene.controlled
+        controls = {n: sp.Symbol(f"c{i}", real=True) for i, n in enumerate(self._controls.order)}
+        self._coefficients = {
+            name: sp.Symbol(f"mu{i}", real=True)
+            for i, (name, contact) in enumerate(scene.contacts.items())
+            if self._controls.region_of(contact.friction) is not None
+        }
+        self.controls = (
+            *self._coefficients.values(),
+            *(s for name in self._coefficients for s in cones[name]),
+            *controls.values(),
+        )
         rates = [scene.rate_name(name) for name in self.names]
         self._known: dict[str, sp.Expr] = {
             TIME: self.time,
             **self._parameters,
+            **controls,
             **dict(zip(self.names, self.q, strict=True)),
             **dict(zip(rates, self.v, strict=True)),
         }
@@ -243,6 +266,30 @@ class Mechanics:
             self._contacts[name] = self._geometry(name, self.scene.contacts[name])
         return self._contacts[name]
 
+    def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
+        """Return what a state of a controller sets: some of `controls`."""
+        found: dict[sp.Symbol, sp.Expr] = {}
+        for name, friction in self._coefficients.items():
+            if self._controls.region_of(self.scene.contacts[name].friction) == region:
+                for key, symbol in zip(COEFFICIENTS, (friction, *self._cones[name]), strict=True):
+                    found[symbol] = self._parameters[f"{name}.{key}.{state}"]
+        for control, text in self._controls.values(region, state).items():
+            found[self._known[control]] = self._formula(text)
+        return found
+
+    def controlled(self, states: Mapping[str, str] | None = None) -> list[Definition]:
+        """Return the values of `controls`, in order, in `states` of the controllers.
+
+        Parameters
+        ----------
+        states : mapping, optional
+            Controller -> its state; those at the start by default.
+        """
+        found: dict[sp.Symbol, sp.Expr] = {}
+        for region, state in (states or self._controls.initial).items():
+            found |= self.sets(region, state)
+        return [(symbol, found[symbol]) for symbol in self.controls]
+
     @property
     def observables(self) -> dict[str, sp.Expr]:
         """What formulas of outputs and stop conditions may use, name -> expression."""
@@ -256,6 +303,8 @@ class Mechanics:
                 f"{name}.H": symbols.H,
             }
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
+        for name, friction in self._coefficients.items():
+            result[f"{name}.friction"] = friction
         result["energy"] = self.energy
         return result
 

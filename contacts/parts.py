@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag, model_validator
 
 from contacts.modes import ContactMode, Free, Pin, Slide, as_mode
 from statechart.declaration import Part
@@ -34,8 +34,9 @@ Simultaneous = Literal["plastic", "capped", "sequential"]
 _DeclaredMode = Annotated[
     ContactMode,
     BeforeValidator(as_mode, json_schema_input_type=ContactMode | Literal["free", "slide", "pin"]),
+    PlainSerializer(lambda mode: mode.mode),
 ]
-"""A mode, or its name."""
+"""A mode, or its name; written as its name."""
 
 
 class Coordinate(Part):

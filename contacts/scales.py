@@ -95,6 +95,7 @@ class ScaleTape:
             variables=(*mechanics.q, *mechanics.v),
             parameters=parameters,
             time=mechanics.time,
+            definitions=mechanics.controlled(),
         )
 
     def at(self, values: Array, state: Array) -> Scales:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from contacts.controls import Controller, Controls
 from contacts.parts import (
     Body,
     Contact,
@@ -23,7 +24,8 @@ from contacts.parts import (
 from statechart.declaration import TIME, Declaration, check_names
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, NameText, problem
-from statechart.formula import close_matches, parse
+from statechart.formula import close_matches, parse, parse_relation
+from statechart.transitions import check_listening
 
 __all__ = ["Body", "Contact", "Coordinate", "Force", "Joint", "Point", "Scene", "Surface"]
 
@@ -58,6 +60,14 @@ class Scene(Declaration):
         description="What follows where no mode of a sliding contact agrees with the state "
         "(Painleve): an impact without collision, or the end of the run.",
     )
+    controls: dict[NameText, FormulaText] = Field(
+        default={},
+        description="What states of regions set, to be used in forces and in coefficients of "
+        "contacts: name to its value where no state sets it.",
+    )
+    regions: dict[NameText, Controller] = Field(
+        default={}, description="Controllers: regions beside the contacts."
+    )
     modes: dict[str, Literal["free", "slide", "slide+", "slide-", "pin"]] = Field(
         default={}, description="Initial modes, checked; found from the state where not given."
     )
@@ -82,8 +92,13 @@ class Scene(Declaration):
         return rubs and turns and self.paradox == "impact"
 
     @property
+    def controlled(self) -> Controls:
+        """The controls and the regions that set them."""
+        return Controls(self.controls, self.regions)
+
+    @property
     def kinematic_names(self) -> frozenset[str]:
-        """What formulas of forces may use."""
+        """What formulas of controls, and with them those of forces, may use."""
         rates = map(self.rate_name, self.variables)
         return frozenset((TIME, *self.parameters, *self.variables, *rates))
 
@@ -99,30 +114,36 @@ class Scene(Declaration):
                         loc=("coordinates", name),
                         key=True,
                     )
+        rates = map(self.rate_name, self.coordinates)
+        formula_names = {TIME, *self.parameters, *self.coordinates, *rates}
         sections: dict[str, Iterable[str]] = {
             "contacts": self.contacts,
             "joints": self.joints,
             "bodies": self.bodies,
+            "controls": self.controls,
         }
         for section, names in sections.items():
             for name in names:
-                if name in self.parameters or name in self.coordinates:
+                if name in formula_names:
                     raise DeclarationProblem(
                         f"{name!r} is declared twice",
                         advice="choose another name",
                         loc=(section, name),
                         key=True,
                     )
-        for what in ("contact", "joint"):
-            for name in sections[f"{what}s"]:
-                other = "body" if name in self.bodies else "contact"
-                if name in self.bodies or (what == "joint" and name in self.contacts):
+        taken = dict.fromkeys(self.bodies, "body")
+        for section, names in {**sections, "regions": self.regions}.items():
+            if section == "bodies":
+                continue
+            for name in names:
+                if name in taken:
                     raise DeclarationProblem(
-                        f"{name!r} is a {other} already",
-                        advice=f"choose another name for the {what}",
-                        loc=(f"{what}s", name),
+                        f"{name!r} is a {taken[name]} already",
+                        advice=f"choose another name for the {section[:-1]}",
+                        loc=(section, name),
                         key=True,
                     )
+            taken |= dict.fromkeys(names, section[:-1])
         return self
 
     @model_validator(mode="after")
@@ -152,6 +173,7 @@ class Scene(Declaration):
 
     @model_validator(mode="after")
     def _formulas_use_declared_names(self) -> Self:
+        self.controlled.check(self.kinematic_names)
         parameters = frozenset(self.parameters)
         positions = parameters | frozenset(self.coordinates)
         gravity = self.gravity if isinstance(self.gravity, tuple) else (self.gravity,)
@@ -189,7 +211,7 @@ class Scene(Declaration):
             for key in ("friction", "restitution"):
                 text = getattr(contact, key)
                 if text is not None:
-                    check_names(parse(text), parameters, *at, key)
+                    self.controlled.check_coefficient(text, parameters, *at, key)
         for name, joint in self.joints.items():
             at = ("joints", name)
             self._formulas(joint.point.at, parameters, *at, "point", "at")
@@ -201,11 +223,12 @@ class Scene(Declaration):
                         check_names(parse(text), parameters | {TIME}, *at, "to", place, key)
             else:
                 self._formulas(joint.to.at, parameters, *at, "to", "at")
+        known = self.kinematic_names | frozenset(self.controls)
         for name, force in self.forces.items():
             at = ("forces", name)
-            self._formulas(force.force, self.kinematic_names, *at, "force")
+            self._formulas(force.force, known, *at, "force")
             self._formulas(force.at, parameters, *at, "at")
-            check_names(parse(force.moment), self.kinematic_names, *at, "moment")
+            check_names(parse(force.moment), known, *at, "moment")
         return self
 
     @model_validator(mode="after")
@@ -227,12 +250,34 @@ class Scene(Declaration):
                 _bounded(values, body.inertia, ("bodies", name, "inertia"), "zero or positive")
         for name, contact in self.contacts.items():
             at = ("contacts", name)
-            if contact.friction is not None:
-                words = "zero or positive"
-                _bounded(values, contact.friction, (*at, "friction"), words, infinite=True)
-            if contact.restitution is not None:
-                words = "between 0 and 1"
-                _bounded(values, contact.restitution, (*at, "restitution"), words, most=1.0)
+            for key, words, most in (
+                ("friction", "zero or positive", math.inf),
+                ("restitution", "between 0 and 1", 1.0),
+            ):
+                text: FormulaText | None = getattr(contact, key)
+                if text is None:
+                    continue
+                for state, known in self._in_states(text, values):
+                    where = f"{words}{state}"
+                    infinite = key == "friction"
+                    _bounded(known, text, (*at, key), where, most=most, infinite=infinite)
+
+    def _in_states(
+        self, text: FormulaText, values: Mapping[str, float]
+    ) -> Iterator[tuple[str, Mapping[str, float]]]:
+        """Yield the values that a contact's coefficient may see, and in which state."""
+        controls = self.controlled
+        region = controls.region_of(text)
+        if region is None:
+            yield "", values
+            return
+        for state in self.regions[region].states:
+            set_ = controls.values(region, state)
+            used = parse(text).names.intersection(set_)
+            yield (
+                f" in state {state!r} of {region!r}",
+                {**values, **{name: parse(set_[name]).value(values) for name in used}},
+            )
 
     @model_validator(mode="after")
     def _uses_exist(self) -> Self:
@@ -241,17 +286,21 @@ class Scene(Declaration):
         quantities = ("gap", "slip", "V", "H")
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
-        self.check_uses(
-            names | {"energy"},
-            {
-                c: {*states(x), *(s.rstrip("+-") for s in states(x))}
-                for c, x in self.contacts.items()
-            },
-            {
-                c: {edge.cause for edge in edges(x, jams=self.jams(c))}
-                for c, x in self.contacts.items()
-            },
-        )
+        names |= {"energy", *self.controls}
+        found = {
+            c: {*states(x), *(s.rstrip("+-") for s in states(x))} for c, x in self.contacts.items()
+        } | {name: set(region.states) for name, region in self.regions.items()}
+        causes = {
+            c: {edge.cause for edge in edges(x, jams=self.jams(c))}
+            for c, x in self.contacts.items()
+        } | {name: {t.name for t in region.transitions} for name, region in self.regions.items()}
+        self.check_uses(names, found, causes)
+        for name, region in self.regions.items():
+            check_listening(name, region.transitions, causes, found)
+            for index, transition in enumerate(region.transitions):
+                if transition.guard is not None:
+                    loc = ("regions", name, "transitions", index, "guard")
+                    check_names(parse_relation(transition.guard), names, *loc)
         return self
 
     @staticmethod

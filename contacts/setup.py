@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from contacts.classify import ContactLaw
 from contacts.joints import redundant
-from contacts.mechanics import Mechanics
+from contacts.mechanics import COEFFICIENTS, Mechanics
 from contacts.parts import Contact, Point
-from contacts.regions import states
+from contacts.regions import states as states_of
 from contacts.scales import Scales, ScaleTape
 from contacts.scene import Scene
 from statechart.automaton import Margin, Setup
 from statechart.errors import DeclarationProblem
+from statechart.fields import FormulaText
 from statechart.formula import parse
 from statechart.parameters import Parameters
 from statechart.tape import compile_tape
@@ -26,6 +27,8 @@ from statechart.tape import compile_tape
 __all__ = ["SceneNumbers", "SceneSetup", "cones", "scene_parameters"]
 
 Array = NDArray[np.float64]
+
+_Reader = Callable[[Sequence[float]], ContactLaw]
 
 # Force margins may fall below zero by this much of the force scale before a mode is left: the
 # size of rounding in a solved mode, with room; entering asks for half of it (hysteresis).
@@ -64,12 +67,15 @@ class SceneSetup(Setup):
 def cones(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, tuple[sp.Expr, sp.Expr]]:
     """Return (cone_n, cone_t) per contact: symbols, or numbers where nothing is to be known."""
     result: dict[str, tuple[sp.Expr, sp.Expr]] = {}
-    for name, contact in scene.contacts.items():
+    for i, (name, contact) in enumerate(scene.contacts.items()):
         if contact.friction is None:
             # Without slide a pin holds whatever it takes (no-slip); free needs no cone at all.
             result[name] = (sp.S.Zero, sp.S.One)
         elif contact.frictionless:
             result[name] = (sp.S.One, sp.S.Zero)
+        elif scene.controlled.region_of(contact.friction) is not None:
+            # What states set; their values are parameters (see `COEFFICIENTS`).
+            result[name] = (sp.Symbol(f"n{i}", real=True), sp.Symbol(f"m{i}", real=True))
         else:
             result[name] = (known[f"{name}.cone_n"], known[f"{name}.cone_t"])
     return result
@@ -77,18 +83,35 @@ def cones(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, tuple[sp.Ex
 
 def scene_parameters(scene: Scene) -> Parameters:
     """Return the scene's parameters, the contacts' coefficients, and the initial state."""
+    controls = scene.controlled
+
+    def states(
+        text: FormulaText, known: Mapping[str, sp.Symbol]
+    ) -> Iterator[tuple[str, Mapping[str, sp.Expr]]]:
+        """Yield what a coefficient may use, and in which state of the region that sets it."""
+        region = controls.region_of(text)
+        if region is None:
+            yield "", known
+            return
+        for state in scene.regions[region].states:
+            set_ = controls.values(region, state)
+            used = parse(text).names.intersection(set_)
+            yield f".{state}", {**known, **{n: parse(set_[n]).to_sympy(known) for n in used}}
 
     def derived(known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
         result: dict[str, sp.Expr] = {}
         for name, contact in scene.contacts.items():
             if contact.friction is not None and not contact.frictionless:
-                mu = parse(contact.friction).to_sympy(known)
-                # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
-                result[f"{name}.friction"] = mu
-                result[f"{name}.cone_n"] = 1 / sp.sqrt(1 + mu**2)
-                result[f"{name}.cone_t"] = 1 / sp.sqrt(1 + (1 / mu) ** 2)
+                for state, names in states(contact.friction, known):
+                    mu = parse(contact.friction).to_sympy(names)
+                    # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
+                    edge = (1 / sp.sqrt(1 + mu**2), 1 / sp.sqrt(1 + (1 / mu) ** 2))
+                    for key, value in zip(COEFFICIENTS, (mu, *edge), strict=True):
+                        result[f"{name}.{key}{state}"] = value
             if contact.restitution is not None:
-                result[f"{name}.restitution"] = parse(contact.restitution).to_sympy(known)
+                for state, names in states(contact.restitution, known):
+                    value = parse(contact.restitution).to_sympy(names)
+                    result[f"{name}.restitution{state}"] = value
         for name, body in scene.bodies.items():
             if body.inertia is not None:
                 result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
@@ -147,9 +170,7 @@ class SceneNumbers:
         self._parameters = parameters
         self._places = {name: i for i, name in enumerate(parameters.names)}
         self._scales = ScaleTape(mechanics, symbols)
-        self._contacts = tuple(
-            self._reader(name, contact) for name, contact in scene.contacts.items()
-        )
+        self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
         self._stops = tuple(stops)
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [row.force for row in mechanics.joint_rows]
@@ -158,7 +179,7 @@ class SceneNumbers:
             variables=(*mechanics.q, *mechanics.v),
             parameters=symbols,
             time=mechanics.time,
-            definitions=[(force, sp.S.Zero) for force in forces],
+            definitions=[*mechanics.controlled(), *((force, sp.S.Zero) for force in forces)],
         )
         rows = mechanics.joint_rows
         self._joint_names = tuple(row.joint for row in rows)
@@ -190,8 +211,6 @@ class SceneNumbers:
         if not all(map(math.isfinite, initial.tolist())):
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         values, implied = self._implied(values, initial)
-        listed = values.tolist()
-        contacts = tuple(read(listed) for read in self._contacts)
         scales = self._scales.at(values, initial)
         margins = self._stop_tape.at(initial, values, 0.0).tolist()
         tolerances = {
@@ -209,7 +228,7 @@ class SceneNumbers:
             sizes=scales.sizes,
             horizon=_LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
-            contacts=contacts,
+            contacts=self.contacts(values),
             capture=math.sqrt(max(relative, _ROUNDING)) * scales.speed,
             stops={n: _ROUNDING * abs(v) for n, v in zip(self._stops, margins, strict=True)},
         )
@@ -243,10 +262,39 @@ class SceneNumbers:
             "determined, how they share the forces is not",
         )
 
-    def _reader(self, name: str, contact: Contact) -> Callable[[Sequence[float]], ContactLaw]:
+    def contacts(
+        self, values: Array, states: Mapping[str, str] | None = None
+    ) -> tuple[ContactLaw, ...]:
+        """Return the contacts' laws.
+
+        Parameters
+        ----------
+        values : (p,) array
+            Of the parameters.
+        states : mapping, optional
+            Controller -> its state; those at the start by default.
+        """
+        states = states or self._scene.controlled.initial
+        key = tuple(states.values())
+        if key not in self._readers:
+            self._readers[key] = tuple(
+                self._reader(name, contact, states)
+                for name, contact in self._scene.contacts.items()
+            )
+        listed = values.tolist()
+        return tuple(read(listed) for read in self._readers[key])
+
+    def _reader(self, name: str, contact: Contact, states: Mapping[str, str]) -> _Reader:
         """Return what reads a contact's coefficients off the values of a run."""
-        region_states = states(contact)
-        n, t, e = (self._places.get(f"{name}.{k}") for k in ("cone_n", "cone_t", "restitution"))
+        region_of = self._scene.controlled.region_of
+
+        def place(key: str, text: FormulaText | None) -> int | None:
+            region = region_of(text)
+            return self._places.get(f"{name}.{key}" + (f".{states[region]}" if region else ""))
+
+        region_states = states_of(contact)
+        n, t = (place(key, contact.friction) for key in ("cone_n", "cone_t"))
+        e = place("restitution", contact.restitution)
         # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `cones`.
         fixed = (1.0, 0.0) if contact.frictionless else (0.0, 1.0)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -103,6 +103,31 @@ class Snapshot(NamedTuple):
         change = self.held.basis @ (velocity - self.velocity)
         return np.concatenate([state[:size], state[size:] + change])
 
+    def solved(self, accelerations: Array, forces: Array) -> tuple[Array, Array]:
+        """Return what a solution means for the scene: accelerations and forces of joints.
+
+        Parameters
+        ----------
+        accelerations : (n,) array
+            Of the coordinates, or of the motions.
+        forces : (c, 2) array
+            V and H of the contacts.
+
+        Returns
+        -------
+        (coordinates,) array, (joint rows,) array
+            Those of redundant rows are taken as zero.
+        """
+        if self.held is None:
+            return accelerations, np.zeros(0)
+        whole = self.whole
+        full = self.held.basis @ accelerations + self.held.drift
+        left = whole.mass @ full - whole.forces - np.einsum("ckn,ck->n", whole.jacobians, forces)
+        needed = ~self.held.joints.redundant
+        found = np.zeros(len(needed))
+        found[needed] = np.linalg.lstsq(self.held.joints.jacobian[needed].T, left)[0]
+        return full, found
+
 
 @dataclass(frozen=True, eq=False)
 class Held:
@@ -115,11 +140,14 @@ class Held:
     joints : JointNumbers
     basis : (coordinates, motions) array
         What the motions do to the coordinates.
+    drift : (coordinates,) array
+        How the coordinates accelerate where the motions do not.
     """
 
     whole: Snapshot
     joints: JointNumbers
     basis: Array
+    drift: Array
 
 
 class SnapshotTape:
@@ -131,9 +159,16 @@ class SnapshotTape:
         The scene's equations.
     parameters : sequence of Symbol
         In the order of the values.
+    states : mapping, optional
+        Controller -> its state; those at the start by default.
     """
 
-    def __init__(self, mechanics: Mechanics, parameters: Sequence[sp.Symbol]) -> None:
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        parameters: Sequence[sp.Symbol],
+        states: Mapping[str, str] | None = None,
+    ) -> None:
         self.size = len(mechanics.q)
         self.count = len(mechanics.scene.contacts)
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *mechanics.generalised_forces]
@@ -163,6 +198,7 @@ class SnapshotTape:
             variables=(*mechanics.q, *mechanics.v),
             parameters=parameters,
             time=mechanics.time,
+            definitions=mechanics.controlled(states),
         )
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
@@ -220,7 +256,7 @@ def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[Block]) -> Snap
         ),
         jacobians,
         biases,
-        Held(whole, joints, basis),
+        Held(whole, joints, basis, allowed.acceleration),
     )
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from contacts.controls import Controller, ControlState
 from contacts.parts import Body, Contact, Force, Joint, Path, Point, Surface
 from contacts.scene import Scene
 from statechart.comparison import Reading
@@ -165,6 +166,11 @@ class _Change:
             contacts={name: self._contact(contact) for name, contact in old.contacts.items()},
             joints={name: self._joint(joint) for name, joint in old.joints.items()},
             forces={name: self._force(force) for name, force in old.forces.items()},
+            # Controls keep their values: what their unit is only the formulas say that use them.
+            controls={
+                name: self._read(parse(text), self._factors) for name, text in old.controls.items()
+            },
+            regions={name: self._controller(region) for name, region in old.regions.items()},
             simultaneous=old.simultaneous,
             paradox=old.paradox,
             stop=Stop(
@@ -263,6 +269,21 @@ class _Change:
             at=self._pair(force.at),
             moment=formula(force.moment, self.moment),
         )
+
+    def _controller(self, region: Controller) -> Controller:
+        states = {
+            name: ControlState(
+                sets={c: self._read(parse(text), self._factors) for c, text in state.sets.items()}
+            )
+            for name, state in region.states.items()
+        }
+        transitions = [
+            t
+            if t.guard is None
+            else t.model_copy(update={"guard": self._read(parse_relation(t.guard), self._factors)})
+            for t in region.transitions
+        ]
+        return region.model_copy(update={"states": states, "transitions": tuple(transitions)})
 
     def _pair(self, pair: tuple[FormulaText, FormulaText]) -> tuple[FormulaText, FormulaText]:
         return _times(pair[0], self.x), _times(pair[1], self.y)

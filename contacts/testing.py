@@ -21,7 +21,7 @@ from contacts.symmetry import mirrored, rescaled
 from statechart.comparison import Reading, assert_same
 from statechart.formula import parse
 from statechart.testing import Case, Property, Subject, dense
-from statechart.trace import Arc, Trace
+from statechart.trace import Arc, Key, Trace
 
 __all__ = [
     "assert_cone",
@@ -57,10 +57,9 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that V >= 0 and |H| <= mu V wherever a contact is closed."""
-    edges = _edges(scene, trace)
     for arc, times, forces in _forces(scene, subject, trace):
-        assert arc.flow is not None
-        for k, (name, state) in enumerate(zip(scene.contacts, arc.flow, strict=True)):
+        edges = _edges(scene, trace, arc.mode)
+        for k, (name, state) in enumerate(_states(scene, arc)):
             if state == "free":
                 continue
             V, H = forces[:, 2 * k], forces[:, 2 * k + 1]
@@ -73,16 +72,15 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that a contact that is free has no force."""
     for arc, times, forces in _forces(scene, subject, trace):
-        assert arc.flow is not None
-        for k, (name, state) in enumerate(zip(scene.contacts, arc.flow, strict=True)):
+        for k, (name, state) in enumerate(_states(scene, arc)):
             if state == "free" and (forces[:, 2 * k : 2 * k + 2] != 0.0).any():
                 raise AssertionError(f"{name} is free at t = {times[0]:.17g} and has a force")
 
 
 def assert_impulses(scene: Scene, trace: Trace) -> None:
     """Check that impulses push, and stay in the cone of friction."""
-    edges = _edges(scene, trace)
     for jump in trace.jumps:
+        edges = _edges(scene, trace, jump.source)
         for name, (normal, tangential) in jump.impulse.items():
             n, t = edges[name]
             allowed = 100.0 * _ROUNDING * math.hypot(normal, tangential)
@@ -229,13 +227,30 @@ def _forces(scene: Scene, subject: Subject, trace: Trace) -> Iterator[tuple[Arc,
             yield arc, times, subject.values(trace, expressions, arc.states(tau), times, mode)
 
 
-def _edges(scene: Scene, trace: Trace) -> dict[str, tuple[float, float]]:
-    """Return the cone's unit edge (1, mu) / hypot(1, mu) of every contact."""
+def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
+    """Yield every contact with its mode."""
+    assert arc.flow is not None
+    return zip(scene.contacts, arc.flow, strict=False)  # controllers follow
+
+
+def _edges(scene: Scene, trace: Trace, mode: Key) -> dict[str, tuple[float, float]]:
+    """Return the cone's unit edge (1, mu) / hypot(1, mu) of every contact in a mode."""
     values = {name: trace.parameters[name] for name in scene.parameters}
+    states = dict(zip(trace.regions, mode, strict=True))
     result = {}
     for name, contact in scene.contacts.items():
         # Without friction declared the contact does not slide, whatever that takes.
-        mu = math.inf if contact.friction is None else parse(contact.friction).value(values)
+        mu = math.inf
+        if contact.friction is not None:
+            used = parse(contact.friction).names.intersection(scene.controls)
+            set_ = {
+                control: text
+                for region in scene.regions
+                for control, text in scene.controlled.values(region, states[region]).items()
+                if control in used
+            }
+            known = {c: parse(text).value(values) for c, text in set_.items()}
+            mu = parse(contact.friction).value({**values, **known})
         result[name] = (
             (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu))
         )

@@ -80,11 +80,14 @@ class State:
         What an event of the state is the fall of.
     invariants : tuple of Margin
         What its declaration asserts besides; for checks of a trace, no run looks at them.
+    values : mapping
+        What the state sets: some of the automaton's controls -> expressions without unknowns.
     """
 
     equations: tuple[sp.Expr, ...] = ()
     margins: tuple[Margin, ...] = ()
     invariants: tuple[Margin, ...] = ()
+    values: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -200,6 +203,8 @@ class Flow:
     terms : (n, k) array or None
         What each variable was summed from when the last flow ended; None before the first. Kept
         by the executor.
+    pending : mapping
+        Region -> the jumps of this instant that it has yet to hear of. None outlasts the instant.
     """
 
     mode: Key
@@ -210,6 +215,7 @@ class Flow:
     held: Mapping[str, Clock] = field(default_factory=dict)
     tolerances: Mapping[str, float] = field(default_factory=dict)
     terms: NDArray[np.float64] | None = None
+    pending: Mapping[str, tuple[Jump, ...]] = field(default_factory=dict)
 
     @property
     def sizes(self) -> NDArray[np.float64] | None:
@@ -306,6 +312,9 @@ class Automaton:
         Initial mode, jumps, projection.
     idle : bool
         True where an unknown that no state sets is zero (a chart's variable without a flow).
+    controls : tuple of Symbol
+        What the states of regions set (`State.values`), in an order in which each value uses
+        only those before it. In every mode exactly one state sets each.
     """
 
     name: str
@@ -323,6 +332,7 @@ class Automaton:
     observables: Mapping[str, sp.Expr]
     laws: Laws
     idle: bool = False
+    controls: tuple[sp.Symbol, ...] = ()
 
     @property
     def modes_total(self) -> int:

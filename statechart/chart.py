@@ -10,6 +10,7 @@ from statechart.declaration import TIME, Declaration, Part, check_names
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, Label, NameText, RelationText, problem
 from statechart.formula import close_matches, parse, parse_relation
+from statechart.transitions import BaseTransition, check_listening, check_region
 
 __all__ = ["Chart", "Region", "State", "Transition"]
 
@@ -25,28 +26,20 @@ class State(Part):
     )
 
 
-class Transition(Part):
-    """A way from one state of a region to another (or the same), and what it sets."""
+class Transition(BaseTransition):
+    """A transition of a chart, and what it sets.
 
-    name: NameText
-    source: str = Field(alias="from")
-    target: str = Field(alias="to")
-    guard: RelationText | None = Field(default=None, description="Fires when this becomes true.")
-    on: Literal["zeno"] | None = Field(
-        default=None, description="Fires where jumps out of the state accumulate."
-    )
+    ``on: zeno`` waits for no other region: it fires where jumps out of the state accumulate.
+    """
+
     updates: dict[str, FormulaText] = Field(
         default={}, description="Variable to its new value, of the values before the jump."
     )
 
-    @model_validator(mode="after")
-    def _one_trigger(self) -> Self:
-        if (self.guard is None) == (self.on is None):
-            raise DeclarationProblem(
-                f"transition {self.name!r} needs a guard or an on, and not both",
-                advice="write guard: x <= 0, or on: zeno",
-            )
-        return self
+    @property
+    def on_zeno(self) -> bool:
+        """Whether the accumulation of jumps out of the state fires it."""
+        return self.on == "zeno"
 
 
 class Region(Part):
@@ -57,31 +50,8 @@ class Region(Part):
     transitions: tuple[Transition, ...] = ()
 
     @model_validator(mode="after")
-    def _states_exist(self) -> Self:
-        named: list[tuple[str, tuple[str | int, ...]]] = [(self.initial, ("initial",))]
-        for index, transition in enumerate(self.transitions):
-            named.append((transition.source, ("transitions", index, "from")))
-            named.append((transition.target, ("transitions", index, "to")))
-        for state, loc in named:
-            if state not in self.states:
-                raise DeclarationProblem(
-                    f"no state {state!r}", advice=close_matches(state, self.states), loc=loc
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _transitions_differ(self) -> Self:
-        seen: set[tuple[str, str, str]] = set()
-        for index, transition in enumerate(self.transitions):
-            edge = (transition.name, transition.source, transition.target)
-            if edge in seen:
-                raise DeclarationProblem(
-                    f"a second transition {transition.name!r} from {transition.source!r} "
-                    f"to {transition.target!r}",
-                    advice="give it another name",
-                    loc=("transitions", index, "name"),
-                )
-            seen.add(edge)
+    def _consistent(self) -> Self:
+        check_region(self.initial, self.states, self.transitions)
         return self
 
 
@@ -139,14 +109,11 @@ class Chart(Declaration):
                 for name, update in transition.updates.items():
                     self._check_variable(name, *at, "updates", name)
                     check_names(parse(update), names, *at, "updates", name)
-        self.check_uses(
-            names,
-            {name: region.states for name, region in self.regions.items()},
-            {
-                name: {transition.name for transition in region.transitions}
-                for name, region in self.regions.items()
-            },
-        )
+        states = {name: region.states for name, region in self.regions.items()}
+        causes = {name: {t.name for t in r.transitions} for name, r in self.regions.items()}
+        for name, declared in self.regions.items():
+            check_listening(name, declared.transitions, causes, states, alone=("zeno",))
+        self.check_uses(names, states, causes)
         return self
 
     @model_validator(mode="after")

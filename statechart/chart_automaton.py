@@ -1,21 +1,14 @@
-"""A plain chart on the executor: regions from flows and guards, and when transitions fire.
+"""A plain chart on the executor: regions from flows and guards, updates, Zeno transitions.
 
-A transition fires at the instant its guard becomes true, and at once where its state is entered
-with the guard true. On the guard's boundary, within the rounding of the state, the way the margin
-goes in the entered state decides: a ball at x = 0 that rises does not bounce again on ``x <= 0``,
-one that is about to fall does; where the margin stays at zero the relation itself decides, so that
-``n >= 3`` fires at n = 3 and ``n > 3`` does not.
-
-Transitions due at one instant are taken one after another, each judged by the state that those
-before it left: regions in their order, in a region the first one declared. A transition that leads
-back to its own state and changes nothing would fire for ever; it is the limit of shrinking jumps,
-and the state's transition ``on: zeno``, if it has one, takes its place.
+When transitions fire: see `statechart.firing`. A transition that leads back to its own state and
+changes nothing would fire for ever; it is the limit of shrinking jumps, and the state's transition
+``on: zeno``, if it has one, takes its place.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +20,8 @@ from statechart.chart import Chart, Transition
 from statechart.chart import Region as DeclaredRegion
 from statechart.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
-from statechart.formula import Relation, parse, parse_relation
+from statechart.firing import Guard, Listening, Watch, guards
+from statechart.formula import parse, parse_relation
 from statechart.parameters import Parameters
 from statechart.tape import Tape, compile_tape
 from statechart.trace import Clock, Jump, Key
@@ -39,9 +33,6 @@ Array = NDArray[np.float64]
 
 # A value summed from terms is off by a few units in the last place of the largest of them.
 _ROUNDING = 64.0 * float(np.finfo(float).eps)
-# Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts
-# at zero and rises from there with slope zero undecided.
-_UNDERFLOW = 1e-290
 
 
 def automaton(chart: Chart) -> Automaton:
@@ -58,6 +49,7 @@ def automaton(chart: Chart) -> Automaton:
         The unknowns are one rate for each variable; a rate that no state sets is zero.
     """
     symbols = _Symbols(chart)
+    regions = tuple(_region(name, region, symbols) for name, region in chart.regions.items())
     return Automaton(
         name=chart.name,
         declaration=chart,
@@ -69,13 +61,13 @@ def automaton(chart: Chart) -> Automaton:
         unknowns=tuple(symbols.rates.values()),
         rates=tuple(symbols.rates.values()),
         equations=(),
-        regions=tuple(_region(name, region, symbols) for name, region in chart.regions.items()),
+        regions=regions,
         stops={
             label: Margin(label, parse_relation(text).margin(symbols.known))
             for label, text in chart.stop.conditions.items()
         },
         observables=symbols.known,
-        laws=ChartLaws(chart, symbols),
+        laws=ChartLaws(chart, symbols, regions),
         idle=True,
     )
 
@@ -112,8 +104,8 @@ def _region(name: str, declared: DeclaredRegion, symbols: _Symbols) -> Region:
                 for variable, flow in content.flows.items()
             ),
             tuple(
-                Margin(margin, relation.margin(symbols.known))
-                for margin, relation, _ in _guards(name, declared, state)
+                Margin(guard.margin, guard.relation.margin(symbols.known))
+                for guard in guards(0, name, declared.transitions, state)
             ),
             tuple(
                 Margin(f"{name}.{label}", -parse_relation(text).margin(symbols.known))
@@ -127,107 +119,14 @@ def _region(name: str, declared: DeclaredRegion, symbols: _Symbols) -> Region:
 
 
 def _edge(transition: Transition) -> Edge:
+    waited = "jumps accumulate" if transition.on_zeno else f"on {transition.on}"
     return Edge(
         transition.name,
         transition.source,
         transition.target,
-        transition.guard or "jumps accumulate",
+        transition.guard or waited,
         ", ".join(f"{name} := {update}" for name, update in transition.updates.items()),
-        on_zeno=transition.on == "zeno",
-    )
-
-
-def _guards(
-    name: str, declared: DeclaredRegion, state: str
-) -> list[tuple[str, Relation, Transition]]:
-    """Return the guards out of `state`, with names for their margins that differ."""
-    found = [
-        (transition, parse_relation(transition.guard))
-        for transition in declared.transitions
-        if transition.source == state and transition.guard is not None
-    ]
-    names = [transition.name for transition, _ in found]
-    return [
-        (
-            f"{name}.{transition.name}"
-            + (f" to {transition.target}" if names.count(transition.name) > 1 else ""),
-            relation,
-            transition,
-        )
-        for transition, relation in found
-    ]
-
-
-@dataclass(frozen=True, eq=False)
-class _Guard:
-    """A guard of a mode: where it stands, and what it leads to."""
-
-    place: int
-    margin: str
-    strict: bool
-    transition: Transition
-
-
-class _Watch:
-    """The guards of one mode, evaluated together at an instant.
-
-    Parameters
-    ----------
-    flow : Key
-        The mode; regions that are held have no guards.
-    """
-
-    def __init__(self, chart: Chart, symbols: _Symbols, flow: Key) -> None:
-        flows: dict[sp.Symbol, sp.Expr] = {}
-        relations: list[Relation] = []
-        guards: list[_Guard] = []
-        for place, ((name, region), state) in enumerate(
-            zip(chart.regions.items(), flow, strict=True)
-        ):
-            if state == HELD:
-                continue
-            for variable, text in region.states[state].flows.items():
-                flows[symbols.variables[variable]] = parse(text).to_sympy(symbols.known)
-            for margin, relation, transition in _guards(name, region, state):
-                relations.append(relation)
-                guards.append(_Guard(place, margin, relation.operator in "<>", transition))
-        self.guards = tuple(guards)
-        sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in symbols.variables.values()}
-        outputs: list[sp.Expr] = []
-        for relation in relations:
-            margin = relation.margin(symbols.known)
-            first = _along(margin, flows, symbols.time)
-            size = sum(
-                (abs(_slope(margin, v)) * sizes[v] for v in sizes if v in margin.free_symbols),
-                start=abs(relation.left.to_sympy(symbols.known))
-                + abs(relation.right.to_sympy(symbols.known)),
-            )
-            outputs += [margin, first, _along(first, flows, symbols.time), size]
-        self._tape = compile_tape(
-            outputs,
-            variables=(*symbols.variables.values(), *sizes.values()),
-            parameters=tuple(symbols.parameters.symbols.values()),
-            time=symbols.time,
-        )
-
-    def at(self, setup: Setup, state: Array, sizes: Array, time: float) -> Array:
-        """Return (g, 4): margin, its first and second derivative in time, size of its terms."""
-        found = self._tape.values(np.concatenate([state, sizes]), setup.values, time)
-        return found.reshape(-1, 4)
-
-
-def _slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
-    """Differentiate; at the kinks of abs, sign, min and max by one side or their mean."""
-    found = sp.diff(expression, symbol)
-    return found.replace(sp.DiracDelta, lambda *_: sp.S.Zero).replace(
-        sp.Heaviside, lambda x, *_: (1 + sp.sign(x)) / 2
-    )
-
-
-def _along(expression: sp.Expr, flows: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol) -> sp.Expr:
-    return sum(
-        (_slope(expression, v) * flow for v, flow in flows.items() if v in expression.free_symbols),
-        start=_slope(expression, time),
+        on_zeno=transition.on_zeno,
     )
 
 
@@ -240,20 +139,33 @@ class ChartLaws:
         As declared.
     symbols : _Symbols
         Its variables, parameters and time.
+    regions : sequence of Region
+        Its regions, composed.
     """
 
-    def __init__(self, chart: Chart, symbols: _Symbols) -> None:
+    def __init__(self, chart: Chart, symbols: _Symbols, regions: Sequence[Region]) -> None:
         self._chart = chart
         self._symbols = symbols
         self._regions = tuple(chart.regions)
-        self._watches: dict[Key, _Watch] = {}
-        self._updates: dict[int, Tape] = {}
+        self._watches: dict[Key, Watch] = {}
+        self._updates: dict[tuple[int, int], Tape] = {}
+        self._listening = Listening(
+            regions,
+            {
+                name: [
+                    (index, transition.source, transition.events)
+                    for index, transition in enumerate(region.transitions)
+                    if transition.on is not None and not transition.on_zeno
+                ]
+                for name, region in chart.regions.items()
+            },
+        )
 
     @cached_property
-    def _zeno(self) -> tuple[Mapping[str, Transition], ...]:
-        """Per region: state -> its transition on: zeno; the first declared of several."""
+    def _zeno(self) -> tuple[Mapping[str, int], ...]:
+        """Per region: state -> place of its transition on: zeno; the first of several."""
         return tuple(
-            {t.source: t for t in reversed(region.transitions) if t.on == "zeno"}
+            {t.source: i for i, t in reversed(list(enumerate(region.transitions))) if t.on_zeno}
             for region in self._chart.regions.values()
         )
 
@@ -283,33 +195,40 @@ class ChartLaws:
         fired: tuple[str, ...],
     ) -> tuple[Jump, Flow] | None:
         """Take the first transition that is due; see the module for which are."""
+        pending = flow.pending
         if fired == ("zeno",):
-            region = min(flow.held, key=lambda name: between(clock, flow.held[name]))
-            place = self._regions.index(region)
-            transition = self._zeno[place][flow.mode[place]]
+            name = min(flow.held, key=lambda name: between(clock, flow.held[name]))
+            place = self._regions.index(name)
+            index = self._zeno[place][flow.mode[place]]
         else:
-            found = self._due(setup, clock, flow, state, fired)
-            if found is None:
+            watch = self._watch(flow.flow)
+            rows = watch.at(setup, state, _sizes(flow, state), clock.high)
+            guarded = watch.due(rows, flow.tolerances, fired)
+            firing = self._listening.first(self._regions, flow.mode, pending, guarded)
+            if firing is None:
                 return None
-            place, transition = found
-        after = self._updated(setup, clock, transition, state)
-        if transition.source == transition.target and (after == state).all():
-            limit = self._zeno[place].get(transition.source)
+            place, index, pending = firing.place, firing.transition, firing.pending
+        name = self._regions[place]
+        transitions = self._chart.regions[name].transitions
+        after = self._updated(setup, clock, place, index, state)
+        if transitions[index].source == transitions[index].target and (after == state).all():
+            limit = self._zeno[place].get(transitions[index].source)
             if limit is not None:
-                transition, after = limit, self._updated(setup, clock, limit, state)
-        region = self._regions[place]
-        target = (*flow.mode[:place], transition.target, *flow.mode[place + 1 :])
-        held = {name: end for name, end in flow.held.items() if name != region}
+                index, after = limit, self._updated(setup, clock, place, limit, state)
+        taken = transitions[index]
+        target = (*flow.mode[:place], taken.target, *flow.mode[place + 1 :])
+        jump = Jump(clock.high, j, name, taken.name, flow.mode, target, state, after, fired)
+        held = {region: end for region, end in flow.held.items() if region != name}
         following = replace(
             flow,
             mode=target,
             flow=tuple(
-                HELD if name in held else now
-                for name, now in zip(self._regions, target, strict=True)
+                HELD if region in held else now
+                for region, now in zip(self._regions, target, strict=True)
             ),
             held=held,
+            pending=self._listening.heard(replace(flow, pending=pending), jump),
         )
-        jump = Jump(clock.high, j, region, transition.name, flow.mode, target, state, after, fired)
         return jump, self._with_tolerances(setup, clock, following, after)
 
     def accumulate(
@@ -318,6 +237,14 @@ class ChartLaws:
         """Hold the region until the accumulation, where it says what follows then."""
         jump = jumps[-1]
         place = self._regions.index(jump.region)
+        edge = (jump.cause, jump.source[place], jump.target[place])
+        waiting = [
+            t
+            for t in self._chart.regions[jump.region].transitions
+            if t.guard is None and not t.on_zeno
+        ]
+        if any((t.name, t.source, t.target) == edge for t in waiting):
+            return None  # what it waits for accumulates, and is recognised there
         if jump.target[place] not in self._zeno[place]:
             if any(past.target[place] in self._zeno[place] for past in jumps):
                 return None  # its jumps accumulate as well, and are recognised there
@@ -335,53 +262,47 @@ class ChartLaws:
     def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> None:
         """Return nothing: a chart has no constraints."""
 
-    def _due(
-        self, setup: Setup, clock: Clock, flow: Flow, state: Array, fired: Sequence[str]
-    ) -> tuple[int, Transition] | None:
-        watch = self._watch(flow.flow)
-        rows = watch.at(setup, state, _sizes(flow, state), clock.high)
-        for guard, (margin, first, second, _) in zip(watch.guards, rows, strict=True):
-            tolerance = flow.tolerances[guard.margin]
-            if margin < -tolerance:
-                return guard.place, guard.transition
-            rate = first if first != 0.0 else second
-            if guard.margin in fired:
-                # What was found is a fall, or a touch too close to tell: then it must not rise.
-                if not rate > 0.0:
-                    return guard.place, guard.transition
-            elif margin <= tolerance and (rate < 0.0 or (rate == 0.0 and not guard.strict)):
-                return guard.place, guard.transition
-        return None
-
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
         watch = self._watch(flow.flow)
         rows = watch.at(setup, state, _sizes(flow, state), clock.high)
         if np.isnan(rows[:, 0]).any():
             place = int(np.flatnonzero(np.isnan(rows[:, 0]))[0])
             raise NonFinite(f"the guard of {watch.guards[place].margin} has no value")
-        sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0)
-        return replace(
-            flow,
-            tolerances={
-                guard.margin: max(_ROUNDING * float(size), _UNDERFLOW)
-                for guard, size in zip(watch.guards, sizes, strict=True)
-            },
-        )
+        return replace(flow, tolerances=watch.tolerances(rows, _ROUNDING))
 
-    def _watch(self, flow: Key) -> _Watch:
-        found = self._watches.get(flow)
-        if found is None:
-            found = self._watches[flow] = _Watch(self._chart, self._symbols, flow)
-        return found
+    def _watch(self, flow: Key) -> Watch:
+        """Return the guards of a mode; regions that are held have none."""
+        if flow not in self._watches:
+            known, variables = self._symbols.known, self._symbols.variables
+            watched: list[Guard] = []
+            rates: dict[sp.Symbol, sp.Expr] = {}
+            for place, (state, (name, region)) in enumerate(
+                zip(flow, self._chart.regions.items(), strict=True)
+            ):
+                if state == HELD:
+                    continue
+                for variable, text in region.states[state].flows.items():
+                    rates[variables[variable]] = parse(text).to_sympy(known)
+                watched += guards(place, name, region.transitions, state)
+            self._watches[flow] = Watch(
+                watched,
+                known,
+                rates,
+                inputs=tuple(variables.values()),
+                parameters=tuple(self._symbols.parameters.symbols.values()),
+                time=self._symbols.time,
+            )
+        return self._watches[flow]
 
-    def _updated(self, setup: Setup, clock: Clock, transition: Transition, state: Array) -> Array:
+    def _updated(self, setup: Setup, clock: Clock, place: int, index: int, state: Array) -> Array:
+        transition = self._chart.regions[self._regions[place]].transitions[index]
         if not transition.updates:
             return state
-        tape = self._updates.get(id(transition))
+        tape = self._updates.get((place, index))
         if tape is None:
             known = self._symbols.known
             updates = transition.updates
-            tape = self._updates[id(transition)] = compile_tape(
+            tape = self._updates[place, index] = compile_tape(
                 [
                     parse(updates[name]).to_sympy(known) if name in updates else symbol
                     for name, symbol in self._symbols.variables.items()

@@ -28,7 +28,7 @@ class Mode:
     key : Key
         State of every region.
     definitions : tuple of (Symbol, Expr)
-        Straight-line program for the unknowns.
+        Straight-line program for the controls and the unknowns.
     rates : tuple of Expr
         d/dt of every variable.
     margins : tuple of Margin
@@ -60,7 +60,15 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
         If the equations leave an unknown free whatever the numbers are.
     """
     states = [region.build(state) for region, state in zip(automaton.regions, key, strict=True)]
-    substitution = dict.fromkeys(zeros, sp.S.Zero)
+    substitution: dict[sp.Symbol, sp.Expr] = dict.fromkeys(zeros, sp.S.Zero)
+    values = {control: value for state in states for control, value in state.values.items()}
+    controls = []
+    for control in automaton.controls:
+        value = values[control].xreplace(substitution)
+        controls.append((control, value))
+        if value.is_Atom:
+            # What is zero, or the same as something else, must show before solving.
+            substitution[control] = value
     equations = [
         equation.xreplace(substitution)
         for equation in (*automaton.equations, *(e for s in states for e in s.equations))
@@ -71,7 +79,7 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
     margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
     return Mode(
         key,
-        solve_linear(equations, automaton.unknowns),
+        (*controls, *solve_linear(equations, automaton.unknowns)),
         tuple(rate.xreplace(substitution) for rate in automaton.rates),
         tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins),
     )

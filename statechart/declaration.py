@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -44,7 +44,9 @@ __all__ = [
     "Settings",
     "Stop",
     "Value",
+    "check_event",
     "check_names",
+    "parse_events",
 ]
 
 TIME = "time"
@@ -75,7 +77,14 @@ class Moment:
     events: tuple[Event, ...] = ()
 
 
-def _parse_events(text: str) -> tuple[Event, ...]:
+def parse_events(text: str) -> tuple[Event, ...]:
+    """Return the events of a text such as ``tip.slip or tip.reverse``.
+
+    Raises
+    ------
+    DeclarationProblem
+        If it is not one.
+    """
     events = []
     for part in text.split(" or "):
         match = _EVENT.fullmatch(part.strip())
@@ -94,7 +103,7 @@ def _parse_moment(text: str) -> Moment:
         case ["start" | "end" as when]:
             return Moment(when)
         case ["first" | "last" | "each" as when, events]:
-            return Moment(when, _parse_events(events))
+            return Moment(when, parse_events(events))
     raise DeclarationProblem(
         f"{text!r} is not a moment",
         advice="write start, end, first CAUSE, last CAUSE or each CAUSE; CAUSE or CAUSE also",
@@ -102,7 +111,7 @@ def _parse_moment(text: str) -> Moment:
 
 
 def _checked_event(text: str) -> str:
-    _parse_events(text)
+    parse_events(text)
     return text
 
 
@@ -147,7 +156,7 @@ class Count(Part):
     @property
     def events(self) -> tuple[Event, ...]:
         """What is counted."""
-        return _parse_events(self.count)
+        return parse_events(self.count)
 
 
 class Minimum(Part):
@@ -321,20 +330,30 @@ class Declaration(Part):
             match output:
                 case Value():
                     check_names(parse(output.value), names, *loc, "value")
-                    for event in output.moment.events:
-                        _check_event(event, causes, states, *loc, "at")
+                    self._check_events(output.moment.events, causes, states, *loc, "at")
                 case Integral():
                     check_names(parse(output.integral), names, *loc, "integral")
                     for region, state in output.during.items():
                         _check_member("region", region, states, *loc, "during", region)
                         _check_member("state", state, states[region], *loc, "during", region)
                 case Count():
-                    for event in output.events:
-                        _check_event(event, causes, states, *loc, "count")
+                    self._check_events(output.events, causes, states, *loc, "count")
                 case Minimum():
                     check_names(parse(output.minimum), names, *loc, "minimum")
                 case Maximum():
                     check_names(parse(output.maximum), names, *loc, "maximum")
+
+    @staticmethod
+    def _check_events(
+        events: Sequence[Event],
+        causes: Mapping[str, Collection[str]],
+        states: Mapping[str, Collection[str]],
+        *loc: str,
+    ) -> None:
+        for event in events:
+            # Runs stop, not regions.
+            if event != Event(None, "stop"):
+                check_event(event, causes, states, *loc)
 
 
 def check_names(formula: Formula | Relation, known: Collection[str], *loc: str | int) -> None:
@@ -360,20 +379,36 @@ def check_names(formula: Formula | Relation, known: Collection[str], *loc: str |
         raise problem(error, *loc) from None
 
 
-def _check_event(
+def check_event(
     event: Event,
     causes: Mapping[str, Collection[str]],
     states: Mapping[str, Collection[str]],
-    *loc: str,
+    *loc: str | int,
 ) -> None:
+    """Check that an event can happen.
+
+    Parameters
+    ----------
+    event : Event
+        What was written.
+    causes, states : mapping
+        Region -> causes of its jumps, its states.
+    *loc : str or int
+        Where it stands, from the validated value down.
+
+    Raises
+    ------
+    DeclarationProblem
+        If it cannot.
+    """
     if event.region is not None:
         _check_member("region", event.region, causes, *loc)
         known = {*causes[event.region], *states[event.region]}
     else:
         known = set().union(*causes.values())
-    _check_member("cause or state", event.cause, {"stop", *known}, *loc)
+    _check_member("cause or state", event.cause, known, *loc)
 
 
-def _check_member(what: str, name: str, known: Collection[str], *loc: str) -> None:
+def _check_member(what: str, name: str, known: Collection[str], *loc: str | int) -> None:
     if name not in known:
         raise DeclarationProblem(f"no {what} {name!r}", advice=close_matches(name, known), loc=loc)

@@ -64,7 +64,9 @@ class Observer:
     def __init__(self, simulator: Simulator) -> None:
         self.simulator = simulator
         self._expressions: dict[str | int | float, sp.Expr] = {}
-        self._unknowns = frozenset(simulator.automaton.unknowns)
+        automaton = simulator.automaton
+        # What a mode solves for, or sets.
+        self._unknowns = frozenset((*automaton.unknowns, *automaton.controls))
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
         self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None], Tape] = {}
         self._actives: dict[tuple[Key, tuple[_Where, ...], tuple[sp.Expr, ...]], _Active] = {}

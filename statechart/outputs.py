@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from statechart.declaration import Count, Event, Integral, Maximum, Minimum, Value
+from statechart.events import happened
 from statechart.observe import Observer
 from statechart.trace import Jump, Trace
 
@@ -97,22 +98,9 @@ class Outputs:
     def _jumps(self, trace: Trace, events: tuple[Event, ...]) -> list[Jump]:
         """Return the jumps that are one of `events`: by their cause, or by the state entered."""
         regions = self.observer.automaton.regions
-
-        def entered(jump: Jump, event: Event) -> bool:
-            if event.region is None:
-                return False
-            place = trace.regions.index(event.region)
-            before, after = jump.source[place], jump.target[place]
-            declared = regions[place].declared
-            return (after == event.cause != before) or (
-                declared(after) == event.cause != declared(before)
-            )
-
-        def matches(jump: Jump, event: Event) -> bool:
-            caused = jump.cause == event.cause and event.region in (None, jump.region)
-            return caused or entered(jump, event)
-
-        return [jump for jump in trace.jumps if any(matches(jump, event) for event in events)]
+        return [
+            jump for jump in trace.jumps if any(happened(regions, jump, event) for event in events)
+        ]
 
 
 def outputs(observer: Observer, trace: Trace) -> dict[str, Result]:

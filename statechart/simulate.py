@@ -113,7 +113,8 @@ class Simulator:
         automaton = self.automaton
         parts = list(automaton.equations) + list(automaton.rates)
         for region, name in zip(automaton.regions, key, strict=True):
-            parts += region.build(name).equations
+            state = region.build(name)
+            parts += (*state.equations, *state.values.values())
         used: set[sp.Symbol] = set().union(*(part.free_symbols for part in parts))
         return frozenset(i for i, symbol in enumerate(automaton.parameters) if symbol in used)
 

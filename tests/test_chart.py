@@ -386,3 +386,103 @@ def test_margins_of_transitions_with_one_name_differ() -> None:
     names = [margin.name for margin in chart.regions[0].build("a").margins]
     assert names == ["r.go to b", "r.go to c"]
     assert run(chart, TAYLOR, 3.0).final_mode == ("b",)
+
+
+@both
+def test_a_transition_fires_at_the_event_of_another_region(engine: Engine) -> None:
+    tick = {"name": "tick", "on": "saw.reset", "updates": {"n": "n + 1"}}
+    chart = compose(
+        {"x": 0, "n": 0},
+        {
+            # Declared first, but the event comes first.
+            "counter": region(
+                {"even": {}, "odd": {}},
+                {**tick, "from": "even", "to": "odd"},
+                {**tick, "from": "odd", "to": "even"},
+            ),
+            "saw": region({"rise": {"x": "1"}}, go("rise", "rise", "x >= 1", "reset", x="0")),
+        },
+    )
+    trace = run(chart, engine, 3.5)
+    found = [(jump.t, jump.region) for jump in trace.jumps]
+    assert [name for _, name in found] == ["saw", "counter"] * 3
+    assert [t for t, _ in found] == pytest.approx([1, 1, 2, 2, 3, 3], abs=1e-11)
+    assert trace.final[1] == 3
+
+
+def test_events_of_an_instant_are_heard_one_by_one_in_their_order() -> None:
+    def once(name: str) -> dict[str, Any]:
+        return region({"a": {}, "b": {}}, go("a", "b", "t >= 1", name))
+
+    def waiting(*events: str) -> dict[str, Any]:
+        states = [f"s{i}" for i in range(len(events) + 1)]
+        return region(
+            {state: {} for state in states},
+            *(
+                {"name": "hear", "from": states[i], "to": states[i + 1], "on": event}
+                for i, event in enumerate(events)
+            ),
+        )
+
+    chart = compose(
+        {"t": 0},
+        {
+            "clock": region({"run": {"t": "1"}}),
+            "one": once("ping"),
+            "two": once("pong"),
+            "both": waiting("one.ping", "two.pong"),
+            "reverse": waiting("two.pong", "one.ping"),
+            "any": waiting("ping or pong", "one.b or two.b"),
+            "chain": waiting("both.s2"),
+        },
+    )
+    trace = run(chart, TAYLOR, 2.0)
+    # What passed before a state was entered is not heard in it.
+    final = dict(zip(trace.regions, trace.final_mode, strict=True))
+    assert final == {
+        "clock": "run", "one": "b", "two": "b",
+        "both": "s2", "reverse": "s1", "any": "s2", "chain": "s1",
+    }  # fmt: skip
+    assert len({jump.t for jump in trace.jumps}) == 1
+
+
+def test_answers_to_bounces_that_accumulate_are_no_zeno_sequence_of_their_own() -> None:
+    chart = compose(
+        {"x": 1, "v": 0, "n": 0},
+        {
+            "ball": region(
+                {"flight": {"x": "v", "v": "-10"}, "rest": {}},
+                go("flight", "flight", "x <= 0", "bounce", x="0", v="-v/2"),
+                {"name": "settle", "from": "flight", "to": "rest", "on": "zeno"},
+            ),
+            "counter": region(
+                {"on": {}},
+                {"name": "tick", "from": "on", "to": "on", "on": "bounce", "updates": {"n": "n+1"}},
+            ),
+        },
+    )
+    trace = run(chart, TAYLOR, 5.0)
+    bounces = sum(jump.cause == "bounce" for jump in trace.jumps)
+    assert trace.final_mode == ("rest", "on")
+    assert trace.final[2] == bounces > 10
+
+
+@pytest.mark.parametrize(
+    ("on", "words"),
+    [
+        ("one.ping", "waits for an event of its own"),
+        ("two.pang", "no cause or state 'pang'"),
+        ("three.ping", "no region 'three'"),
+        ("zeno or two.go", "no cause or state 'zeno'"),
+    ],
+)
+def test_events_that_cannot_happen_are_refused(on: str, words: str) -> None:
+    waits = {"name": "ping", "from": "a", "to": "b", "on": on}
+    with pytest.raises(ValueError, match=words):
+        compose(
+            {"t": 0},
+            {
+                "one": region({"a": {}, "b": {}}, waits),
+                "two": region({"a": {}, "b": {}}, go("a", "b", "t >= 1")),
+            },
+        )

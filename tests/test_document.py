@@ -208,7 +208,7 @@ def test_positions_are_those_of_the_text() -> None:
         ("guard: x <= 0", "guard: x + 0", "14:60", "a comparison is missing"),
         ("guard: x <= 0", "guard: x <= 0, on: zeno", "14:7", "a guard or an on, and not both"),
         ("guard: x <= 0, ", "", "14:7", "needs a guard or an on"),
-        ("on: zeno", "on: zen", "15:50", "must be 'zeno', not 'zen'"),
+        ("on: zeno", "on: zen", "15:50", "no cause or state 'zen'; did you mean 'zeno'?"),
         ("{v: -k*v}", "{w: -k*v}", "14:73", "no variable 'w'"),
         ("time: 10", "time: -10", "16:14", "must not be negative"),
         ("time: 10", "time: x", "16:14", "unknown name 'x'"),

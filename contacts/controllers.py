@@ -1,0 +1,309 @@
+"""Controllers on the executor: a scene's own regions beside its contacts, and their jumps.
+
+Contacts are classified from the state first; then the controllers are asked in the order of their
+declaration (`statechart.firing`). A controller that changes state changes forces and coefficients,
+never the motion, and the contacts are classified again at that instant: a push may make a pinned
+foot slip there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from contacts.classify import Candidate, candidates
+from contacts.controls import Controller, Transition
+from contacts.laws import SceneLaws
+from contacts.mechanics import Mechanics
+from contacts.setup import SceneSetup
+from contacts.snapshot import SnapshotTape
+from statechart.automaton import Edge, Flow, Margin, Projector, Region, Setup, State
+from statechart.firing import Guard, Listening, Watch, guards
+from statechart.trace import Clock, Jump, Key
+
+__all__ = ["ControlledLaws", "controller"]
+
+Array = NDArray[np.float64]
+
+
+def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:
+    """Return the region of a controller."""
+
+    def build(state: str) -> State:
+        known = mechanics.observables
+        return State(
+            margins=tuple(
+                Margin(guard.margin, guard.relation.margin(known))
+                for guard in guards(0, name, declared.transitions, state)
+            ),
+            values=mechanics.sets(name, state),
+        )
+
+    # The first state is where a region starts.
+    states = sorted(declared.states, key=lambda state: state != declared.initial)
+    sets = {state: mechanics.scene.controlled.values(name, state) for state in states}
+
+    def edge(transition: Transition) -> Edge:
+        before, after = sets[transition.source], sets[transition.target]
+        changed = [control for control in after if after[control] != before[control]]
+        return Edge(
+            transition.name,
+            transition.source,
+            transition.target,
+            transition.guard or f"on {transition.on}",
+            ", ".join(f"{control} := {after[control]}" for control in changed),
+        )
+
+    return Region(name, tuple(states), build, tuple(map(edge, declared.transitions)))
+
+
+class ControlledLaws:
+    """The laws of a scene with controllers (see `statechart.automaton.Laws`).
+
+    Parameters
+    ----------
+    contacts : SceneLaws
+        Of the contacts, the controllers in their initial states.
+    mechanics : Mechanics
+        The scene's equations.
+    parameters : sequence of Symbol
+        In the order of the values.
+    regions : sequence of Region
+        All, those of the controllers last.
+    """
+
+    def __init__(
+        self,
+        contacts: SceneLaws,
+        mechanics: Mechanics,
+        parameters: Sequence[sp.Symbol],
+        regions: Sequence[Region],
+    ) -> None:
+        self._contacts = contacts
+        self._mechanics = mechanics
+        self._parameters = tuple(parameters)
+        self._controllers = mechanics.scene.regions
+        self._names = tuple(self._controllers)
+        self._count = len(regions) - len(self._names)
+        self._under: dict[Key, tuple[SceneLaws, SnapshotTape]] = {}
+        self._guarded: dict[Key, _Guards] = {}
+        region_of = mechanics.scene.controlled.region_of
+        self._varying = any(
+            region_of(text) is not None
+            for contact in mechanics.scene.contacts.values()
+            for text in (contact.friction, contact.restitution)
+        )
+        self._listening = Listening(
+            regions,
+            {
+                name: [(i, t.source, t.events) for i, t in enumerate(region.transitions) if t.on]
+                for name, region in self._controllers.items()
+            },
+        )
+
+    def setup(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
+        """Evaluate parameters, initial state, scales and tolerances."""
+        return self._contacts.setup(overrides, relative)
+
+    def begin(self, setup: Setup) -> tuple[Flow, Array]:
+        """Return the first mode; transitions that are due there are taken at once."""
+        assert isinstance(setup, SceneSetup)
+        key = tuple(region.initial for region in self._controllers.values())
+        flow, state = self._contacts.begin(setup)
+        return self._joined(setup, Clock(), flow, key, state), state
+
+    def jump(
+        self,
+        setup: Setup,
+        clock: Clock,
+        j: int,
+        flow: Flow,
+        state: Array,
+        fired: tuple[str, ...],
+    ) -> tuple[Jump, Flow] | None:
+        """Classify the contacts, then ask the controllers."""
+        assert isinstance(setup, SceneSetup)
+        own = flow.mode[self._count :]
+        laws, tape = self._at(own)
+        setup = self._within(setup, own)
+        made = laws.jump(setup, clock, j, self._parted(flow), state, fired)
+        if made is not None:
+            jump, following = made
+            jump = replace(jump, source=flow.mode, target=(*jump.target, *own))
+            pending = self._listening.heard(flow, jump)
+            return jump, self._joined(setup, clock, following, own, jump.after, pending)
+        guarded = self._due(setup, clock, flow, state, fired)
+        firing = self._listening.first(self._names, own, flow.pending, guarded)
+        if firing is None:
+            return None
+        name = self._names[firing.place]
+        taken = self._controllers[name].transitions[firing.transition]
+        states = (*own[: firing.place], taken.target, *own[firing.place + 1 :])
+        energy = tape.at(setup.values, state, clock.high).energy
+        jump = Jump(
+            clock.high,
+            j,
+            name,
+            taken.name,
+            flow.mode,
+            (*flow.mode[: self._count], *states),
+            state,
+            state,
+            fired,
+            energy=(energy, energy),
+        )
+        pending = self._listening.heard(replace(flow, pending=firing.pending), jump)
+        following = self._parted(flow)
+        return jump, self._joined(setup, clock, following, states, state, pending)
+
+    def accumulate(
+        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
+    ) -> tuple[Jump, Flow] | None:
+        """Let the contacts skip what accumulates; controllers that answer it just go on."""
+        assert isinstance(setup, SceneSetup)
+        if jumps[-1].region in self._controllers:
+            return None
+        own = flow.mode[self._count :]
+        laws, _ = self._at(own)
+        setup = self._within(setup, own)
+        made = laws.accumulate(setup, clock, self._parted(flow), jumps, rest)
+        if made is None:
+            return None
+        jump, following = made
+        return jump, self._joined(setup, clock, following, own, jump.after, flow.pending)
+
+    def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Projector | None:
+        """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
+        return self._contacts.projector(setup, flow[: self._count], start, anchor)
+
+    def _at(self, states: Key) -> tuple[SceneLaws, SnapshotTape]:
+        """Return the contacts' laws as long as the controllers are in `states`."""
+        if states not in self._under:
+            named = dict(zip(self._names, states, strict=True))
+            tape = SnapshotTape(self._mechanics, self._parameters, named)
+            self._under[states] = self._contacts.under(tape), tape
+        return self._under[states]
+
+    def _within(self, setup: SceneSetup, states: Key) -> SceneSetup:
+        """Return the setup with the contacts' coefficients in `states`."""
+        if not self._varying:
+            return setup
+        named = dict(zip(self._names, states, strict=True))
+        return replace(setup, contacts=self._contacts.numbers.contacts(setup.values, named))
+
+    def _due(
+        self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array, fired: tuple[str, ...]
+    ) -> dict[int, int]:
+        """Return place -> transition whose guard is due."""
+        own = flow.mode[self._count :]
+        guarded = self._guards(own)
+        watched = guarded.watch.guards
+        tolerances = np.array([flow.tolerances[guard.margin] for guard in watched])
+        if (guarded.rows(setup, clock.high, state)[:, 0] > tolerances).all():
+            return {}
+        snapshot = self._at(own)[1].at(setup.values, state, clock.high)
+        modes = flow.flow[: self._count]
+        closed = [mode != "free" for mode in modes]
+        solved = candidates(
+            snapshot, setup.contacts, [(mode,) for mode in modes], closed, closed, setup.scales
+        )[0]
+        found = None
+        if isinstance(solved, Candidate):
+            accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
+            found = np.concatenate([accelerations, solved.forces.ravel(), joints])
+        rows = guarded.rows(setup, clock.high, state, found)
+        return guarded.watch.due(rows, flow.tolerances, fired, _relative(setup))
+
+    def _guards(self, states: Key) -> _Guards:
+        """Return the guards out of `states`."""
+        if states not in self._guarded:
+            named = dict(zip(self._names, states, strict=True))
+            self._guarded[states] = _Guards(self._mechanics, self._parameters, named)
+        return self._guarded[states]
+
+    def _parted(self, flow: Flow) -> Flow:
+        """Return the flow as the contacts' laws know it."""
+        return replace(flow, mode=flow.mode[: self._count], flow=flow.flow[: self._count])
+
+    def _joined(
+        self,
+        setup: SceneSetup,
+        clock: Clock,
+        flow: Flow,
+        states: Key,
+        state: Array,
+        pending: Mapping[str, tuple[Jump, ...]] | None = None,
+    ) -> Flow:
+        """Return the flow of the contacts and controllers; whether it holds is to be asked."""
+        guarded = self._guards(states)
+        rows = guarded.rows(setup, clock.high, state)
+        tolerances = guarded.watch.tolerances(rows, _relative(setup))
+        return replace(
+            flow,
+            mode=(*flow.mode, *states),
+            flow=(*flow.flow, *states),
+            settled=False,
+            tolerances={**setup.stops, **tolerances},
+            pending=pending or {},
+        )
+
+
+class _Guards:
+    """The guards of the controllers in some states, and the numbers that they depend on.
+
+    Accelerations and contact forces are inputs, solved for where a guard is on its boundary: no
+    mode is built for it. Accelerations are taken as constant there; how forces change is not
+    known, so that a guard on them waits for its margin to fall.
+    """
+
+    def __init__(
+        self, mechanics: Mechanics, parameters: Sequence[sp.Symbol], states: Mapping[str, str]
+    ) -> None:
+        set_: dict[sp.Symbol, sp.Expr] = {}
+        for control, value in mechanics.controlled(states):
+            set_[control] = value.xreplace(set_)
+        watched: list[Guard] = []
+        for place, (name, region) in enumerate(mechanics.scene.regions.items()):
+            watched += guards(place, name, region.transitions, states[name])
+        names = set().union(*(guard.relation.names for guard in watched))
+        forces = [force for pair in mechanics.forces.values() for force in pair]
+        forces += [row.force for row in mechanics.joint_rows]
+        unknown = sp.Symbol("unknown", real=True)
+        self.watch = Watch(
+            watched,
+            {n: e.xreplace(set_) for n, e in mechanics.observables.items() if n in names},
+            {
+                **dict(zip(mechanics.q, mechanics.v, strict=True)),
+                **dict(zip(mechanics.v, mechanics.a, strict=True)),
+                **dict.fromkeys(forces, unknown),
+            },
+            inputs=(*mechanics.q, *mechanics.v, *mechanics.a, *forces, unknown),
+            parameters=parameters,
+            time=mechanics.time,
+        )
+        self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
+
+    def rows(
+        self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
+    ) -> Array:
+        """Return what `Watch.at` does; `solved` are accelerations and forces."""
+        scales, n = setup.scales, len(state) // 2
+        found = self._unsolved if solved is None else solved
+        sizes = np.concatenate(
+            [
+                scales.sizes,
+                scales.sizes[n:] * (scales.speed / scales.length),
+                np.full(len(self._unsolved) - n, scales.force),
+                [0.0],
+            ]
+        )
+        return self.watch.at(setup, np.concatenate([state, found, [np.nan]]), sizes, time)
+
+
+def _relative(setup: SceneSetup) -> float:
+    """Return how well margins and their rates are known: as the contacts' gaps are."""
+    return setup.tolerances["gap"] / setup.scales.length

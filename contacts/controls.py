@@ -1,0 +1,201 @@
+"""A scene's own regions as declared: what their states set, and when they change."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from statechart.declaration import Part, check_names
+from statechart.errors import DeclarationProblem
+from statechart.fields import FormulaText, NameText
+from statechart.formula import close_matches, parse
+from statechart.transitions import BaseTransition, check_region
+
+__all__ = ["ControlState", "Controller", "Controls", "Transition"]
+
+
+class ControlState(Part):
+    """One state of a controller, and what it sets."""
+
+    sets: dict[str, FormulaText] = Field(
+        default={}, description="Control to its value as long as the state is active."
+    )
+
+
+class Transition(BaseTransition):
+    """A transition of a controller: forces and coefficients jump at it, positions do not."""
+
+
+class Controller(Part):
+    """A region of the scene beside its contacts: exactly one of its states is active."""
+
+    initial: str
+    states: dict[NameText, ControlState] = Field(min_length=1)
+    transitions: tuple[Transition, ...] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        check_region(self.initial, self.states, self.transitions)
+        return self
+
+
+@dataclass(frozen=True)
+class Controls:
+    """What the controllers of a scene set.
+
+    Attributes
+    ----------
+    declared : mapping
+        Control -> its value where no state sets it.
+    regions : mapping
+        Name -> controller.
+    """
+
+    declared: Mapping[str, FormulaText]
+    regions: Mapping[str, Controller]
+
+    @cached_property
+    def owners(self) -> Mapping[str, str]:
+        """Control -> the region whose states set it."""
+        return {
+            control: region
+            for region, declared in self.regions.items()
+            for state in declared.states.values()
+            for control in state.sets
+        }
+
+    @cached_property
+    def order(self) -> tuple[str, ...]:
+        """Controls, each after those that its formulas use.
+
+        Raises
+        ------
+        CycleError
+            If they depend on each other in a circle.
+        """
+        uses = {
+            control: [
+                other
+                for other in self.declared
+                if any(other in parse(text).names for text in self._texts(control))
+            ]
+            for control in self.declared
+        }
+        return tuple(TopologicalSorter(uses).static_order())
+
+    @property
+    def initial(self) -> Mapping[str, str]:
+        """Region -> the state that it starts in."""
+        return {name: region.initial for name, region in self.regions.items()}
+
+    def values(self, region: str, state: str) -> dict[str, FormulaText]:
+        """Return the values of a region's controls in one of its states, in their order."""
+        sets = self.regions[region].states[state].sets
+        return {
+            control: sets.get(control, self.declared[control])
+            for control in self.order
+            if self.owners[control] == region
+        }
+
+    def region_of(self, text: FormulaText | None) -> str | None:
+        """Return the region that sets what a contact's coefficient uses; None if none does."""
+        if text is None:
+            return None
+        used = [control for control in self.owners if control in parse(text).names]
+        return self.owners[used[0]] if used else None
+
+    def check(self, known: Collection[str]) -> None:
+        """Check that each control is set by one region, by formulas over `known` and controls.
+
+        Raises
+        ------
+        DeclarationProblem
+            At the first that is not.
+        """
+        owners: dict[str, tuple[str, str]] = {}
+        names = {*known, *self.declared}
+        for control, text in self.declared.items():
+            check_names(parse(text), names, "controls", control)
+        for region, declared in self.regions.items():
+            for state, content in declared.states.items():
+                for control, text in content.sets.items():
+                    loc = ("regions", region, "states", state, "sets", control)
+                    if control not in self.declared:
+                        raise DeclarationProblem(
+                            f"no control {control!r}",
+                            advice=close_matches(control, self.declared),
+                            loc=loc,
+                            key=True,
+                        )
+                    check_names(parse(text), names, *loc)
+                    owner, in_state = owners.setdefault(control, (region, state))
+                    if owner != region:
+                        raise DeclarationProblem(
+                            f"region {region!r} in state {state!r} and region {owner!r} in state "
+                            f"{in_state!r} both set {control!r}",
+                            advice="let one region set it; give the other a control of its own",
+                            loc=loc,
+                            key=True,
+                        )
+        for control in self.declared:
+            if control not in owners:
+                raise DeclarationProblem(
+                    f"no state sets {control!r}",
+                    advice="set it in a state of a region, or declare it as a parameter",
+                    loc=("controls", control),
+                    key=True,
+                )
+        try:
+            _ = self.order
+        except CycleError as error:
+            circle = " -> ".join(reversed(error.args[1]))
+            raise DeclarationProblem(
+                f"controls depend on each other in a circle: {circle}",
+                loc=("controls", error.args[1][0]),
+                key=True,
+            ) from None
+
+    def check_coefficient(
+        self, text: FormulaText, parameters: Collection[str], *loc: str | int
+    ) -> None:
+        """Check that a coefficient of a contact is constant in every state of one region.
+
+        Raises
+        ------
+        DeclarationProblem
+            If it is not.
+        """
+        check_names(parse(text), {*parameters, *self.declared}, *loc)
+        used = [control for control in self.declared if control in parse(text).names]
+        regions = list(dict.fromkeys(self.owners[control] for control in used))
+        if len(regions) > 1:
+            raise DeclarationProblem(
+                f"regions {' and '.join(map(repr, regions))} both set what it depends on "
+                f"({', '.join(used)})",
+                advice="let one region set it",
+                loc=loc,
+            )
+        for control in used:
+            for value in self._texts(control):
+                varying = parse(value).names.difference(parameters)
+                if varying:
+                    raise DeclarationProblem(
+                        f"{control!r} depends on {', '.join(map(repr, sorted(varying)))}: a "
+                        "coefficient of a contact is constant as long as a state lasts",
+                        advice=f"set {control!r} to formulas of parameters only",
+                        loc=loc,
+                    )
+
+    def _texts(self, control: str) -> list[FormulaText]:
+        """Return every formula that a control may be."""
+        region = self.regions.get(self.owners.get(control, ""))
+        states = region.states.values() if region is not None else ()
+        return [
+            self.declared[control],
+            *(state.sets[control] for state in states if control in state.sets),
+        ]

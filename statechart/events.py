@@ -1,0 +1,53 @@
+"""Events of a run: what a jump is, for the outputs and transitions that wait for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from statechart.automaton import Region
+from statechart.declaration import Event
+from statechart.trace import Jump
+
+__all__ = ["happened"]
+
+
+def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
+    """Tell whether `jump` is `event`, by a cause or by the state entered.
+
+    A jump names one region, but may change others at the same instant (an impact that is felt at
+    every closed contact); their causes are those of the edges that they take.
+
+    Parameters
+    ----------
+    regions : sequence of Region
+        In the order of the jump's keys.
+    jump : Jump
+        What happened.
+    event : Event
+        What is waited for.
+    """
+    if event.region is None and jump.cause == event.cause:
+        return True
+    return any(
+        event.region in (None, region.name)
+        and (
+            event.cause == _cause(region, jump, before, after)
+            or (event.region is not None and _entered(region, before, after, event.cause))
+        )
+        for region, before, after in zip(regions, jump.source, jump.target, strict=True)
+    )
+
+
+def _cause(region: Region, jump: Jump, before: str, after: str) -> str | None:
+    if region.name == jump.region:
+        return jump.cause
+    if before == after and region.name not in jump.impulse:
+        return None
+    causes = [e.cause for e in region.edges if (e.source, e.target) == (before, after)]
+    return jump.cause if jump.cause in causes else next(iter(causes), None)
+
+
+def _entered(region: Region, before: str, after: str, state: str) -> bool:
+    return (after == state != before) or (
+        region.declared(after) == state != region.declared(before)
+    )

@@ -1,0 +1,283 @@
+"""When the transitions of a region fire: guards on their boundary, events of other regions.
+
+A transition fires at the instant its guard becomes true, and at once where its state is entered
+with the guard true. On the guard's boundary, within the rounding of the state, the way the margin
+goes in the entered state decides: a ball at x = 0 that rises does not bounce again on ``x <= 0``,
+one that is about to fall does; where the margin stays at zero the relation itself decides, so that
+``n >= 3`` fires at n = 3 and ``n > 3`` does not.
+
+A transition on an event fires at the instant of the event. A region hears the events of an instant
+one by one in their order, before its guards are judged; one that its state does not wait for has
+passed.
+
+Transitions due at one instant are taken one after another, each judged by the state that those
+before it left: regions in their order, in a region the first one declared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from statechart.automaton import Flow, Region, Setup
+from statechart.declaration import Event
+from statechart.events import happened
+from statechart.formula import Relation, parse_relation
+from statechart.tape import compile_tape
+from statechart.trace import Jump, Key
+from statechart.transitions import BaseTransition
+
+__all__ = ["Firing", "Guard", "Listening", "Watch", "guards"]
+
+Array = NDArray[np.float64]
+
+# Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts
+# at zero and rises from there with slope zero undecided.
+_UNDERFLOW = 1e-290
+
+
+@dataclass(frozen=True, eq=False)
+class Guard:
+    """A guard out of a state.
+
+    Attributes
+    ----------
+    place : int
+        Of its region among those that are watched.
+    margin : str
+        Name of its margin: region and transition.
+    relation : Relation
+        As declared.
+    transition : int
+        Place of its transition in the region's declaration.
+    """
+
+    place: int
+    margin: str
+    relation: Relation
+    transition: int
+
+
+@dataclass(frozen=True, eq=False)
+class Firing:
+    """A transition that is due.
+
+    Attributes
+    ----------
+    place : int
+        Of its region.
+    transition : int
+        Its place in the region's declaration.
+    pending : mapping
+        What is left for every region to hear.
+    """
+
+    place: int
+    transition: int
+    pending: Mapping[str, tuple[Jump, ...]]
+
+
+def guards(place: int, name: str, transitions: Sequence[BaseTransition], state: str) -> list[Guard]:
+    """Return the guards out of `state`, with names for their margins that differ."""
+    found = [
+        (index, transition, parse_relation(transition.guard))
+        for index, transition in enumerate(transitions)
+        if transition.source == state and transition.guard is not None
+    ]
+    names = [transition.name for _, transition, _ in found]
+    return [
+        Guard(
+            place,
+            f"{name}.{transition.name}"
+            + (f" to {transition.target}" if names.count(transition.name) > 1 else ""),
+            relation,
+            index,
+        )
+        for index, transition, relation in found
+    ]
+
+
+class Watch:
+    """The guards of a mode, evaluated together at an instant.
+
+    Parameters
+    ----------
+    watched : sequence of Guard
+        Which.
+    known : mapping
+        Name -> expression in `inputs`, `parameters` and `time`.
+    rates : mapping
+        Input -> its rate, an expression of the same; inputs without one are constant.
+    inputs, parameters : sequence of Symbol
+        What the guards depend on.
+    time : Symbol
+        Time.
+    """
+
+    def __init__(
+        self,
+        watched: Sequence[Guard],
+        known: Mapping[str, sp.Expr],
+        rates: Mapping[sp.Symbol, sp.Expr],
+        *,
+        inputs: Sequence[sp.Symbol],
+        parameters: Sequence[sp.Symbol],
+        time: sp.Symbol,
+    ) -> None:
+        self.guards = tuple(watched)
+        sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in inputs}
+
+        def size(expression: sp.Expr) -> sp.Expr:
+            used = expression.free_symbols
+            return sp.Add(*(abs(_slope(expression, v)) * s for v, s in sizes.items() if v in used))
+
+        outputs: list[sp.Expr] = []
+        for guard in self.guards:
+            margin = guard.relation.margin(known)
+            first = _along(margin, rates, time)
+            second = _along(first, rates, time)
+            sides = (guard.relation.left, guard.relation.right)
+            terms = size(margin) + sp.Add(*(abs(side.to_sympy(known)) for side in sides))
+            outputs += [margin, first, second, terms, size(first), size(second)]
+        self._tape = compile_tape(
+            outputs, variables=(*inputs, *sizes.values()), parameters=parameters, time=time
+        )
+
+    def at(self, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
+        """Return (g, 6): margin, its first and second derivative in time, sizes of their terms."""
+        found = self._tape.values(np.concatenate([inputs, sizes]), setup.values, time)
+        return found.reshape(-1, 6)
+
+    def tolerances(self, rows: Array, relative: float) -> dict[str, float]:
+        """Return margin -> how near zero it is on its boundary: `relative` to its terms."""
+        sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0).tolist()
+        return {
+            guard.margin: max(relative * size, _UNDERFLOW)
+            for guard, size in zip(self.guards, sizes, strict=True)
+        }
+
+    def due(
+        self,
+        rows: Array,
+        tolerances: Mapping[str, float],
+        fired: Collection[str],
+        relative: float = 0.0,
+    ) -> dict[int, int]:
+        """Return place -> the first transition whose guard is due.
+
+        Parameters
+        ----------
+        rows : (g, 6) array
+            From `at`. A rate that is not a number is not known: such a guard waits on its
+            boundary until its margin falls.
+        tolerances : mapping
+            Of the margins.
+        fired : collection of str
+            The margins that were found to fall.
+        relative : float
+            Rates this small relative to their terms are zero.
+        """
+        found: dict[int, int] = {}
+        for guard, row in zip(self.guards, rows.tolist(), strict=True):
+            if guard.place in found:
+                continue
+            margin, first, second, _, slow, slower = row
+            tolerance = tolerances[guard.margin]
+            rate = 0.0
+            if not abs(first) <= relative * slow:
+                rate = first
+            elif not abs(second) <= relative * slower:
+                rate = second
+            if guard.margin in fired:
+                # What was found is a fall, or a touch too close to tell: then it must not rise.
+                now = margin < -tolerance or not rate > 0.0
+            else:
+                strict = guard.relation.operator in "<>"
+                falls = rate < 0.0 or (rate == 0.0 and not strict)
+                now = margin < -tolerance or (margin <= tolerance and falls)
+            if now:
+                found[guard.place] = guard.transition
+        return found
+
+
+class Listening:
+    """Regions that wait for events of each other.
+
+    Parameters
+    ----------
+    regions : sequence of Region
+        All, in the order of the keys.
+    waiting : mapping
+        Region -> its transitions that wait: (place in its declaration, state left, events).
+    """
+
+    def __init__(
+        self,
+        regions: Sequence[Region],
+        waiting: Mapping[str, Sequence[tuple[int, str, tuple[Event, ...]]]],
+    ) -> None:
+        self._regions = regions
+        self._waiting = {name: found for name, found in waiting.items() if found}
+
+    def heard(self, flow: Flow, jump: Jump) -> dict[str, tuple[Jump, ...]]:
+        """Return what is pending once `jump` has happened; a region does not hear itself."""
+        return {
+            name: (*flow.pending.get(name, ()), *((jump,) if name != jump.region else ()))
+            for name in self._waiting
+        }
+
+    def first(
+        self,
+        names: Sequence[str],
+        mode: Key,
+        pending: Mapping[str, tuple[Jump, ...]],
+        guarded: Mapping[int, int],
+    ) -> Firing | None:
+        """Return the transition to take.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Regions that are asked, in their order.
+        mode : Key
+            Their states.
+        pending : mapping
+            Region -> jumps of this instant that it has not heard of.
+        guarded : mapping
+            Place in `names` -> transition that is due by its guard (`Watch.due`).
+        """
+        for place, (name, state) in enumerate(zip(names, mode, strict=True)):
+            queue = pending.get(name, ())
+            for k, jump in enumerate(queue):
+                for transition, source, events in self._waiting[name]:
+                    if source == state and any(
+                        happened(self._regions, jump, event) for event in events
+                    ):
+                        return Firing(place, transition, {**pending, name: queue[k + 1 :]})
+            if place in guarded:
+                left = {**pending, name: ()} if queue else pending
+                return Firing(place, guarded[place], left)
+        return None
+
+
+def _slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
+    """Differentiate; at the kinks of abs, sign, min and max by one side or their mean."""
+    found = sp.diff(expression, symbol)
+    return found.replace(sp.DiracDelta, lambda *_: sp.S.Zero).replace(
+        sp.Heaviside, lambda x, *_: (1 + sp.sign(x)) / 2
+    )
+
+
+def _along(expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol) -> sp.Expr:
+    return sp.Add(
+        _slope(expression, time),
+        *(
+            _slope(expression, v) * rate
+            for v, rate in rates.items()
+            if v in expression.free_symbols
+        ),
+    )
