@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from runs import SOUND
 
-import models
 from statechart.accuracy import difference
 from statechart.chart import Chart
 from statechart.document import load, read_text
@@ -81,7 +81,7 @@ def test_without_accuracy_nothing_is_estimated() -> None:
     assert run(read_text(BALL)).error_estimate is None
 
 
-@pytest.mark.parametrize("name", models.names())
+@pytest.mark.parametrize("name", SOUND)
 def test_the_accuracy_asked_for_is_estimated_and_kept(name: str) -> None:
     exact = run(name)
     rough = run(name, accuracy=1e-5, engine="scipy")
