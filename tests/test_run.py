@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from runs import SOUND
 
+import models
 from statechart.accuracy import difference
 from statechart.chart import Chart
 from statechart.document import load, read_text
