@@ -32,6 +32,7 @@ def automaton(scene: Scene) -> Automaton:
     from contacts.mechanics import Mechanics
     from contacts.regions import region
     from contacts.setup import cones, scene_parameters
+    from contacts.stepper import SceneStepper
     from statechart.automaton import Laws, Margin
     from statechart.formula import parse_relation
 
@@ -75,6 +76,7 @@ def automaton(scene: Scene) -> Automaton:
         observables=observables,
         laws=laws,
         controls=mechanics.controls,
+        stepper=lambda: SceneStepper(mechanics, parameters, stops, regions),
     )
 
 

@@ -21,6 +21,7 @@ from statechart.trace import Clock, Jump, Key
 
 if TYPE_CHECKING:
     from statechart.declaration import Declaration
+    from statechart.stepping import TimeStepper
 
 __all__ = [
     "HELD",
@@ -315,6 +316,8 @@ class Automaton:
     controls : tuple of Symbol
         What the states of regions set (`State.values`), in an order in which each value uses
         only those before it. In every mode exactly one state sets each.
+    stepper : callable or None
+        Makes what steps the model through time without its modes, where its kind offers that.
     """
 
     name: str
@@ -333,6 +336,7 @@ class Automaton:
     laws: Laws
     idle: bool = False
     controls: tuple[sp.Symbol, ...] = ()
+    stepper: Callable[[], TimeStepper] | None = None
 
     @property
     def modes_total(self) -> int:

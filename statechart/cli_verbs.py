@@ -51,6 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         method=arguments.method,
         tolerance=arguments.tolerance,
         accuracy=arguments.accuracy,
+        step=arguments.step,
         progress=True,
     )
     result = runner.run(parameters, until=arguments.until, throw=False)

@@ -205,13 +205,16 @@ class Stop(Part):
 class Settings(Part):
     """How a run is computed; everything has a sensible default."""
 
-    engine: Literal["auto", "taylor", "scipy"] = "auto"
+    engine: Literal["auto", "taylor", "scipy", "impulse"] = "auto"
     method: Literal["RK45", "DOP853", "Radau", "LSODA"] | None = None
     tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
         default=None, description="Relative tolerance of every step."
     )
     accuracy: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
         default=None, description="Error allowed at the end, in the scales of the model."
+    )
+    step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=None, description="Length of every step in time; of the engine impulse."
     )
     max_jumps: Annotated[StrictInt, Field(gt=0)] = 100_000
 
@@ -224,9 +227,25 @@ class Settings(Part):
                 loc=("accuracy",),
                 key=True,
             )
-        if self.method is not None and self.engine == "taylor":
+        if self.step is not None and self.engine != "impulse":
             raise DeclarationProblem(
-                "the engine taylor has no methods",
+                f"the engine {self.engine} chooses its own steps",
+                advice="remove it, or write engine: impulse",
+                loc=("step",),
+                key=True,
+            )
+        if self.engine == "impulse":
+            for name in ("tolerance", "accuracy"):
+                if getattr(self, name) is not None:
+                    raise DeclarationProblem(
+                        f"the engine impulse has no {name}",
+                        advice="its error follows the step: write step: 1e-3",
+                        loc=(name,),
+                        key=True,
+                    )
+        if self.method is not None and self.engine in ("taylor", "impulse"):
+            raise DeclarationProblem(
+                f"the engine {self.engine} has no methods",
                 advice="remove it, or write engine: scipy",
                 loc=("method",),
                 key=True,

@@ -15,6 +15,9 @@
         SingularMode          the equations of a mode do not determine the motion
         Undecided             a guard could be neither found nor excluded within the search's budget
         Zeno                  jumps accumulate, and nothing declared says what follows
+        StepTooLarge          a fixed time step does not see the model
+        UnsolvedImpulses      the impulses of a time step could not be found
+        Unsupported           the model has what the engine lacks
 
 `DeclarationProblem` stands outside the tree: it is what a validator of a pydantic model raises to
 point at the field concerned; `statechart.document.validate` turns it into a `DeclarationError`.
@@ -41,7 +44,10 @@ __all__ = [
     "SingularMode",
     "StatechartError",
     "StepFailure",
+    "StepTooLarge",
     "Undecided",
+    "UnsolvedImpulses",
+    "Unsupported",
     "Zeno",
 ]
 
@@ -249,3 +255,21 @@ class Undecided(SimulationError):
     """A guard could be neither found nor excluded within the search's budget."""
 
     outcome = "UNDECIDED"
+
+
+class StepTooLarge(SimulationError):
+    """A fixed time step does not see the model."""
+
+    outcome = "STEP_TOO_LARGE"
+
+
+class UnsolvedImpulses(SimulationError):
+    """The impulses of a time step could not be found."""
+
+    outcome = "UNSOLVED_IMPULSES"
+
+
+class Unsupported(SimulationError):
+    """The model has what the engine lacks."""
+
+    outcome = "UNSUPPORTED"

@@ -24,6 +24,7 @@ from statechart.formula import parse
 from statechart.linear import Singular
 from statechart.sampling import Points, Samples, along, at_times, extremes, subdivided
 from statechart.simulate import Simulator
+from statechart.stepping import SteppingSimulator
 from statechart.tape import Tape, compile_tape
 from statechart.trace import Arc, Jump, Key, Trace
 
@@ -51,7 +52,7 @@ class Observer:
 
     Parameters
     ----------
-    simulator : Simulator
+    simulator : Simulator or SteppingSimulator
         Whose runs are looked at; what is compiled for one run serves all later ones.
 
     Notes
@@ -61,14 +62,14 @@ class Observer:
     are singular.
     """
 
-    def __init__(self, simulator: Simulator) -> None:
+    def __init__(self, simulator: Simulator | SteppingSimulator) -> None:
         self.simulator = simulator
         self._expressions: dict[str | int | float, sp.Expr] = {}
         automaton = simulator.automaton
         # What a mode solves for, or sets.
         self._unknowns = frozenset((*automaton.unknowns, *automaton.controls))
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
-        self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None], Tape] = {}
+        self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
         self._actives: dict[tuple[Key, tuple[_Where, ...], tuple[sp.Expr, ...]], _Active] = {}
         self._passed: dict[tuple[Key, frozenset[sp.Symbol]], Mode | None] = {}
 
@@ -144,9 +145,14 @@ class Observer:
             held, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
         else:  # nothing flowed: the run is its last state
             rows = 1 if times is None else np.size(times)
-            flow = self._flow(trace, len(trace.jumps), trace.final_mode, ends=False)
+            jumps = len(trace.jumps)
+            flow = self._flow(trace, jumps, trace.final_mode, ends=False)
             points = Points(
-                np.full(rows, trace.t_end), np.tile(trace.final, (rows, 1)), (flow,), (rows,)
+                np.full(rows, trace.t_end),
+                np.tile(trace.final, (rows, 1)),
+                (flow,),
+                (rows,),
+                self._unknown_rows(trace, [(jumps, True)] * rows),
             )
             counts, held, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
         modes = tuple(dict.fromkeys(held))
@@ -162,13 +168,15 @@ class Observer:
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
         flow = self._flow(trace, 0, trace.start_mode, ends=False)
-        points = Points(np.zeros(1), trace.initial[None], (flow,), (1,))
+        known = self._unknown_rows(trace, [(0, False)])
+        points = Points(np.zeros(1), trace.initial[None], (flow,), (1,), known)
         return self._table(trace, self._all(formulas), points)[0]
 
     def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the end, after all jumps."""
         flow = self._flow(trace, len(trace.jumps), trace.final_mode, ends=False)
-        points = Points(np.array([trace.t_end]), trace.final[None], (flow,), (1,))
+        known = self._unknown_rows(trace, [(len(trace.jumps), True)])
+        points = Points(np.array([trace.t_end]), trace.final[None], (flow,), (1,), known)
         return self._table(trace, self._all(formulas), points)[0]
 
     def at(
@@ -209,6 +217,7 @@ class Observer:
                     for jump in jumps
                 ],
                 range(1, len(jumps) + 1),
+                self._unknown_rows(trace, [(j.j + (not before), before) for j in jumps]),
             ),
         )
 
@@ -266,8 +275,13 @@ class Observer:
                 active = self._active(arc.mode, where, expressions)
             if not active.places:
                 continue
-            mode = None
-            if active.needed:
+            mode, coefficients = None, arc.coefficients
+            tape = None
+            if active.needed and arc.solved is not None:
+                tape = self._tape(active.expressions, None, known=True)
+                coefficients = np.pad(coefficients, ((0, 0), (0, arc.solved.shape[1]), (0, 0)))
+                coefficients[:, len(trace.variables) :, 0] = arc.solved
+            elif active.needed:
                 modes = modes or self._modes(trace)
                 mode = modes(arc.flow)
                 if mode is None:
@@ -277,9 +291,9 @@ class Observer:
                         "integrate what depends on the state alone"
                     )
             total[active.places] += integrals(
-                self._tape(active.expressions, mode),
+                tape or self._tape(active.expressions, mode),
                 arc.times,
-                arc.coefficients,
+                coefficients,
                 values,
                 arc.start.high,
                 0.0,
@@ -343,14 +357,17 @@ class Observer:
         values = _parameters(trace)
         if not self._needed(expressions):
             return self._tape(expressions, None).table(points.states, values, points.times)
+        if points.unknowns is not None:
+            rows = np.hstack([points.states, points.unknowns])
+            return self._tape(expressions, None, known=True).table(rows, values, points.times)
         result = np.full((len(points.times), len(expressions)), np.nan)
-        rows: dict[Key | None, list[NDArray[np.intp]]] = {}
+        owners: dict[Key | None, list[NDArray[np.intp]]] = {}
         start = 0
         for flow, end in zip(points.flows, points.ends, strict=True):
-            rows.setdefault(flow, []).append(np.arange(start, end))
+            owners.setdefault(flow, []).append(np.arange(start, end))
             start = end
         modes = self._modes(trace)
-        for flow, parts in rows.items():
+        for flow, parts in owners.items():
             mode = modes(flow)
             columns = [
                 i for i, e in enumerate(expressions) if mode is not None or not self._needed((e,))
@@ -370,15 +387,41 @@ class Observer:
             self._needs[expressions] = found
         return found
 
-    def _tape(self, expressions: tuple[sp.Expr, ...], mode: Mode | None) -> Tape:
-        """Return the program for expressions in a mode, or in any that they do not depend on."""
-        key = (expressions, mode)
+    def _unknown_rows(self, trace: Trace, places: Sequence[tuple[int, bool]]) -> Array | None:
+        """Return the unknowns after so many jumps, at the end of that time or at its start.
+
+        None where modes have to be solved for them; not a number where nothing flowed.
+        """
+        arcs = trace.arcs
+        if trace.step is None:
+            return None
+        rows = np.full((len(places), len(self.automaton.unknowns)), np.nan)
+        for row, (j, ends) in zip(rows, places, strict=True):
+            place = (
+                bisect_right(arcs, j, key=_jumps) - 1 if ends else bisect_left(arcs, j, key=_jumps)
+            )
+            if not 0 <= place < len(arcs):
+                place = 0 if place < 0 else len(arcs) - 1
+            if arcs:
+                solved = arcs[place].solved
+                assert solved is not None
+                row[:] = solved[-1 if ends else 0]
+        return rows
+
+    def _tape(
+        self, expressions: tuple[sp.Expr, ...], mode: Mode | None, *, known: bool = False
+    ) -> Tape:
+        """Return the program for expressions in a mode, or in any that they do not depend on.
+
+        `known`: over states with the unknowns appended.
+        """
+        key = (expressions, mode, known)
         tape = self._tapes.get(key)
         if tape is None:
             automaton = self.automaton
             tape = self._tapes[key] = compile_tape(
                 expressions,
-                variables=automaton.variables,
+                variables=(*automaton.variables, *(automaton.unknowns if known else ())),
                 parameters=automaton.parameters,
                 time=automaton.time,
                 definitions=mode.definitions if mode else (),
@@ -390,12 +433,14 @@ class Observer:
         values = _parameters(trace)
         setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
         flowed = {arc.flow for arc in trace.arcs}
+        simulator = self.simulator
+        assert isinstance(simulator, Simulator)
 
         def look_up(flow: Key | None) -> Mode | None:
             if flow is None:
                 return None
             if flow in flowed:
-                return self.simulator.compiled(flow, setup).mode
+                return simulator.compiled(flow, setup).mode
             # Passed through in no time: no integrator is compiled for it.
             zeros = frozenset(
                 s for s, v in zip(self.automaton.parameters, values, strict=True) if v == 0.0

@@ -20,7 +20,6 @@ from statechart.errors import (
     DeclarationError,
     DeclarationProblem,
     FormulaError,
-    SimulationError,
     StatechartError,
 )
 from statechart.formula import close_matches, parse
@@ -28,7 +27,8 @@ from statechart.kinds import kind
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.outputs import Result as Output
-from statechart.simulate import Simulator
+from statechart.simulate import Simulator, error_of
+from statechart.stepping import SteppingSimulator
 from statechart.trace import Key, Outcome, Trace
 
 __all__ = ["Result", "Runner", "run"]
@@ -103,7 +103,7 @@ class Runner:
     model : Declaration, str or Path
         A model, a file, or the name of a shipped model.
     engine : str, optional
-        auto, taylor or scipy.
+        auto, taylor, scipy or impulse.
     method : str, optional
         RK45, DOP853, Radau or LSODA; of the engine scipy.
     tolerance : float, optional
@@ -111,6 +111,8 @@ class Runner:
     accuracy : float, optional
         Error allowed, relative to the size of what is computed: tolerances are tightened until
         the estimated error is below it.
+    step : float, optional
+        Length of a step in time; of the engine impulse, which needs it.
     progress : bool
         Whether runs above about a second report to stderr.
 
@@ -128,6 +130,7 @@ class Runner:
         method: str | None = None,
         tolerance: float | None = None,
         accuracy: float | None = None,
+        step: float | None = None,
         progress: bool = False,
     ) -> None:
         began = time.perf_counter()
@@ -140,9 +143,13 @@ class Runner:
         self.model = model
         read_at = time.perf_counter()
         self.automaton = _automaton(model)
+        self.accuracy: float | None = None
+        self._reason = ""
         self._timings = {"read": read_at - began, "compose": time.perf_counter() - read_at}
         self._progress = progress
-        self._settle(engine, method, tolerance, accuracy)
+        self.step = self._stepping(engine, method, tolerance, accuracy, step)
+        if self.step is None:
+            self._settle(engine, method, tolerance, accuracy)
         self._observers: dict[float, Observer] = {}
 
     def run(
@@ -173,7 +180,10 @@ class Runner:
         overrides = dict(parameters or {})
         end = self._end(overrides, until)
         began = time.perf_counter()
-        if self.accuracy is None:
+        if self.step is not None:
+            observer, trace = self._once(math.nan, overrides, end)
+            estimate = None
+        elif self.accuracy is None:
             observer, trace = self._once(self._engine.tolerance, overrides, end)
             estimate = None
         else:
@@ -181,7 +191,7 @@ class Runner:
         if self._reason:
             trace = replace(trace, warnings=(self._reason, *trace.warnings))
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
-            raise _error(trace)
+            raise error_of(trace)
         timings = {**self._timings, "run": time.perf_counter() - began}
         return Result(trace, observer, estimate, timings)
 
@@ -199,9 +209,8 @@ class Runner:
             If no run can start there.
         """
         overrides = dict(parameters or {})
-        setup = self.setup(overrides)
-        mode, warning = self._begin(setup, overrides)
-        found = (self._reason, *setup.warnings, warning)
+        mode, warnings = self._begin(overrides)
+        found = (self._reason, *warnings)
         return mode, tuple(dict.fromkeys(text for text in found if text))
 
     def setup(self, parameters: Mapping[str, float] | None = None) -> Setup:
@@ -219,12 +228,56 @@ class Runner:
         """
         overrides = dict(parameters or {})
         self._check(overrides)
+        relative = math.nan if self.step is not None else self._engine.tolerance
         try:
-            return self.automaton.laws.setup(overrides, self._engine.tolerance)
+            return self.automaton.laws.setup(overrides, relative)
         except DeclarationProblem as problem:
             raise self._located(problem, overrides) from None
         except FormulaError as error:
             raise self._formula(error, ("parameters", error.name)) from None
+
+    def _stepping(
+        self,
+        engine: str | None,
+        method: str | None,
+        tolerance: float | None,
+        accuracy: float | None,
+        step: float | None,
+    ) -> float | None:
+        """Return the step where the engine is impulse, else None."""
+        settings = self.model.settings
+        named = engine or ("scipy" if method is not None else settings.engine)
+        if named != "impulse":
+            if step is not None:
+                raise DeclarationError(
+                    f"the engine {named} chooses its own steps",
+                    advice="leave the step out, or take the engine impulse",
+                )
+            return None
+        for what, given in (
+            ("method", method), ("tolerance", tolerance), ("accuracy", accuracy)
+        ):  # fmt: skip
+            if given is not None:
+                raise DeclarationError(
+                    f"the engine impulse has no {what}",
+                    advice="its error follows the step: give a step",
+                )
+        if self.automaton.stepper is None:
+            raise DeclarationError(
+                f"{self.model.name!r} cannot run on the engine impulse, which moves bodies in "
+                "contact: a scene is needed",
+                advice="take the engine taylor or scipy",
+            )
+        step = settings.step if step is None else step
+        if step is None:
+            raise DeclarationError(
+                "the engine impulse needs a step",
+                advice="say --step 1e-3, or write settings: {engine: impulse, step: 1e-3}; a "
+                "thousandth of the shortest time of interest is a good start",
+            )
+        if not 0.0 < step < math.inf:
+            raise DeclarationError(f"the step must be a positive time, not {step:g}")
+        return step
 
     def _settle(
         self,
@@ -318,11 +371,20 @@ class Runner:
         return observer, trace
 
     def _observer(self, tolerance: float) -> Observer:
+        if self.step is not None:
+            return self._stepped(self.step)
         found = self._observers.get(tolerance)
         if found is None:
             engine = self._choose(tolerance)[0]
             simulator = Simulator(self.automaton, engine, progress=self._progress)
             found = self._observers[tolerance] = Observer(simulator)
+        return found
+
+    def _stepped(self, step: float) -> Observer:
+        found = self._observers.get(step)
+        if found is None:
+            simulator = SteppingSimulator(self.automaton, step, progress=self._progress)
+            found = self._observers[step] = Observer(simulator)
         return found
 
     def _fall_back(self, error: StatechartError) -> bool:
@@ -374,12 +436,18 @@ class Runner:
                 return observer, _warned(trace, warnings[-1:]), estimate
         return observer, _warned(trace, ["interrupted before its error was estimated"]), math.inf
 
-    def _begin(self, setup: Setup, overrides: Mapping[str, float]) -> tuple[Key, str]:
+    def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         try:
+            if self.automaton.stepper is not None and self.step is not None:
+                self._check(overrides)
+                return self.automaton.stepper().start(overrides)
+            setup = self.setup(overrides)
             flow, _ = self.automaton.laws.begin(setup)
         except DeclarationProblem as problem:
             raise self._located(problem, overrides) from None
-        return flow.mode, flow.warning
+        except FormulaError as error:
+            raise self._formula(error, ("parameters", error.name)) from None
+        return flow.mode, (*setup.warnings, flow.warning)
 
     def _located(
         self, problem: DeclarationProblem, overrides: Mapping[str, float]
@@ -412,6 +480,7 @@ def run(
     method: str | None = None,
     tolerance: float | None = None,
     accuracy: float | None = None,
+    step: float | None = None,
     progress: bool = False,
     throw: bool = True,
 ) -> Result:
@@ -429,6 +498,7 @@ def run(
         method=method,
         tolerance=tolerance,
         accuracy=accuracy,
+        step=step,
         progress=progress,
     )
     return runner.run(parameters, until=until, throw=throw)
@@ -450,11 +520,3 @@ def _automaton(model: Declaration) -> Automaton:
 
 def _warned(trace: Trace, warnings: list[str]) -> Trace:
     return replace(trace, warnings=(*trace.warnings, *warnings))
-
-
-def _error(trace: Trace) -> SimulationError:
-    """Return the error that an outcome stands for, with the trace."""
-    for error in SimulationError.__subclasses__():
-        if error.outcome == trace.outcome.name:
-            return error(trace.message, trace=trace)
-    return SimulationError(trace.message, trace=trace)

@@ -51,12 +51,16 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Rows to evaluate at: (m,) times, (m, n) states; ends[k]: where the rows of flow k end."""
+    """Rows to evaluate at: (m,) times, (m, n) states; ends[k]: where the rows of flow k end.
+
+    unknowns: (m, u) array where they are known as numbers, else None.
+    """
 
     times: Array
     states: Array
     flows: Sequence[Key | None]
     ends: Sequence[int]
+    unknowns: Array | None = None
 
 
 def extremes(arcs: Sequence[Arc], evaluate: Evaluate) -> tuple[float, float]:
@@ -114,11 +118,13 @@ def subdivided(arc: Arc, per_step: int) -> Array:
 def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
     """Return the points of arcs at local times, one array of them an arc."""
     pairs = list(zip(arcs, local, strict=True))
+    known = [u for u in (arc.unknowns(tau) for arc, tau in pairs) if u is not None]
     return Points(
         np.concatenate([arc.start.high + (arc.start.low + tau) for arc, tau in pairs]),
         np.concatenate([arc.states(tau) for arc, tau in pairs]),
         [arc.flow for arc in arcs],
         np.cumsum([len(tau) for tau in local]).tolist(),
+        np.concatenate(known) if known else None,
     )
 
 

@@ -19,7 +19,7 @@ from statechart.errors import EventLoop, SimulationError
 from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace
 from statechart.zeno import Accumulation, between
 
-__all__ = ["Simulator"]
+__all__ = ["Progress", "Simulator", "error_of"]
 
 # More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
 _JUMPS_AT_ONCE = 64
@@ -91,7 +91,7 @@ class Simulator:
             run.end(Outcome[error.outcome], f"mode {run.mode_label}: {error}")
         trace = run.trace()
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
-            raise _ERRORS.get(trace.outcome, SimulationError)(trace.message, trace=trace)
+            raise error_of(trace)
         return trace
 
     def compiled(self, key: Key, setup: Setup) -> CompiledMode:
@@ -124,6 +124,32 @@ class Simulator:
         return len({key for key, _ in self._compiled if HELD not in key})
 
 
+class Progress:
+    """Reports to stderr on runs above about a second.
+
+    Parameters
+    ----------
+    until : float
+        End of the run.
+    """
+
+    def __init__(self, until: float) -> None:
+        self._until = until
+        self._began = self._shown = wall.perf_counter()
+
+    def show(self, time: float, jumps: int, steps: int) -> None:
+        """Say how far the run is, if that was not said within the last second."""
+        now = wall.perf_counter()
+        if now - self._shown < _PROGRESS_AFTER:
+            return
+        self._shown = now
+        sys.stderr.write(
+            f"t = {time:.6g} of {self._until:g}, {jumps} jumps, {steps} steps, "
+            f"{now - self._began:.0f} s\n"
+        )
+        sys.stderr.flush()
+
+
 @dataclass(eq=False)
 class _Run:
     simulator: Simulator
@@ -149,8 +175,7 @@ class _Run:
         self.started_state = self.setup.initial
         self.horizon = self.setup.horizon
         self.evaluations = self.simulator.engine.evaluations
-        self._began = wall.perf_counter()
-        self._shown = self._began
+        self._progress = Progress(self.until)
         self._accumulation = Accumulation()
 
     @property
@@ -320,15 +345,7 @@ class _Run:
         self.stalled = now
 
     def _show(self, local: float, steps: int) -> None:
-        now = wall.perf_counter()
-        if now - self._shown < _PROGRESS_AFTER:
-            return
-        self._shown = now
-        sys.stderr.write(
-            f"t = {self.clock.high + local:.6g} of {self.until:g}, {len(self.jumps)} jumps, "
-            f"{self.steps + steps} steps, {now - self._began:.0f} s\n"
-        )
-        sys.stderr.flush()
+        self._progress.show(self.clock.high + local, len(self.jumps), self.steps + steps)
 
     def trace(self) -> Trace:
         simulator = self.simulator
@@ -371,6 +388,11 @@ class _Run:
                 "modes_built": simulator.modes_built,
             },
         )
+
+
+def error_of(trace: Trace) -> SimulationError:
+    """Return the error that an outcome stands for, with the trace."""
+    return _ERRORS.get(trace.outcome, SimulationError)(trace.message, trace=trace)
 
 
 _ERRORS = {Outcome[e.outcome]: e for e in SimulationError.__subclasses__()}

@@ -53,7 +53,7 @@ def _head(report: Mapping[str, Any]) -> str:
         f"{report['model']}: {report['outcome']}",
         f"  {Outcome[report['outcome']].value}",
         f"  {report['message']}",
-        f"  engine {report['engine']}, tolerance {report['tolerance']:.3g}; {certified}",
+        f"  engine {report['engine']}, {_how(report)}; {certified}",
         f"  {counts['steps']} steps, {counts['jumps']} jumps, "
         f"{report['modes_built']} of {report['modes_total']} modes built",
     ]
@@ -62,6 +62,12 @@ def _head(report: Mapping[str, Any]) -> str:
     if not report["certified"]:
         lines += [f"  evidence of {name}: {how}" for name, how in report["evidence"].items()]
     return "\n".join(lines) + "\n"
+
+
+def _how(report: Mapping[str, Any]) -> str:
+    if report["step"] is not None:
+        return f"step {report['step']:.3g}"
+    return f"tolerance {report['tolerance']:.3g}"
 
 
 def _events(report: Mapping[str, Any]) -> str:

@@ -32,6 +32,9 @@ class Outcome(Enum):
     ZENO = "Jumps accumulate at a finite time and nothing declared says what follows."
     INITIAL_PENETRATION = "The run would start inside a surface."
     SINGULAR_MODE = "The equations of the mode entered do not determine the motion."
+    STEP_TOO_LARGE = "The time step is too large for this model: take a smaller one."
+    UNSOLVED_IMPULSES = "The impulses of a time step could not be found: take a smaller step."
+    UNSUPPORTED = "The engine asked for cannot run this model: take the one named."
 
     @property
     def succeeded(self) -> bool:
@@ -84,6 +87,9 @@ class Arc:
         Local times of the steps' ends, the first 0.
     coefficients : (k, n, d + 1) array
         Variable v over step i is ``sum(coefficients[i, v] * s**arange(d + 1))``, s in [0, 1].
+    solved : (k, u) array or None
+        The automaton's unknowns over every step, where stepping through time has found them as
+        numbers; else the equations of the flow's mode give them.
     """
 
     mode: Key
@@ -92,6 +98,7 @@ class Arc:
     j: int
     times: NDArray[np.float64]
     coefficients: NDArray[np.float64]
+    solved: NDArray[np.float64] | None = None
 
     @property
     def duration(self) -> float:
@@ -108,6 +115,13 @@ class Arc:
         from statechart.enclosure import sample
 
         return sample(self.coefficients, self.times, np.ascontiguousarray(local, dtype=float))
+
+    def unknowns(self, local: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the unknowns (m, u) at local times, where they are known as numbers."""
+        if self.solved is None:
+            return None
+        steps = np.searchsorted(self.times, local, side="right") - 1
+        return self.solved[np.clip(steps, 0, len(self.solved) - 1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +210,10 @@ class Trace:
         What a reader must know.
     counts : mapping
         Steps, evaluations, boxes, jumps, modes built.
+    step : float or None
+        The time step, where it is fixed; `tolerance` is then not a number.
+    margins : mapping or None
+        Margin -> least value seen, where the run has noted them.
     """
 
     name: str
@@ -218,6 +236,8 @@ class Trace:
     tolerance: float
     warnings: tuple[str, ...]
     counts: Mapping[str, int]
+    step: float | None = None
+    margins: Mapping[str, float] | None = None
 
     def changes(self, jump: Jump) -> tuple[dict[str, str], dict[str, str]]:
         """Return region -> state before and after `jump`."""

@@ -1,0 +1,322 @@
+"""Impulse-based simulation: a fixed step, all contacts at once, no modes composed.
+
+Per step (Moreau 1988; the theta method of Jean 1999 with theta = 1/2, at which free motion under
+constant forces is exact and its energy constant)::
+
+    q_m = q + h/2 v
+    M(q_m) (v+ - v) = h f(q_m, v, t_m) + J(q_m)^T P
+    q+ = q_m + h/2 v+
+
+with impulses P in the cones of friction. A contact that has reached its surface and approaches
+obeys Newton's law, ``0 <= P_n``, ``v_n+ + e v_n >= 0``. One that lasts, or that approaches no
+faster than two steps of free fall, keeps what gap it has landed at: ``v_n+ + gap/h + h/2 b >= 0``,
+where b is the acceleration that the motion itself gives its gap, so that it neither sinks nor
+chatters as its body turns. Friction opposes the slip at the end of the step and never moves what
+rests.
+
+The energy grows by at most ``h^2/8 f^T M^-1 f`` in a step: where impulses P do not add energy to
+the velocities they act on, ``P (U+ + U-)/2 <= -P (h J M^-1 f)/2 - P W P/2``, whose largest value
+that is. Where restitution with friction would add more, it is reduced (`capped`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.recognise import Chunk, Recorder
+from contacts.setup import SceneSetup
+from contacts.stepped_scene import Landing
+from statechart.errors import SimulationError, StepTooLarge
+from statechart.tape import Tape
+from statechart.trace import Arc, Outcome, Trace
+
+__all__ = ["Stepping", "run"]
+
+Array = NDArray[np.float64]
+
+_CHUNK = 512
+# A stop condition is located within its step to this part of it.
+_BISECTIONS = 60
+# Deeper than this part of the scene in one step: the step does not see its surfaces.
+_DEEPEST = 0.1
+
+
+class Stepped(Protocol):
+    """What is stepped."""
+
+    @property
+    def landing(self) -> Landing:
+        """What impacts there were so far."""
+        ...
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """The least values seen."""
+        ...
+
+    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
+        """Take steps."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Stepping:
+    """What a run of a scene is made from.
+
+    Attributes
+    ----------
+    name : str
+        Of the model.
+    names, parameter_names : tuple of str
+        Of the variables and the parameters.
+    regions : tuple of str
+    angles : (n,) array of bool
+        Which coordinates are angles.
+    stops : Tape
+        Margins of the stop conditions, over variables and unknowns.
+    stop_names : tuple of str
+    energy : Tape
+    """
+
+    name: str
+    names: tuple[str, ...]
+    parameter_names: tuple[str, ...]
+    regions: tuple[str, ...]
+    angles: NDArray[np.bool_]
+    stops: Tape
+    stop_names: tuple[str, ...]
+    energy: Tape
+
+
+def run(
+    stepping: Stepping,
+    stepped: Stepped,
+    setup: SceneSetup,
+    start: NDArray[np.int64],
+    sticks: NDArray[np.bool_],
+    *,
+    step: float,
+    until: float,
+    max_jumps: int,
+    show: Callable[[float, int, int], None],
+    warnings: Sequence[str] = (),
+    failure: SimulationError | None = None,
+) -> Trace:
+    """Step a scene from its initial state; see `statechart.stepping.TimeStepper.run`.
+
+    Parameters
+    ----------
+    start : (r,) array of int
+        Modes at the start, as `contacts.kernels` numbers them.
+    sticks : (r,) array of bool
+        See `Recorder`.
+    failure : SimulationError, optional
+        Why not even one step can be made.
+    """
+    made = _Run(stepping, stepped, setup, Recorder(
+        stepping.regions, start, sticks,
+        lambda state, time: float(stepping.energy.values(state, setup.values, time)[0]),
+    ), step, until, max_jumps, show)  # fmt: skip
+    try:
+        if failure is not None:
+            raise failure
+        made.loop()
+    except KeyboardInterrupt:
+        made.end(Outcome.INTERRUPTED, "interrupted by the user")
+    except SimulationError as error:
+        made.end(Outcome[error.outcome], f"t = {made.time:.17g}: {error}")
+    return made.trace(warnings)
+
+
+class _Run:
+    def __init__(
+        self,
+        stepping: Stepping,
+        stepped: Stepped,
+        setup: SceneSetup,
+        recorder: Recorder,
+        step: float,
+        until: float,
+        max_jumps: int,
+        show: Callable[[float, int, int], None],
+    ) -> None:
+        self.stepping, self.stepped, self.setup = stepping, stepped, setup
+        self.recorder, self.step, self.until = recorder, step, until
+        self.max_jumps, self.show = max_jumps, show
+        self.state = setup.initial
+        self.time, self.taken = 0.0, 0
+        self.outcome, self.message = Outcome.HORIZON, ""
+
+    def end(self, outcome: Outcome, message: str) -> None:
+        self.outcome, self.message = outcome, message
+
+    def loop(self) -> None:
+        if self.stepping.stop_names:
+            blank = np.zeros(self.stepping.stops.n_variables - len(self.state))
+            margins = self._margins(np.concatenate([self.state, blank])[None], 0.0)
+            if (margins < 0.0).any():
+                self._stop(int(np.argmax(margins[0] < 0.0)))
+                return
+        whole = math.floor(self.until / self.step * (1.0 + 4e-16))
+        if self.until - whole * self.step <= 1e-9 * self.step:
+            counts = [(whole, self.step)]
+        else:
+            counts = [(whole, self.step), (1, self.until - whole * self.step)]
+        for count, h in counts:
+            done = 0
+            first = self.time
+            while done < count:
+                chunk = self.stepped.steps(
+                    first + done * h, h, self.state, min(count - done, _CHUNK)
+                )
+                if self._accept(chunk, first + done * h):
+                    return
+                done += len(chunk.codes)
+                self.time = first + done * h
+        self.time = self.until
+        self.message = f"reached t = {self.until:.17g}"
+
+    def _accept(self, chunk: Chunk, start: float) -> bool:
+        """Record steps; True where the run ends in them."""
+        self._check_step(chunk)
+        stopped = self._stopped(chunk, start)
+        if stopped is not None:
+            chunk = chunk.first(stopped[0] + 1)
+        self.recorder.add(chunk)
+        self.taken += len(chunk.codes)
+        self.state = chunk.states[-1]
+        self.show(start + len(chunk.codes) * chunk.h, len(self.recorder.jumps), self.taken)
+        if stopped is not None:
+            self._locate(*stopped)
+            return True
+        if len(self.recorder.jumps) >= self.max_jumps:
+            self.time = start + len(chunk.codes) * chunk.h
+            self.end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
+            return True
+        return False
+
+    def _check_step(self, chunk: Chunk) -> None:
+        n = len(self.stepping.angles)
+        turned = np.abs(chunk.states[1:, n:][:, self.stepping.angles]) * chunk.h
+        if turned.size and turned.max() > math.pi:
+            raise StepTooLarge(
+                f"a body turns by {turned.max() / math.pi:.3g} half-turns in one step of "
+                f"{chunk.h:g}; take {chunk.h / turned.max():.1g} or less"
+            )
+        depth, size = self.stepped.landing.deepest, self.setup.scales.length
+        if depth > _DEEPEST * size:
+            raise StepTooLarge(
+                f"a contact closes {depth:.3g} off its surface in one step of {chunk.h:g}, in a "
+                f"scene of size {size:.3g}; take {chunk.h * 0.1 * _DEEPEST * size / depth:.1g} "
+                "or less"
+            )
+
+    def _margins(self, rows: Array, times: Array | float) -> Array:
+        times = np.broadcast_to(np.asarray(times, dtype=float), len(rows)).copy()
+        return self.stepping.stops.table(rows, self.setup.values, times)
+
+    def _stopped(self, chunk: Chunk, start: float) -> tuple[int, int] | None:
+        """Return (step, condition) of the first stop condition met, by the steps' ends."""
+        if not self.stepping.stop_names:
+            return None
+        rows = np.hstack([chunk.states[1:], chunk.solved])
+        times: Array = start + chunk.h * np.arange(1, len(rows) + 1, dtype=float)
+        below = self._margins(rows, times) < 0.0
+        if not below.any():
+            return None
+        k = int(np.argmax(below.any(axis=1)))
+        return k, int(np.argmax(below[k]))
+
+    def _locate(self, step: int, condition: int) -> None:
+        """Cut the trace where a condition is met in its last step."""
+        recorder = self.recorder
+        recorder.close()
+        while True:
+            arc = recorder.arcs[-1]
+            begin = arc.times[-2]
+            if len(arc.times) > 2 or self._margin(arc, float(begin), condition) >= 0.0:
+                break
+            # It was met in the half of the step before an impact.
+            recorder.arcs.pop()
+            del recorder.jumps[recorder.arcs[-1].j :]
+        low, high = float(begin), arc.duration
+        if self._margin(arc, low, condition) < 0.0:
+            high = low
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            if self._margin(arc, middle, condition) < 0.0:
+                high = middle
+            else:
+                low = middle
+        recorder.arcs[-1] = _cut(arc, high)
+        recorder.clock = recorder.arcs[-1].end
+        self.state = recorder.arcs[-1].coefficients[-1].sum(axis=1)
+        recorder.key = arc.mode
+        self._stop(condition)
+
+    def _margin(self, arc: Arc, local: float, condition: int) -> float:
+        at = np.array([local])
+        unknowns = arc.unknowns(at)
+        assert unknowns is not None
+        rows = np.hstack([arc.states(at), unknowns])
+        return float(self._margins(rows, arc.start.later(local).high)[0, condition])
+
+    def _stop(self, condition: int) -> None:
+        name = self.stepping.stop_names[condition]
+        self.time = self.recorder.clock.high
+        self.recorder.stop(name, self.state)
+        self.end(Outcome.STOPPED, f"{name} at t = {self.time:.17g}")
+
+    def trace(self, warnings: Sequence[str]) -> Trace:
+        recorder, stepping = self.recorder, self.stepping
+        recorder.close()
+        landing = self.stepped.landing
+        tolerances = dict(self.setup.tolerances)
+        # What is closed may be so deep, and so fast: half a step of its approach.
+        tolerances["gap"] = max(tolerances["gap"], landing.deepest)
+        return Trace(
+            name=stepping.name,
+            regions=stepping.regions,
+            variables=stepping.names,
+            parameters=dict(zip(stepping.parameter_names, self.setup.values.tolist(), strict=True)),
+            arcs=tuple(recorder.arcs),
+            jumps=tuple(recorder.jumps),
+            initial=self.setup.initial,
+            final=self.state,
+            start_mode=recorder.start_key,
+            final_mode=recorder.key,
+            t_end=self.time,
+            outcome=self.outcome,
+            message=self.message,
+            certified=False,
+            evidence=dict.fromkeys(stepping.regions, "recognised at every step"),
+            tolerances=tolerances,
+            engine="impulse",
+            tolerance=math.nan,
+            warnings=(*self.setup.warnings, *warnings),
+            counts={
+                "steps": self.taken,
+                "evaluations": self.taken,
+                "boxes": 0,
+                "jumps": len(recorder.jumps),
+                "modes_built": 0,
+            },
+            step=self.step,
+            margins=self.stepped.margins,
+        )
+
+
+def _cut(arc: Arc, end: float) -> Arc:
+    """Return an arc that ends at local time `end`, in its last step."""
+    begin = arc.times[-2]
+    s = (end - begin) / (arc.times[-1] - begin)
+    times, coefficients = arc.times.copy(), arc.coefficients.copy()
+    times[-1] = end
+    coefficients[-1] *= s ** np.arange(coefficients.shape[2])
+    return Arc(arc.mode, arc.flow, arc.start, arc.j, times, coefficients, arc.solved)

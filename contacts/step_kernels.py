@@ -1,0 +1,258 @@
+"""The contact problem of one time step, compiled once: guessed from the last step, else Lemke.
+
+Every solution is judged by its residual; what is not solved here is left to
+`contacts.complementarity`, which tries more ways.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from contacts.lemke import FOUND, lemke, on_support
+
+__all__ = [
+    "UNKNOWNS",
+    "capped",
+    "impulses_of",
+    "problem",
+    "solve_contacts",
+    "step_residual",
+    "symmetric_scales",
+]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_kernel = njit(cache=True, no_cfunc_wrapper=True)
+
+UNKNOWNS = 4
+"""Of a contact: normal impulse, tangential one to either side, slip speed."""
+
+# A solution is taken when no row misses by more than this of its terms.
+_RESIDUAL = 1e-9
+# Unknowns below this part of the largest of their kind are rounding.
+_ROUNDING = 1e-13
+# A guess is improved so many times before Lemke's algorithm starts from nothing.
+_GUESSES = 8
+_STEEPEST = 2.0**-12
+_CAP_ROUNDS = 60
+
+
+@_kernel
+def problem(delassus: Array, free: Array, cones: Array) -> tuple[Array, Array]:
+    """Return (M, q) as `contacts.complementarity.contact_problem`, four unknowns per contact.
+
+    A contact without friction keeps its unknowns, with rows that hold by themselves.
+    """
+    count = len(cones)
+    matrix = np.zeros((UNKNOWNS * count, UNKNOWNS * count))
+    vector = np.zeros(UNKNOWNS * count)
+    for i in range(count):
+        a = UNKNOWNS * i
+        rough = cones[i, 1] > 0.0
+        vector[a] = free[i, 0]
+        for k in range(count):
+            b = UNKNOWNS * k
+            matrix[a, b] = delassus[2 * i, 2 * k]
+            if cones[k, 1] > 0.0:
+                matrix[a, b + 1] = delassus[2 * i, 2 * k + 1]
+                matrix[a, b + 2] = -delassus[2 * i, 2 * k + 1]
+            if not rough:
+                continue
+            matrix[a + 1, b] = delassus[2 * i + 1, 2 * k]
+            matrix[a + 2, b] = -delassus[2 * i + 1, 2 * k]
+            if cones[k, 1] > 0.0:
+                both = delassus[2 * i + 1, 2 * k + 1]
+                matrix[a + 1, b + 1], matrix[a + 1, b + 2] = both, -both
+                matrix[a + 2, b + 1], matrix[a + 2, b + 2] = -both, both
+        if rough:
+            vector[a + 1], vector[a + 2] = free[i, 1], -free[i, 1]
+            matrix[a + 1, a + 3] = matrix[a + 2, a + 3] = 1.0
+            matrix[a + 3, a] = cones[i, 1]
+            matrix[a + 3, a + 1] = matrix[a + 3, a + 2] = -max(cones[i, 0], _STEEPEST)
+        else:
+            matrix[a + 1, a + 1] = matrix[a + 2, a + 2] = matrix[a + 3, a + 3] = 1.0
+    return matrix, vector
+
+
+@_kernel
+def step_residual(matrix: Array, vector: Array, z: Array) -> float:
+    """Return the largest violation of a row, relative to its terms.
+
+    Terms that are rounding of those in other rows of the kind (velocities, cones) do not count.
+    """
+    size = len(vector)
+    w, terms = np.empty(size), np.empty(size)
+    largest = np.zeros(2)
+    for i in range(size):
+        total, sizes = vector[i], abs(vector[i])
+        for j in range(size):
+            if z[j] != 0.0:
+                term = matrix[i, j] * z[j]
+                total += term
+                sizes += abs(term)
+        if not math.isfinite(total):
+            return math.inf
+        w[i], terms[i] = total, sizes
+        kind = 1 if i % UNKNOWNS == 3 else 0
+        largest[kind] = max(largest[kind], sizes)
+    worst = 0.0
+    for i in range(size):
+        missed = abs(w[i]) if z[i] > 0.0 else -w[i]
+        kind = 1 if i % UNKNOWNS == 3 else 0
+        floor = max(terms[i], 1e-3 * _ROUNDING / _RESIDUAL * largest[kind])
+        if missed > worst * floor:
+            worst = missed / floor
+    return worst
+
+
+@_kernel
+def _settled(z: Array) -> Array:
+    """Return z without what is rounding: of impulses, and of slip speeds."""
+    largest = np.zeros(2)
+    for i in range(len(z)):
+        kind = 1 if i % UNKNOWNS == 3 else 0
+        largest[kind] = max(largest[kind], abs(z[i]))
+    result = z.copy()
+    for i in range(len(z)):
+        if abs(z[i]) <= _ROUNDING * largest[1 if i % UNKNOWNS == 3 else 0]:
+            result[i] = 0.0
+    return result
+
+
+@_kernel
+def symmetric_scales(matrix: Array) -> Array:
+    """Return powers of two that make the diagonal near 1 where it is positive."""
+    scales = np.ones(len(matrix))
+    for i in range(len(matrix)):
+        if matrix[i, i] > 0.0:
+            scales[i] = math.ldexp(1.0, -round(0.5 * math.log2(matrix[i, i])))
+    return scales
+
+
+@_kernel
+def solve_contacts(
+    delassus: Array, free: Array, cones: Array, guess: Bools, limit: int
+) -> tuple[bool, Array, Bools]:
+    """Return (solved, z, basis) of the contacts' complementarity problem.
+
+    Parameters
+    ----------
+    delassus : (2 m, 2 m), free : (m, 2), cones : (m, 2)
+        As `contacts.complementarity.contact_problem` takes them.
+    guess : (4 m,) array of bool
+        Which unknowns may be positive, as of the step before.
+    limit : int
+        Pivots allowed.
+    """
+    size = UNKNOWNS * len(cones)
+    matrix, vector = problem(delassus, free, cones)
+    z = np.zeros(size)
+    parting = True
+    for i in range(len(cones)):
+        z[UNKNOWNS * i + 3] = abs(free[i, 1])
+        parting = parting and free[i, 0] >= 0.0
+    if parting:
+        return True, z, np.zeros(size, np.bool_)
+    basis = guess.copy()
+    for _ in range(_GUESSES):
+        solved, z = on_support(matrix, vector, basis)
+        if not solved:
+            break
+        z = _settled(z)
+        changed = False
+        following = basis.copy()
+        for i in range(size):
+            if basis[i]:
+                if z[i] < 0.0:
+                    following[i] = False
+                    changed = True
+            else:
+                w = vector[i]
+                terms = abs(w)
+                for j in range(size):
+                    w += matrix[i, j] * z[j]
+                    terms += abs(matrix[i, j] * z[j])
+                if w < -_RESIDUAL * terms:
+                    following[i] = True
+                    changed = True
+        if not changed:
+            break
+        basis = following
+    if z.min() >= 0.0 and step_residual(matrix, vector, z) <= _RESIDUAL:
+        return True, z, basis
+    scales = symmetric_scales(matrix)
+    scaled = np.empty((size, size))
+    right = np.empty(size)
+    for i in range(size):
+        right[i] = scales[i] * vector[i]
+        for j in range(size):
+            scaled[i, j] = scales[i] * matrix[i, j] * scales[j]
+    right /= max(np.abs(right).max(), 1e-300)
+    outcome, _, basis = lemke(scaled, right, np.ones(size), limit)
+    if outcome == FOUND:
+        solved, z = on_support(matrix, vector, basis)
+        if solved:
+            z = np.maximum(_settled(z), 0.0)
+            if step_residual(matrix, vector, z) <= _RESIDUAL:
+                return True, z, basis
+    return False, np.zeros(size), basis
+
+
+@_kernel
+def impulses_of(z: Array) -> Array:
+    """Return the impulses (m, 2) of a solution."""
+    count = len(z) // UNKNOWNS
+    impulses = np.empty((count, 2))
+    for i in range(count):
+        impulses[i, 0] = z[UNKNOWNS * i]
+        impulses[i, 1] = z[UNKNOWNS * i + 1] - z[UNKNOWNS * i + 2]
+    return impulses
+
+
+@_kernel
+def _work_at(delassus: Array, before: Array, free: Array, impulses: Array) -> float:
+    total = 0.0
+    flat = impulses.ravel()
+    for i in range(len(flat)):
+        moved = 0.0
+        for j in range(len(flat)):
+            moved += delassus[i, j] * flat[j]
+        total += 0.5 * flat[i] * (before.ravel()[i] + free.ravel()[i] + moved)
+    return total
+
+
+@_kernel
+def capped(
+    delassus: Array, before: Array, free: Array, plastic: Array, elastic: Array
+) -> tuple[Array, float]:
+    """Return impulses between plastic and elastic, and the share of the way, that add no energy.
+
+    The work of impulses on the bodies in a step is ``P (U+ + U-) / 2``, a convex function of the
+    share; the largest share is taken at which it is not above that of the plastic ones, or zero.
+
+    Parameters
+    ----------
+    delassus : (2 m, 2 m)
+    before, free : (m, 2)
+        Velocities of the contacts before the step, and after it without impulses.
+    plastic, elastic : (m, 2)
+        Impulses.
+    """
+    low, high = 0.0, 1.0
+    limit = max(_work_at(delassus, before, free, plastic), 0.0)
+    sizes = np.abs(elastic * before).sum() + np.abs(elastic * free).sum()
+    limit += 64.0 * 2.0**-52 * sizes
+    if _work_at(delassus, before, free, elastic) <= limit:
+        return elastic, 1.0
+    for _ in range(_CAP_ROUNDS):
+        middle = 0.5 * (low + high)
+        if _work_at(delassus, before, free, plastic + middle * (elastic - plastic)) <= limit:
+            low = middle
+        else:
+            high = middle
+    return plastic + low * (elastic - plastic), low

@@ -1,0 +1,184 @@
+"""The impulse-based engine on scenes of points against surfaces."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from statechart.cli import main
+from statechart.document import interpret, read_text
+from statechart.errors import DeclarationError, StatechartError
+from statechart.run import Runner, run
+from statechart.trace import Outcome
+
+GOLDEN = Path(__file__).parent / "golden"
+STEPPING = json.loads((GOLDEN / "impacts_and_timestepping.json").read_text())
+STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
+
+
+def slope(steps, errors):
+    return np.polyfit(np.log(steps), np.log(errors), 1)[0]
+
+
+def scene(text):
+    return interpret(read_text(text))
+
+
+@pytest.mark.parametrize("case", STEPPING["time_stepping_error_reference"])
+def test_the_stick_is_at_most_five_times_as_wrong_as_the_reference_scheme(case):
+    inertia = 1 / 3 if case["I_G"] == "1/3" else float(case["I_G"])
+    for row in case["runs"]:
+        outputs = run(
+            "toppling_stick",
+            parameters={"mu": case["mu"], "I_G": inertia},
+            engine="impulse",
+            step=row["h"],
+        ).outputs
+        for name, error in (
+            ("slip_backward", "err_back"),
+            ("slip_forward", "err_fwd"),
+            ("omega_impact", "err_omega"),
+            ("t_impact", "err_t"),
+        ):
+            allowed = 5 * abs(row[error])
+            assert abs(outputs[name] - case["truth"][name]) <= allowed, (row["h"], name)
+
+
+def test_bounces_converge_at_first_order():
+    g, k = 9.81, 0.5
+    rest = np.sqrt(2 / g) * (1 + k) / (1 - k)
+    errors = []
+    for h in STEPS:
+        result = run("bouncing_ball", parameters={"k": k}, engine="impulse", step=h, until=3)
+        assert result.trace.outcome is Outcome.HORIZON
+        errors.append(abs(result.outputs["t_rest"] - rest))
+    assert max(e / h for e, h in zip(errors, STEPS, strict=True)) < 20
+    assert 0.75 < slope(STEPS, errors) < 1.25
+
+
+@pytest.mark.parametrize("mu", [0.2, 0.5])
+def test_the_incline_converges(mu):
+    exact = run("block_on_incline", parameters={"mu": mu})
+    for h in STEPS[:3]:
+        found = run("block_on_incline", parameters={"mu": mu}, engine="impulse", step=h)
+        assert found.trace.modes == exact.trace.modes
+        for name, value in exact.outputs.items():
+            assert abs(found.outputs[name] - value) <= h
+        assert np.abs(found.trace.final - exact.trace.final).max() <= 5 * h
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.3, 0.4636])
+def test_a_block_below_the_friction_angle_does_not_creep(alpha):
+    trace = run(
+        "block_on_incline",
+        parameters={"alpha": alpha, "mu": 0.5, "v0": 0.0},
+        engine="impulse",
+        step=1e-3,
+        until=10,
+    ).trace
+    assert trace.modes == (("pin",),)
+    assert np.abs(trace.final).max() <= 1e-14
+
+
+def test_a_perfectly_elastic_ball_keeps_its_energy():
+    result = run("bouncing_ball", parameters={"k": 1}, engine="impulse", step=1e-3, until=20)
+    energy = result.observer.sample(result.trace, ["energy"]).columns["energy"]
+    assert np.ptp(energy) <= 1e-11 * energy.max()
+
+
+def test_infinite_friction_holds_and_says_how(capsys):
+    assert main(["run", "toppling_stick", "--set", "mu=inf", "--set", "I_G=0.1",
+                 "--engine", "impulse", "--step", "1e-3", "--json"]) == 0  # fmt: skip
+    printed = capsys.readouterr()
+    report = json.loads(printed.out)
+    exact = run("toppling_stick", parameters={"mu": float("inf"), "I_G": 0.1}).outputs
+    assert abs(report["outputs"]["omega_impact"] - exact["omega_impact"]) < 2e-3
+    assert "4096" in printed.err
+    assert report["step"] == 1e-3
+    assert report["modes_built"] == 0
+
+
+def test_a_point_mass_is_refused_with_advice():
+    result = run("toppling_stick", parameters={"I_G": 0}, engine="impulse", step=1e-3, throw=False)
+    assert result.trace.outcome is Outcome.SINGULAR_MODE
+    assert "taylor" in result.trace.message
+
+
+def test_a_chart_has_no_time_steps():
+    with pytest.raises(DeclarationError, match="a scene is needed"):
+        Runner("bouncing_ball_chart", engine="impulse", step=1e-3)
+
+
+def test_a_step_is_needed_and_belongs_to_the_engine():
+    with pytest.raises(DeclarationError, match="needs a step"):
+        Runner("bouncing_ball", engine="impulse")
+    with pytest.raises(DeclarationError, match="chooses its own steps"):
+        Runner("bouncing_ball", engine="scipy", step=1e-3)
+    with pytest.raises(DeclarationError, match="positive"):
+        Runner("bouncing_ball", engine="impulse", step=-1)
+    with pytest.raises(DeclarationError, match="no tolerance"):
+        Runner("bouncing_ball", engine="impulse", step=1e-3, tolerance=1e-6)
+
+
+def test_a_step_too_large_keeps_the_trace_and_advises(tmp_path, capsys):
+    code = main(["run", "bouncing_ball", "--engine", "impulse", "--step", "1",
+                 "--output", str(tmp_path / "run")])  # fmt: skip
+    assert code == 1
+    assert "STEP_TOO_LARGE" in capsys.readouterr().out
+    assert (tmp_path / "run" / "trace.nc").exists()
+
+
+def test_tables_figures_and_diagrams_work_alike(tmp_path):
+    folder = tmp_path / "run"
+    assert main(["run", "toppling_stick", "--engine", "impulse", "--step", "1e-2",
+                 "--output", str(folder)]) == 0  # fmt: skip
+    assert {path.name for path in folder.iterdir()} >= {"events.csv", "samples.csv", "figure.svg"}
+
+
+def test_forces_on_a_resting_block_are_its_weight():
+    result = run(
+        "block_on_incline",
+        parameters={"alpha": 0.3, "mu": 0.5, "v0": 0.0},
+        engine="impulse",
+        step=1e-2,
+        until=1,
+    )
+    samples = result.observer.sample(result.trace, ["base.V", "base.H"]).columns
+    assert samples["base.V"] == pytest.approx(9.81 * np.cos(0.3), rel=1e-12)
+    assert samples["base.H"] == pytest.approx(9.81 * np.sin(0.3), rel=1e-12)
+
+
+HINGE = """
+kind: scene
+name: pendulum
+parameters: {L: 1}
+gravity: 1
+bodies:
+  rod: {mass: 1, inertia: 1/3, start: {x: L, angle: pi/2}}
+surfaces:
+  wall: {height: 0}
+contacts:
+  hinge: {point: {body: rod, at: [0, L]}, surface: wall, modes: [pin]}
+stop: {time: 2}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+def test_a_hinge_holds_its_point_and_the_energy():
+    result = run(scene(HINGE))
+    columns = result.observer.sample(result.trace, ["energy", "hinge.gap"]).columns
+    assert np.abs(columns["hinge.gap"]).max() < 1e-5
+    assert np.ptp(columns["energy"]) < 1e-5
+    exact = run(scene(HINGE), engine="scipy")
+    assert np.abs(result.trace.final - exact.trace.final).max() < 1e-5
+
+
+def test_what_the_engine_lacks_is_an_outcome():
+    text = HINGE.replace("modes: [pin]", "modes: [slide, pin], friction: 0.5")
+    with pytest.raises(StatechartError, match="free among its modes"):
+        run(scene(text))
+    result = run(scene(text), throw=False)
+    assert result.trace.outcome is Outcome.UNSUPPORTED
