@@ -150,7 +150,8 @@ def step_scene(
         Positive unknowns of the last problem.
     given : (4 m,) or (0,)
         A solution of the first step's problem.
-    states : (k, 2 n), solved : (k, n + 2 c + joints), impulses : (k, c, 2), codes, struck, gaps : (k, c)
+    states : (k, 2 n), solved : (k, n + 2 c + joints)
+    impulses : (k, c, 2), codes, struck, gaps : (k, c)
         To be filled: state after each step; accelerations and forces of contacts that last;
         impulses; modes; where Newton's law was applied; gaps at the midpoints.
     found : (2,)

@@ -75,7 +75,8 @@ class SteppedTape:
         )
         # Of the contacts that are never free the normal velocity is given, of pins all of it.
         kinds = [contact.kinds for contact in mechanics.scene.contacts.values()]
-        self.held = np.array([0 if "free" in k else 2 if "pin" in k else 1 for k in kinds])
+        given = [0 if "free" in k else 2 if "pin" in k else 1 for k in kinds]
+        self.held = np.array(given, dtype=np.int64)
         self.names = tuple(mechanics.scene.contacts)
         self.size = len(mechanics.q)
         self._gaps = compile_tape(
@@ -171,7 +172,7 @@ class SteppedScene:
                 if done == 0:
                     raise
                 break
-        self._note(gaps[:done], solved[:done, n : n + 2 * c].reshape(-1, c, 2), codes[:done])
+        self._note(gaps[:done], solved[:done, n : n + 2 * c].reshape(done, c, 2), codes[:done])
         return Chunk(h, states[: done + 1], solved[:done], codes[:done], struck[:done],
                      impulses[:done])  # fmt: skip
 

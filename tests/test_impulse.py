@@ -176,6 +176,29 @@ def test_a_hinge_holds_its_point_and_the_energy():
     assert np.abs(result.trace.final - exact.trace.final).max() < 1e-5
 
 
+DOUBLE = """
+kind: scene
+name: double_pendulum
+gravity: 9.81
+bodies:
+  upper: {mass: 2, inertia: 0.3, start: {x: 1, y: 0, angle: 0}}
+  lower: {mass: 1, inertia: 0.2, start: {x: 3, y: 0, angle: 0}}
+joints:
+  pivot: {point: {body: upper, at: [-1, 0]}, to: [0, 0]}
+  elbow: {point: {body: lower, at: [-1, 0]}, to: {body: upper, at: [1, 0]}}
+stop: {time: 1}
+"""
+
+
+def test_joints_converge_to_the_event_based_motion():
+    exact = run(scene(DOUBLE), engine="scipy")
+    force = exact.observer.final(exact.trace, ["pivot.Y"])
+    for h in (1e-2, 1e-3):
+        found = run(scene(DOUBLE), engine="impulse", step=h)
+        assert np.abs(found.trace.final - exact.trace.final).max() <= 10 * h
+        assert found.observer.final(found.trace, ["pivot.Y"]) == pytest.approx(force, abs=10 * h)
+
+
 def test_what_the_engine_lacks_is_an_outcome():
     text = HINGE.replace("modes: [pin]", "modes: [slide, pin], friction: 0.5")
     with pytest.raises(StatechartError, match="free among its modes"):
