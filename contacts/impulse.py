@@ -31,7 +31,6 @@ from numpy.typing import NDArray
 
 from contacts.recognise import Chunk, Recorder
 from contacts.setup import SceneSetup
-from contacts.stepped_scene import Landing
 from statechart.errors import SimulationError, StepTooLarge
 from statechart.tape import Tape
 from statechart.trace import Arc, Outcome, Trace
@@ -49,11 +48,6 @@ _DEEPEST = 0.1
 
 class Stepped(Protocol):
     """What is stepped."""
-
-    @property
-    def landing(self) -> Landing:
-        """What impacts there were so far."""
-        ...
 
     @property
     def margins(self) -> dict[str, float]:
@@ -150,7 +144,7 @@ class _Run:
         self.recorder, self.step, self.until = recorder, step, until
         self.max_jumps, self.show = max_jumps, show
         self.state = setup.initial
-        self.time, self.taken = 0.0, 0
+        self.time, self.taken, self.deepest = 0.0, 0, 0.0
         self.outcome, self.message = Outcome.HORIZON, ""
 
     def end(self, outcome: Outcome, message: str) -> None:
@@ -178,44 +172,56 @@ class _Run:
                 if self._accept(chunk, first + done * h):
                     return
                 done += len(chunk.codes)
-                self.time = first + done * h
         self.time = self.until
         self.message = f"reached t = {self.until:.17g}"
 
     def _accept(self, chunk: Chunk, start: float) -> bool:
         """Record steps; True where the run ends in them."""
-        self._check_step(chunk)
+        failure = None
+        wrong = self._too_large(chunk)
+        if wrong is not None:
+            failure = wrong[1]
+            chunk = chunk.first(wrong[0])
         stopped = self._stopped(chunk, start)
         if stopped is not None:
             chunk = chunk.first(stopped[0] + 1)
-        self.recorder.add(chunk)
+        if len(chunk.codes):
+            self.recorder.add(chunk)
+            self.deepest = max(self.deepest, float(chunk.closing.max()))
         self.taken += len(chunk.codes)
         self.state = chunk.states[-1]
-        self.show(start + len(chunk.codes) * chunk.h, len(self.recorder.jumps), self.taken)
+        self.time = start + len(chunk.codes) * chunk.h
+        self.show(self.time, len(self.recorder.jumps), self.taken)
         if stopped is not None:
             self._locate(*stopped)
             return True
+        if failure is not None:
+            raise failure
         if len(self.recorder.jumps) >= self.max_jumps:
-            self.time = start + len(chunk.codes) * chunk.h
             self.end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
             return True
         return False
 
-    def _check_step(self, chunk: Chunk) -> None:
-        n = len(self.stepping.angles)
-        turned = np.abs(chunk.states[1:, n:][:, self.stepping.angles]) * chunk.h
-        if turned.size and turned.max() > math.pi:
-            raise StepTooLarge(
-                f"a body turns by {turned.max() / math.pi:.3g} half-turns in one step of "
-                f"{chunk.h:g}; take {chunk.h / turned.max():.1g} or less"
+    def _too_large(self, chunk: Chunk) -> tuple[int, StepTooLarge] | None:
+        """Return the first step that is too large for what happens in it, and why."""
+        n, h = len(self.stepping.angles), chunk.h
+        size = self.setup.scales.length
+        turned = np.abs(chunk.states[1:, n:]) * np.where(self.stepping.angles, h, 0.0)
+        turn: Array = np.max(turned, axis=1, initial=0.0)
+        wrong = (turn > math.pi) | (chunk.closing > _DEEPEST * size)
+        if not wrong.any():
+            return None
+        k = int(np.argmax(wrong))
+        if turn[k] > math.pi:
+            return k, StepTooLarge(
+                f"a body turns by {turn[k] / math.pi:.3g} half-turns in one step of {h:g}; take "
+                f"{0.1 * h / turn[k]:.1g} or less"
             )
-        depth, size = self.stepped.landing.deepest, self.setup.scales.length
-        if depth > _DEEPEST * size:
-            raise StepTooLarge(
-                f"a contact closes {depth:.3g} off its surface in one step of {chunk.h:g}, in a "
-                f"scene of size {size:.3g}; take {chunk.h * 0.1 * _DEEPEST * size / depth:.1g} "
-                "or less"
-            )
+        return k, StepTooLarge(
+            f"a contact closes {chunk.closing[k]:.3g} off its surface in one step of {h:g}, in a "
+            f"scene of size {size:.3g}; take {0.1 * h * _DEEPEST * size / chunk.closing[k]:.1g} "
+            "or less"
+        )
 
     def _margins(self, rows: Array, times: Array | float) -> Array:
         times = np.broadcast_to(np.asarray(times, dtype=float), len(rows)).copy()
@@ -276,10 +282,9 @@ class _Run:
     def trace(self, warnings: Sequence[str]) -> Trace:
         recorder, stepping = self.recorder, self.stepping
         recorder.close()
-        landing = self.stepped.landing
         tolerances = dict(self.setup.tolerances)
-        # What is closed may be so deep, and so fast: half a step of its approach.
-        tolerances["gap"] = max(tolerances["gap"], landing.deepest)
+        # Contacts that last stay as deep as they have landed.
+        tolerances["gap"] = max(tolerances["gap"], self.deepest)
         return Trace(
             name=stepping.name,
             regions=stepping.regions,

@@ -49,6 +49,8 @@ class Chunk:
         Regions with an impact in the middle of the step.
     impulses : (k, r, 2) array
         Of them.
+    approach, closing : (k,) array
+        The fastest approach of an impact; the largest gap, of either sign, that a step closes.
     """
 
     h: float
@@ -57,6 +59,8 @@ class Chunk:
     codes: Codes
     struck: NDArray[np.bool_]
     impulses: Array
+    approach: Array
+    closing: Array
 
     def first(self, count: int) -> Chunk:
         """Return the first `count` steps."""
@@ -67,6 +71,8 @@ class Chunk:
             self.codes[:count],
             self.struck[:count],
             self.impulses[:count],
+            self.approach[:count],
+            self.closing[:count],
         )
 
 

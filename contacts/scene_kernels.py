@@ -118,7 +118,8 @@ def step_scene(
     codes: NDArray[np.int64],
     struck: NDArray[np.bool_],
     gaps: Array,
-    found: Array,
+    approach: Array,
+    closing: Array,
 ) -> tuple[int, int, Array, Array, Array]:
     """Take steps until the arrays are full; return (steps, status, W, free, cones).
 
@@ -154,11 +155,12 @@ def step_scene(
     impulses : (k, c, 2), codes, struck, gaps : (k, c)
         To be filled: state after each step; accelerations and forces of contacts that last;
         impulses; modes; where Newton's law was applied; gaps at the midpoints.
-    found : (2,)
-        Raised to the fastest approach and the largest gap, of either sign, that a step closes.
+    approach, closing : (k,)
+        Fastest approach of an impact; largest gap, of either sign, that the step closes.
     """
     n, c = len(state) // 2, len(cones)
     nothing, none = np.empty((0, 0)), np.empty((0, 2))
+    numbers = np.empty(len(outputs))
     per = 2 * n + 5
     first = n * n + n + (n * n if damped else 0)
     extra = joints
@@ -169,7 +171,7 @@ def step_scene(
         middle = state.copy()
         for i in range(n):
             middle[i] += 0.5 * h * state[n + i]
-        numbers = tape_values(code, constants, outputs, middle, parameters, time)
+        tape_values(code, constants, outputs, middle, parameters, time, numbers)
         size = n + extra
         matrix = np.zeros((size, size))
         right = np.zeros(size)
@@ -208,6 +210,7 @@ def step_scene(
             return k, BAD_INERTIA, nothing, none, none
         change = _back(matrix, order, right)
         # Which contacts take part, and what their velocities may not fall below.
+        approach[k] = closing[k] = 0.0
         active = np.zeros(c, np.bool_)
         hit = np.zeros(c, np.bool_)
         wanted = np.zeros((c, 2))
@@ -225,24 +228,24 @@ def step_scene(
                     free[i, d] += numbers[row + d * n + j] * change[j]
             if gap > 0.0 and not closed[i]:
                 level[i] = 0.0
-            approach = -before[i, 0]
+            nearing = -before[i, 0]
             slow = _SLOW * abs(free[i, 0] - before[i, 0])
             above = gap - level[i]
             bias = 0.5 * h * numbers[row + 2 * n]
-            if closed[i] or (approach <= slow and above + h * (free[i, 0] + bias) < 0.0):
+            if closed[i] or (nearing <= slow and above + h * (free[i, 0] + bias) < 0.0):
                 active[i] = True
                 if above < 0.0 and not closed[i]:
                     level[i] = gap
                     above = 0.0
                 if not closed[i]:
-                    found[1] = max(found[1], above)
+                    closing[k] = max(closing[k], above)
                 wanted[i, 0] = above / h + bias
                 wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
-            elif above <= 0.0 and approach > slow:
+            elif above <= 0.0 and nearing > slow:
                 active[i] = hit[i] = True
-                wanted[i, 0] = -restitution[i] * approach
-                found[0] = max(found[0], approach)
-                found[1] = max(found[1], -gap)
+                wanted[i, 0] = -restitution[i] * nearing
+                approach[k] = max(approach[k], nearing)
+                closing[k] = max(closing[k], -gap)
                 level[i] = min(gap, 0.0)
         which = np.nonzero(active)[0]
         m = len(which)

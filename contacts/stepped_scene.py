@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
@@ -19,25 +18,9 @@ from contacts.step_kernels import UNKNOWNS
 from statechart.errors import NonFinite, SingularMode, UnsolvedImpulses
 from statechart.tape import Tape, compile_tape
 
-__all__ = ["Landing", "SteppedScene", "SteppedTape", "widened"]
+__all__ = ["SteppedScene", "SteppedTape", "widened"]
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Landing:
-    """What the impacts of a run were.
-
-    Attributes
-    ----------
-    fastest : float
-        Largest speed of approach.
-    deepest : float
-        Largest distance from the surface, of either sign, at which a step closed a contact.
-    """
-
-    fastest: float
-    deepest: float
 
 
 class SteppedTape:
@@ -111,14 +94,8 @@ class SteppedScene:
         self._level = np.zeros(count)
         self._closed = np.zeros(count, dtype=np.bool_)
         self._bases = np.zeros((count, UNKNOWNS), dtype=np.bool_)
-        self._found = np.zeros(2)
         self._least_gap = np.full(count, np.inf)
         self._least = np.full((count, 2), np.inf)
-
-    @property
-    def landing(self) -> Landing:
-        """What impacts there were so far."""
-        return Landing(float(self._found[0]), float(self._found[1]))
 
     @property
     def margins(self) -> dict[str, float]:
@@ -152,6 +129,7 @@ class SteppedScene:
         solved, impulses = np.zeros((count, n + 2 * c + r)), np.zeros((count, c, 2))
         codes, struck = np.zeros((count, c), np.int64), np.zeros((count, c), np.bool_)
         gaps = np.full((count, c), np.inf)
+        approach, closing = np.zeros(count), np.zeros(count)
         given, done = np.zeros(0), 0
         while done < count:
             taken, status, delassus, least, cones = step_scene(
@@ -159,7 +137,7 @@ class SteppedScene:
                 self._cones, self._restitution, source.held, r, start + done * h, h, now,
                 self._level, self._closed, self._bases, given, states[done + 1 :],
                 solved[done:], impulses[done:], codes[done:], struck[done:], gaps[done:],
-                self._found,
+                approach[done:], closing[done:],
             )  # fmt: skip
             done += taken
             if status == DONE:
@@ -173,8 +151,16 @@ class SteppedScene:
                     raise
                 break
         self._note(gaps[:done], solved[:done, n : n + 2 * c].reshape(done, c, 2), codes[:done])
-        return Chunk(h, states[: done + 1], solved[:done], codes[:done], struck[:done],
-                     impulses[:done])  # fmt: skip
+        return Chunk(
+            h,
+            states[: done + 1],
+            solved[:done],
+            codes[:done],
+            struck[:done],
+            impulses[:done],
+            approach[:done],
+            closing[:done],
+        )
 
     def _note(self, gaps: Array, forces: Array, codes: NDArray[np.int64]) -> None:
         if not len(gaps):

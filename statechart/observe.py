@@ -226,6 +226,8 @@ class Observer:
 
         None where a mode that was passed in no time has singular equations.
         """
+        if trace.step is not None:
+            return self._stepped_margins(trace, jumps)
         values, modes = _parameters(trace), self._modes(trace)
         found: list[dict[str, float]] = [{} for _ in jumps]
         flows: dict[Key | None, list[int]] = {}
@@ -244,6 +246,22 @@ class Observer:
             )
             for place, row in zip(places, rows.tolist(), strict=True):
                 found[place] = dict(zip(names, row, strict=True))
+        return found
+
+    def _stepped_margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
+        """Return the margins of the states left, where no mode was built."""
+        found: list[dict[str, float]] = [{} for _ in jumps]
+        sources: dict[Key, list[int]] = {}
+        for place, jump in enumerate(jumps):
+            sources.setdefault(jump.source, []).append(place)
+        for source, places in sources.items():
+            states = zip(self.automaton.regions, source, strict=True)
+            margins = [m for region, state in states for m in region.build(state).margins]
+            rows = self.at(
+                trace, [m.expression for m in margins], [jumps[k] for k in places], before=True
+            )
+            for place, row in zip(places, rows.tolist(), strict=True):
+                found[place] = {m.name: v for m, v in zip(margins, row, strict=True)}
         return found
 
     def integrals(
