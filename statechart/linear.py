@@ -8,7 +8,7 @@ singularities left are those of the mode itself, such as the Painleve boundary.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import sympy as sp
 from sympy.utilities.iterables import connected_components
@@ -66,12 +66,8 @@ def solve_linear(
     Singular
         If the structure of the equations leaves an unknown free.
     """
-    rows: list[tuple[Row, sp.Expr]] = []
-    zero = dict.fromkeys(unknowns, sp.S.Zero)
-    for equation in equations:
-        present = equation.free_symbols.intersection(unknowns)
-        row = {u: sp.diff(equation, u) for u in unknowns if u in present}
-        rows.append(({u: c for u, c in row.items() if c != 0}, -equation.xreplace(zero)))
+    place = {unknown: i for i, unknown in enumerate(unknowns)}
+    rows = [_row(equation, place) for equation in equations]
 
     first: list[Definition] = []
     last: list[Definition] = []
@@ -101,6 +97,28 @@ def solve_linear(
     if missing:
         raise Singular(missing)
     return (*first, *block, *reversed(last))
+
+
+def _row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.Expr]:
+    """Return the coefficients of the unknowns in a linear equation, and its right-hand side.
+
+    Term by term: most are a coefficient times an unknown, or the long ones without any, which
+    need not be differentiated.
+    """
+    found: dict[sp.Symbol, list[sp.Expr]] = {}
+    known: list[sp.Expr] = []
+    for term in sp.Add.make_args(equation):
+        factors = sp.Mul.make_args(term)
+        direct = next((factor for factor in factors if factor in unknowns), None)
+        if direct is not None:
+            found.setdefault(direct, []).append(sp.Mul(*(f for f in factors if f != direct)))
+            continue
+        present = unknowns.keys() & term.free_symbols
+        for unknown in present:
+            found.setdefault(unknown, []).append(sp.diff(term, unknown))
+        known.append(term.xreplace(dict.fromkeys(present, sp.S.Zero)) if present else term)
+    sums = {u: sp.Add(*found[u]) for u in sorted(found, key=unknowns.__getitem__)}
+    return {u: c for u, c in sums.items() if c != 0}, -sp.Add(*known)
 
 
 def _pivot(rows: list[tuple[Row, sp.Expr]]) -> tuple[int, sp.Symbol, str] | None:
