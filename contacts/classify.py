@@ -7,6 +7,7 @@ several), and judged by its own inequalities.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -29,6 +30,7 @@ from contacts.kernels import (
     SOLVED,
     solve_modes,
 )
+from contacts.modes import OFF
 from contacts.scales import Scales
 from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import AmbiguousMode, NoConsistentMode
@@ -39,6 +41,7 @@ Array = NDArray[np.float64]
 
 _CODES = {
     "free": FREE,
+    OFF: FREE,
     "pin": PIN,
     "slide": SLIDE,
     "slide+": SLIDE_PLUS,
@@ -295,10 +298,12 @@ def _options(
     contact: PerContact, law: ContactLaw, touching: bool, at_rest: bool
 ) -> tuple[str, ...]:
     if not touching:
-        return ("free",)
+        return (OFF if contact.gap == math.inf else "free",)
     direction = "slide+" if contact.slip > 0 else "slide-"
     return tuple(
-        state for state in law.states if state in ("free", "slide") or at_rest or state == direction
+        state
+        for state in law.states
+        if state != OFF and (state in ("free", "slide") or at_rest or state == direction)
     )
 
 

@@ -34,6 +34,7 @@ DRIVEN = "what is driven"
 
 _CONDITIONS: Mapping[str, tuple[tuple[int, int], ...]] = {
     "free": ((0, 1),),
+    "off": (),
     "pin": ((0, 0), (1, 0)),
     "slide": ((0, 0),),
     "slide+": ((0, 0), (1, 1)),

@@ -49,7 +49,14 @@ def automaton(scene: Scene) -> Automaton:
         return mechanics.contact(contact).symbols
 
     regions = tuple(
-        region(name, contact, partial(symbols, name), jams=scene.jams(name))
+        region(
+            name,
+            contact,
+            partial(symbols, name),
+            partial(mechanics.gates, name),
+            jams=scene.jams(name),
+            gate=scene.gate(name),
+        )
         for name, contact in scene.contacts.items()
     )
     forces = [symbol for pair in mechanics.forces.values() for symbol in pair]

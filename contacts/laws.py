@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from contacts.bounces import rests_of_bounces
 from contacts.classify import Choice, ContactLaw, choose
 from contacts.closing import check_joints
+from contacts.gates import hidden
 from contacts.mechanics import Mechanics
+from contacts.modes import OFF, OPEN
 from contacts.painleve import Paradox, paradoxes
 from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
@@ -49,7 +51,10 @@ class _Jam(Exception):  # noqa: N818 -- not an error: friction presses the conta
         cls, snapshot: Snapshot, laws: Sequence[ContactLaw], place: int, paradox: Paradox
     ) -> _Jam:
         direction = "slide+" if snapshot.contacts[place].slip > 0.0 else "slide-"
-        sliding = tuple(direction if i == place else "free" for i in range(len(laws)))
+        sliding = tuple(
+            direction if i == place else OFF if other.gap == math.inf else "free"
+            for i, other in enumerate(snapshot.contacts)
+        )
         return cls(place, paradox, sliding)
 
 
@@ -99,11 +104,19 @@ class SceneLaws:
         state = setup.initial
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
+        failing = self._numbers.gates.failing(setup.values, state, 0.0)
+        depth = max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"])
+        off = tuple(
+            OFF if why or (self._modes.get(name) == OFF and contact.gap < -depth) else "free"
+            for name, why, contact in zip(self._names, failing, snapshot.contacts, strict=True)
+        )
+        snapshot = hidden(snapshot, off)
         for law, contact in zip(setup.contacts, snapshot.contacts, strict=True):
-            if contact.gap < -max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"]):
+            if contact.gap < -depth:
+                gated = f", or write modes: {{{law.name}: off}}" if OFF in law.states else ""
                 raise DeclarationProblem(
                     f"contact {law.name!r} starts inside its surface, {-contact.gap:.6g} deep",
-                    advice="move the body out of the surface",
+                    advice=f"move the body out of the surface{gated}",
                     loc=("contacts", law.name),
                 )
             if contact.gap > setup.tolerances["gap"] and "free" not in law.states:
@@ -125,12 +138,12 @@ class SceneLaws:
         else:
             state = landed(key, snapshot, state, setup.tolerances)
         if state is not setup.initial:
-            snapshot = self._tape.at(setup.values, state, 0.0)
+            snapshot = hidden(self._tape.at(setup.values, state, 0.0), off)
         try:
             choice = self._choose(setup, snapshot, touching)
         except _Jam as jam:
             return self._flow(setup, jam.sliding, settled=False), state
-        self._check_declared(choice, touching)
+        self._check_declared(choice, touching, failing)
         taken = choice.taken.states
         settled = not any(
             shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
@@ -150,11 +163,23 @@ class SceneLaws:
         assert isinstance(setup, SceneSetup)
         before = state
         snapshot = self._tape.at(setup.values, state, clock.high)
+        switched = self._numbers.gates.switched(
+            flow.mode,
+            snapshot,
+            setup.values,
+            state,
+            clock.high,
+            fired,
+            {**setup.tolerances, **setup.bands},
+        )
+        if switched:
+            return self._switch(clock, j, flow, state, fired, snapshot, switched)
+        snapshot = hidden(snapshot, flow.mode)
         # Between steps a dense output leaves the constraints by its own error: a contact that the
         # flow kept closed is judged as closed.
         state = landed(flow.flow, snapshot, state, setup.tolerances)
         if state is not before:
-            snapshot = self._tape.at(setup.values, state, clock.high)
+            snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         closed = [c.gap <= close for c in snapshot.contacts]
         hitting = [i for i, c in enumerate(snapshot.contacts) if closed[i] and c.gap_rate < -slow]
@@ -209,15 +234,15 @@ class SceneLaws:
         state = jump.after
         snapshot = self._tape.at(setup.values, state, clock.high)
         shut = [
-            name in took_part or now != "free"
+            name in took_part or now not in OPEN
             for name, now in zip(self._names, flow.flow, strict=True)
         ]
         key = tuple(
-            now if now != "free" or not closed else "slide"
+            now if now not in OPEN or not closed else "slide"
             for now, closed in zip(flow.flow, shut, strict=True)
         )
         state = on_constraints(key, snapshot, state)
-        snapshot = self._tape.at(setup.values, state, clock.high)
+        snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
         choice = self._choose(setup, snapshot, shut)
         moving = choice.taken.states
         after = landed(moving, snapshot, state, setup.tolerances)
@@ -250,7 +275,7 @@ class SceneLaws:
         laws, slow = setup.contacts, setup.tolerances["speed"]
         result = collided(laws)
         after = snapshot.moved(state, result.velocity)
-        following = self._tape.at(setup.values, after, clock.high)
+        following = hidden(self._tape.at(setup.values, after, clock.high), flow.mode)
         rests = rests_of_bounces(setup, following, after, closed)
         if rests:
             laws = tuple(
@@ -259,12 +284,12 @@ class SceneLaws:
             )
             result = collided(laws)
             after = snapshot.moved(state, result.velocity)
-            following = self._tape.at(setup.values, after, clock.high)
+            following = hidden(self._tape.at(setup.values, after, clock.high), flow.mode)
         rates = [contact.gap_rate for contact in following.contacts]
         touching = [shut and rate <= slow for shut, rate in zip(closed, rates, strict=True)]
         considered: Mapping[str, str] = {}
         warnings = [*filter(None, ("" if jam is None else str(jam), result.warning))]
-        target = moving = ("free",) * len(laws)
+        target = moving = tuple(OFF if name == OFF else "free" for name in flow.mode)
         # A sequence of impacts may leave an approach behind: then it is asked again.
         settled = not any(shut and rate < -slow for shut, rate in zip(closed, rates, strict=True))
         if any(touching):
@@ -305,6 +330,38 @@ class SceneLaws:
         )
         return jump, self._flow(setup, target, moving, rest, "; ".join(warnings), settled)
 
+    def _switch(
+        self,
+        clock: Clock,
+        j: int,
+        flow: Flow,
+        state: Array,
+        fired: tuple[str, ...],
+        snapshot: Snapshot,
+        switched: Mapping[int, str],
+    ) -> tuple[Jump, Flow]:
+        """Take contacts off or back; what the others do then is asked next."""
+        mode, moving = list(flow.mode), list(flow.flow)
+        for place, target in switched.items():
+            mode[place] = moving[place] = target
+        place = next(iter(switched))
+        jump = Jump(
+            clock.high,
+            j,
+            self._names[place],
+            "disable" if mode[place] == OFF else "enable",
+            flow.mode,
+            tuple(mode),
+            state,
+            state,
+            fired,
+            energy=(snapshot.energy, snapshot.energy),
+        )
+        following = dataclasses.replace(
+            flow, mode=tuple(mode), flow=tuple(moving), warning="", settled=False
+        )
+        return jump, following
+
     def _choose(self, setup: SceneSetup, snapshot: Snapshot, touching: list[bool]) -> Choice:
         tie = 0.5 * setup.tolerances["force"] / setup.scales.force
         still = 2.0 * setup.tolerances["speed"]
@@ -335,9 +392,9 @@ class SceneLaws:
         settled: bool = True,
     ) -> Flow:
         remaining = math.inf if rest is None else rest
-        return Flow(mode, flow or mode, remaining, warning, settled, tolerances=setup.stops)
+        return Flow(mode, flow or mode, remaining, warning, settled, tolerances=setup.bands)
 
-    def _check_declared(self, choice: Choice, touching: list[bool]) -> None:
+    def _check_declared(self, choice: Choice, touching: list[bool], failing: Sequence[str]) -> None:
         for name, declared in self._modes.items():
             place = self._names.index(name)
             found = choice.taken.states[place]
@@ -350,6 +407,10 @@ class SceneLaws:
                     ),
                     "its gap is closed" if touching[place] else "its gap is open or opening",
                 )
+                if found == OFF:
+                    why = f"the condition {failing[place]} fails"
+                elif declared == OFF:
+                    why = "its conditions hold, and it is not inside its surface"
                 raise DeclarationProblem(
                     f"contact {name!r} cannot start in mode {declared!r}: {why}",
                     advice=f"the initial state calls for {found!r}",

@@ -14,10 +14,11 @@ from functools import cached_property
 import sympy as sp
 
 from contacts.modes import ContactSymbols
-from contacts.parts import Body, Contact, Path, Point, Surface
+from contacts.parts import Body, Contact, Pair, Path, Point, Surface
 from contacts.scene import Scene
+from statechart.automaton import Margin
 from statechart.declaration import TIME
-from statechart.formula import parse
+from statechart.formula import parse, parse_relation
 from statechart.linear import Definition
 
 __all__ = ["COEFFICIENTS", "ContactGeometry", "JointRow", "Mechanics"]
@@ -149,6 +150,7 @@ class Mechanics:
             **dict(zip(rates, self.v, strict=True)),
         }
         self._contacts: dict[str, ContactGeometry] = {}
+        self._gates: dict[str, tuple[Margin, ...]] = {}
 
     def rate(self, expression: sp.Expr) -> sp.Expr:
         """Return the total derivative with respect to time, accelerations included."""
@@ -363,6 +365,35 @@ class Mechanics:
                 total[i] += mass * (gx * sp.diff(x, q) + gy * sp.diff(y, q))
         return tuple(total)
 
+    def gates(self, name: str) -> tuple[Margin, ...]:
+        """Return the conditions without which a contact is off; those of its edge last."""
+        contact = self.scene.contacts[name]
+        if name not in self._gates:
+            known = self._known | {
+                f"{other}.{quantity}": getattr(self.contact(other).symbols, quantity)
+                for other in self.scene.contacts
+                for quantity in ("gap", "slip")
+                if contact.enabled
+            }
+            found = [
+                Margin(f"{name}: {text}", -parse_relation(text).margin(known))
+                for text in contact.enabled
+            ]
+            edge = self.scene.surfaces[contact.surface].edge
+            if edge is not None:
+                (x0, y0), (x1, y1) = self._corners(edge)
+                x, y = self.contact(name).point
+                length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
+                along = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
+                found.append(Margin(f"{name}: begin of its edge", along))
+                found.append(Margin(f"{name}: end of its edge", length - along))
+            self._gates[name] = tuple(found)
+        return self._gates[name]
+
+    def _corners(self, line: tuple[Pair, Pair]) -> tuple[Vector, Vector]:
+        (x0, y0), (x1, y1) = line
+        return (self._formula(x0), self._formula(y0)), (self._formula(x1), self._formula(y1))
+
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
         x, y = point = self._in_frame(surface, self.point(contact.point))
@@ -435,10 +466,9 @@ class Mechanics:
                 ((x - cx) / away, (y - cy) / away),
                 sp.S.One,
             )
-        if surface.line is not None:
-            (x0, y0), (x1, y1) = (
-                tuple(self._formula(text) for text in corner) for corner in surface.line
-            )
+        line = surface.line or surface.edge
+        if line is not None:
+            (x0, y0), (x1, y1) = self._corners(line)
             length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
             normal = ((y0 - y1) / length, (x1 - x0) / length)
         else:

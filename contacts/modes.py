@@ -11,7 +11,17 @@ from pydantic import Field
 from statechart.automaton import Margin, State
 from statechart.declaration import Part
 
-__all__ = ["ContactMode", "ContactSymbols", "Free", "Pin", "Slide", "as_mode"]
+__all__ = [
+    "OFF",
+    "OPEN",
+    "ContactMode",
+    "ContactSymbols",
+    "Free",
+    "Pin",
+    "Slide",
+    "as_mode",
+    "off",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +98,20 @@ class Pin(Part):
             margins.append(Margin(f"{name}.mu V - H", t * contact.V - n * contact.H, "force"))
             margins.append(Margin(f"{name}.mu V + H", t * contact.V + n * contact.H, "force"))
         return State((contact.normal_acceleration, contact.tangential_acceleration), tuple(margins))
+
+
+OFF = "off"
+"""The state of a contact whose conditions fail; no mode that a contact lists."""
+
+OPEN = ("free", OFF)
+"""States without force."""
+
+
+def off(contact: ContactSymbols, gates: tuple[Margin, ...]) -> State:
+    """Return the state of a contact that is off: no force, until it may come back."""
+    conditions = (margin.expression for margin in gates)
+    back = sp.Min(contact.gap, *conditions, evaluate=False)
+    return State((contact.V, contact.H), (Margin(f"{contact.name}.{OFF}", -back),))
 
 
 ContactMode = Annotated[Free | Slide | Pin, Field(discriminator="mode")]

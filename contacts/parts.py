@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag
 from contacts.modes import ContactMode, Free, Pin, Slide, as_mode
 from statechart.declaration import Part
 from statechart.errors import DeclarationProblem
-from statechart.fields import FormulaText
+from statechart.fields import FormulaText, RelationText
 from statechart.formula import parse
 
 __all__ = [
@@ -110,7 +110,7 @@ class Body(Part):
 
 
 class Surface(Part):
-    """A line that points may touch: a height function, an incline, a straight line, a circle.
+    """What points may touch: a height function, an incline, a straight line, an edge, a circle.
 
     The normal is to the left of the line's direction, the solid to its right: a ground goes from
     left to right. A surface may be carried by a body, or displaced in time.
@@ -122,6 +122,9 @@ class Surface(Part):
     line: tuple[Pair, Pair] | None = Field(
         default=None, description="Two points; the solid is on the right going from one to two."
     )
+    edge: tuple[Pair, Pair] | None = Field(
+        default=None, description="As a line, but it ends at the two points."
+    )
     circle: Pair | None = Field(default=None, description="Centre; the solid is inside.")
     radius: FormulaText | None = Field(default=None, description="Of the circle.")
     body: str | None = Field(default=None, description="What carries it, in that body's frame.")
@@ -131,10 +134,10 @@ class Surface(Part):
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        forms = [f for f in (self.height, self.incline, self.line, self.circle) if f is not None]
-        if len(forms) != 1:
+        forms = (self.height, self.incline, self.line, self.edge, self.circle)
+        if sum(form is not None for form in forms) != 1:
             raise DeclarationProblem(
-                "a surface has one of height, incline, line, circle",
+                "a surface has one of height, incline, line, edge, circle",
                 advice="write height: 0 for flat ground, incline: alpha for a slope",
             )
         if self.incline is None and self.through != (0, 0):
@@ -157,6 +160,11 @@ class Point(Part):
     at: Pair = (0, 0)
 
 
+def _as_list(value: Any) -> Any:
+    """Let a single relation be declared as itself."""
+    return (value,) if isinstance(value, str) else value
+
+
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
 
@@ -173,6 +181,10 @@ class Contact(Part):
         default="stronge",
         description="What restitution means: of energy, of velocity, of impulse.",
     )
+    enabled: Annotated[
+        tuple[RelationText, ...],
+        BeforeValidator(_as_list, json_schema_input_type=RelationText | list[RelationText]),
+    ] = Field(default=(), description="Conditions without which the contact is off.")
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -208,6 +220,12 @@ class Contact(Part):
                 advice="list free among the modes, or remove restitution",
                 loc=("restitution",),
                 key=True,
+            )
+        if self.enabled and "free" not in self.kinds:
+            raise DeclarationProblem(
+                "a contact that can be off comes back as free",
+                advice="list free among the modes",
+                loc=("modes",),
             )
         if self.frictionless and "pin" in self.kinds and "slide" in self.kinds:
             raise DeclarationProblem(

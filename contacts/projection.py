@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from contacts.joints import well_posed
 from contacts.mechanics import Mechanics
+from contacts.modes import OPEN
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
 from statechart.automaton import Projector
 from statechart.errors import NoConsistentMode
@@ -85,7 +86,7 @@ class Projection:
         tolerances : mapping
             Of `gap` and `speed`.
         """
-        closed = [(i, name == "pin") for i, name in enumerate(flow) if name != "free"]
+        closed = [(i, name == "pin") for i, name in enumerate(flow) if name not in OPEN]
         if not closed and not self._joints:
             return None
         then = self._tape.at(anchor, values, start).tolist() if "pin" in flow else []
@@ -148,7 +149,7 @@ def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, 
             return on_constraints(key, snapshot, state)
     for contact, name in zip(snapshot.contacts, key, strict=True):
         off = abs(contact.gap) > near or abs(contact.gap_rate) > slow
-        if name != "free" and (off or (name == "pin" and abs(contact.slip) > slow)):
+        if name not in OPEN and (off or (name == "pin" and abs(contact.slip) > slow)):
             return on_constraints(key, snapshot, state)
     return state
 
@@ -185,10 +186,10 @@ def on_constraints(
             rows.append(joints.jacobian[i])
             off.append((-joints.gaps[i], -joints.rates[i]))
     for i, (contact, name) in enumerate(zip(whole.contacts, key, strict=True)):
-        if name == "free" and not (inside and inside[i]):
+        if name in OPEN and not (inside and inside[i]):
             continue
         rows.append(contact.jacobian[0])
-        off.append((-contact.gap, -contact.gap_rate if name != "free" else 0.0))
+        off.append((-contact.gap, -contact.gap_rate if name not in OPEN else 0.0))
         if name == "pin":
             moved = 0.0
             if held is not None:

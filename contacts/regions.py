@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
-from contacts.modes import ContactSymbols, Free, Pin, Slide
+from contacts.modes import OFF, OPEN, ContactSymbols, Free, Pin, Slide, off
 from contacts.parts import Contact
-from statechart.automaton import Edge, Region, State
+from statechart.automaton import Edge, Margin, Region, State
 
 __all__ = ["edges", "region", "states"]
 
 _DIRECTIONS = {"slide+": 1, "slide-": -1, "slide": 0}
 
 
-def states(contact: Contact) -> tuple[str, ...]:
-    """Return the states of a contact's region: slide has a direction unless frictionless."""
+def states(contact: Contact, *, gate: str) -> tuple[str, ...]:
+    """Return the states of a contact's region: slide has a direction unless frictionless.
+
+    With a `gate` (conditions, see `Scene.gate`) it can be off, too.
+    """
     sliding = ("slide",) if contact.frictionless else ("slide+", "slide-")
     per_mode = {"free": ("free",), "slide": sliding, "pin": ("pin",)}
-    return tuple(state for mode in contact.modes for state in per_mode[mode.mode])
+    own = tuple(state for mode in contact.modes for state in per_mode[mode.mode])
+    return (*own, OFF) if gate else own
 
 
 def region(
-    name: str, contact: Contact, symbols: Callable[[], ContactSymbols], *, jams: bool
+    name: str,
+    contact: Contact,
+    symbols: Callable[[], ContactSymbols],
+    gates: Callable[[], tuple[Margin, ...]],
+    *,
+    jams: bool,
+    gate: str,
 ) -> Region:
     """Return the region of a contact.
 
@@ -33,24 +44,31 @@ def region(
         As declared.
     symbols : callable
         Its quantities as expressions, asked for when a state is built.
+    gates : callable
+        Its conditions, likewise.
     jams : bool
         Whether friction may press the point into the surface (see `Scene.jams`).
+    gate : str
+        Conditions without which it is off; "" where it has none (see `Scene.gate`).
     """
     modes = {mode.mode: mode for mode in contact.modes}
 
     def build(state: str) -> State:
+        if state == OFF:
+            return off(symbols(), gates())
         mode: Free | Slide | Pin = modes[state.rstrip("+-")]  # type: ignore[index]
-        return mode.state(symbols(), _DIRECTIONS.get(state, 0))
+        built = mode.state(symbols(), _DIRECTIONS.get(state, 0))
+        return replace(built, margins=(*built.margins, *gates())) if gate else built
 
-    names = states(contact)
+    names = states(contact, gate=gate)
     groups = {s: "slide" for s in names if s in ("slide+", "slide-")}
-    return Region(name, names, build, edges(contact, jams=jams), groups)
+    return Region(name, names, build, edges(contact, jams=jams, gate=gate), groups)
 
 
-def edges(contact: Contact, *, jams: bool) -> tuple[Edge, ...]:
+def edges(contact: Contact, *, jams: bool, gate: str) -> tuple[Edge, ...]:
     """Return the transitions of a contact's statechart; see `region`."""
-    present = states(contact)
-    closed = [s for s in present if s != "free"]
+    present = states(contact, gate="")
+    closed = [s for s in present if s not in OPEN]
     sliding = [s for s in closed if s != "pin"]
     result: list[Edge] = []
     if "free" in present:
@@ -77,6 +95,9 @@ def edges(contact: Contact, *, jams: bool) -> tuple[Edge, ...]:
     if len(sliding) == 2:
         result.append(Edge("reverse", "slide+", "slide-", "slip = 0, H > mu V"))
         result.append(Edge("reverse", "slide-", "slide+", "slip = 0, H < -mu V"))
+    if gate:
+        result += [Edge("disable", state, OFF, f"not ({gate})") for state in present]
+        result.append(Edge("enable", OFF, "free", f"{gate}, gap >= 0"))
     return tuple(result)
 
 

@@ -68,7 +68,7 @@ class Scene(Declaration):
     regions: dict[NameText, Controller] = Field(
         default={}, description="Controllers: regions beside the contacts."
     )
-    modes: dict[str, Literal["free", "slide", "slide+", "slide-", "pin"]] = Field(
+    modes: dict[str, Literal["free", "slide", "slide+", "slide-", "pin", "off"]] = Field(
         default={}, description="Initial modes, checked; found from the state where not given."
     )
 
@@ -101,6 +101,12 @@ class Scene(Declaration):
         """What formulas of controls, and with them those of forces, may use."""
         rates = map(self.rate_name, self.variables)
         return frozenset((TIME, *self.parameters, *self.variables, *rates))
+
+    def gate(self, contact: str) -> str:
+        """Return the conditions without which a contact is off, as text; "" for none."""
+        declared = self.contacts[contact]
+        ends = self.surfaces[declared.surface].edge is not None
+        return " and ".join((*declared.enabled, *(["within its edge"] if ends else [])))
 
     @model_validator(mode="after")
     def _names_are_apart(self) -> Self:
@@ -163,10 +169,11 @@ class Scene(Declaration):
             self._member("body", force.body, self.bodies, "forces", name, "body")
         for name, mode in self.modes.items():
             self._member("contact", name, self.contacts, "modes", name)
-            if mode.rstrip("+-") not in self.contacts[name].kinds:
+            known = self.contacts[name].kinds | ({"off"} if self.gate(name) else set())
+            if mode.rstrip("+-") not in known:
                 raise DeclarationProblem(
                     f"contact {name!r} does not list the mode {mode!r}",
-                    advice="its modes: " + ", ".join(sorted(self.contacts[name].kinds)),
+                    advice="its modes: " + ", ".join(sorted(known)),
                     loc=("modes", name),
                 )
         return self
@@ -199,8 +206,9 @@ class Scene(Declaration):
             if surface.incline is not None:
                 check_names(parse(surface.incline), parameters, *at, "incline")
             self._formulas(surface.through, parameters, *at, "through")
-            for place, corner in enumerate(surface.line or ()):
-                self._formulas(corner, parameters, *at, "line", place)
+            for form in ("line", "edge"):
+                for place, corner in enumerate(getattr(surface, form) or ()):
+                    self._formulas(corner, parameters, *at, form, place)
             self._formulas(surface.circle or (), parameters, *at, "circle")
             if surface.radius is not None:
                 check_names(parse(surface.radius), parameters, *at, "radius")
@@ -212,6 +220,11 @@ class Scene(Declaration):
                 text = getattr(contact, key)
                 if text is not None:
                     self.controlled.check_coefficient(text, parameters, *at, key)
+        seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
+        for name, contact in self.contacts.items():
+            for place, text in enumerate(contact.enabled):
+                loc = ("contacts", name, "enabled", place)
+                check_names(parse_relation(text), seen, *loc)
         for name, joint in self.joints.items():
             at = ("joints", name)
             self._formulas(joint.point.at, parameters, *at, "point", "at")
@@ -287,11 +300,13 @@ class Scene(Declaration):
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
         names |= {"energy", *self.controls}
+        gates = {c: self.gate(c) for c in self.contacts}
         found = {
-            c: {*states(x), *(s.rstrip("+-") for s in states(x))} for c, x in self.contacts.items()
+            c: {s for state in states(x, gate=gates[c]) for s in (state, state.rstrip("+-"))}
+            for c, x in self.contacts.items()
         } | {name: set(region.states) for name, region in self.regions.items()}
         causes = {
-            c: {edge.cause for edge in edges(x, jams=self.jams(c))}
+            c: {edge.cause for edge in edges(x, jams=self.jams(c), gate=gates[c])}
             for c, x in self.contacts.items()
         } | {name: {t.name for t in region.transitions} for name, region in self.regions.items()}
         self.check_uses(names, found, causes)

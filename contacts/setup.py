@@ -11,6 +11,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from contacts.classify import ContactLaw
+from contacts.gates import Gates
 from contacts.joints import redundant
 from contacts.mechanics import COEFFICIENTS, Mechanics
 from contacts.parts import Contact, Point
@@ -54,14 +55,15 @@ class SceneSetup(Setup):
         With this run's coefficients.
     capture : float
         Rebounds slower than this are summed instead of simulated.
-    stops : mapping
-        Stop condition -> how near zero its margin counts as met; from its value at the start.
+    bands : mapping
+        Stop condition, or condition of a contact -> how near zero its margin counts as met; from
+        its value at the start.
     """
 
     scales: Scales
     contacts: tuple[ContactLaw, ...]
     capture: float
-    stops: Mapping[str, float]
+    bands: Mapping[str, float]
 
 
 def cones(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, tuple[sp.Expr, sp.Expr]]:
@@ -170,6 +172,7 @@ class SceneNumbers:
         self._parameters = parameters
         self._places = {name: i for i, name in enumerate(parameters.names)}
         self._scales = ScaleTape(mechanics, symbols)
+        self.gates = Gates(mechanics, symbols)
         self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
         self._stops = tuple(stops)
         forces = [force for pair in mechanics.forces.values() for force in pair]
@@ -230,7 +233,10 @@ class SceneNumbers:
             scales=scales,
             contacts=self.contacts(values),
             capture=math.sqrt(max(relative, _ROUNDING)) * scales.speed,
-            stops={n: _ROUNDING * abs(v) for n, v in zip(self._stops, margins, strict=True)},
+            bands={
+                **{n: _ROUNDING * abs(v) for n, v in zip(self._stops, margins, strict=True)},
+                **self.gates.bands(values, initial, scales.sizes),
+            },
         )
 
     def _point_masses(self, values: Array, levers: Array) -> tuple[Array, tuple[str, ...]]:
@@ -292,7 +298,7 @@ class SceneNumbers:
             region = region_of(text)
             return self._places.get(f"{name}.{key}" + (f".{states[region]}" if region else ""))
 
-        region_states = states_of(contact)
+        region_states = states_of(contact, gate=self._scene.gate(name))
         n, t = (place(key, contact.friction) for key in ("cone_n", "cone_t"))
         e = place("restitution", contact.restitution)
         # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `cones`.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contacts.controls import Controller, ControlState
-from contacts.parts import Body, Contact, Force, Joint, Path, Point, Surface
+from contacts.parts import Body, Contact, Force, Joint, Pair, Path, Point, Surface
 from contacts.scene import Scene
 from statechart.comparison import Reading
 from statechart.declaration import TIME, Stop
@@ -219,31 +219,36 @@ class _Change:
         )
 
     def _surface(self, surface: Surface) -> Surface:
-        height, line, radius = surface.height, surface.line, surface.radius
+        height, radius = surface.height, surface.radius
         if height is not None:
             height = _times(self._read(parse(height), {"x": self.x}), self.y)
-        if line is not None:
-            # In a mirror the solid would be on the other side of the line.
-            first, second = line if self.x > 0.0 else line[::-1]
-            line = self._pair(first), self._pair(second)
         dx, dy = surface.displacement
         return Surface(
             height=height,
             # In a mirror a slope goes the other way, as an angle does.
             incline=None if surface.incline is None else _times(surface.incline, self.angle),
             through=self._pair(surface.through),
-            line=line,
+            line=self._line(surface.line),
+            edge=self._line(surface.edge),
             circle=None if surface.circle is None else self._pair(surface.circle),
             radius=None if radius is None else _times(radius, abs(self.x)),
             body=surface.body,
             displacement=(self._displaced(dx, self.x), self._displaced(dy, self.y)),
         )
 
+    def _line(self, line: tuple[Pair, Pair] | None) -> tuple[Pair, Pair] | None:
+        if line is None:
+            return None
+        # In a mirror the solid would be on the other side of the line.
+        first, second = line if self.x > 0.0 else line[::-1]
+        return self._pair(first), self._pair(second)
+
     def _displaced(self, text: FormulaText, factor: float) -> FormulaText:
         return text if text == 0 else _times(self._read(parse(text), self._factors), factor)
 
     def _contact(self, contact: Contact) -> Contact:
-        return contact.model_copy(update={"point": self._point(contact.point)})
+        enabled = tuple(self._read(parse_relation(t), self._factors) for t in contact.enabled)
+        return contact.model_copy(update={"point": self._point(contact.point), "enabled": enabled})
 
     def _point(self, point: Point) -> Point:
         return Point(body=point.body, at=self._pair(point.at))

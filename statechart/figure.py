@@ -35,6 +35,7 @@ _MODES = {
     "slide-": "#E88A4A",
     "slide": "#F3C14B",
     "pin": "#6CC4A4",
+    "off": "#E6E6E6",
 }
 _REST = ("#A6D8F5", "#F3C14B", "#6CC4A4", "#E0A9C6", "#E88A4A", "#8FB8DE", "#D9D38A", "#BDBDBD")
 _INK, _GRID = "#333333", "#E6E6E6"

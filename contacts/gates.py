@@ -1,0 +1,133 @@
+"""When contacts with conditions, or on edges that end, go off and come back.
+
+Off, a contact bears no force and its gap is not watched. It comes back when all its conditions hold
+and its gap is open: a foot that is inside the surface then (scuffing) comes back once it is out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from contacts.mechanics import Mechanics
+from contacts.modes import OFF
+from contacts.snapshot import Snapshot
+from statechart.tape import compile_tape
+from statechart.trace import Key
+
+__all__ = ["Gates", "hidden"]
+
+Array = NDArray[np.float64]
+
+# A condition as near zero as this, of what the state's own sizes change it by, is on the edge.
+_BAND = 1e-13
+
+
+class Gates:
+    """Judges the conditions of a scene's contacts.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        The scene's equations.
+    parameters : sequence of Symbol
+        In the order of the values.
+    """
+
+    def __init__(self, mechanics: Mechanics, parameters: Sequence[sp.Symbol]) -> None:
+        self._names = tuple(mechanics.scene.contacts)
+        self._margins = [mechanics.gates(name) for name in self._names]
+        self._tape = compile_tape(
+            [margin.expression for gates in self._margins for margin in gates],
+            variables=(*mechanics.q, *mechanics.v),
+            parameters=parameters,
+            time=mechanics.time,
+        )
+
+    def bands(self, values: Array, initial: Array, sizes: Array) -> dict[str, float]:
+        """Return how near zero each condition counts as on the edge: name -> band."""
+        if not any(self._margins):
+            return {}
+        first = self._tape.at(initial, values, 0.0)
+        change = np.abs(first)
+        for i, size in enumerate(sizes.tolist()):
+            moved = initial.copy()
+            moved[i] += size
+            change = change + np.abs(self._tape.at(moved, values, 0.0) - first)
+        bands = np.where(np.isfinite(change), _BAND * change, 0.0).tolist()
+        names = [margin.name for gates in self._margins for margin in gates]
+        result = dict(zip(names, bands, strict=True))
+        for name, gates in zip(self._names, self._margins, strict=True):
+            if gates:
+                result[f"{name}.{OFF}"] = min(result[margin.name] for margin in gates)
+        return result
+
+    def failing(self, values: Array, state: Array, time: float) -> tuple[str, ...]:
+        """Return, for every contact, the condition that fails most; "" where none does."""
+        return tuple(
+            min(found)[1] if found and min(found)[0] < 0.0 else ""
+            for found in self._numbers(values, state, time)
+        )
+
+    def switched(
+        self,
+        mode: Key,
+        snapshot: Snapshot,
+        values: Array,
+        state: Array,
+        time: float,
+        fired: tuple[str, ...],
+        tolerances: Mapping[str, float],
+    ) -> dict[int, str]:
+        """Return the contacts that go off or come back, and the state that each takes.
+
+        Parameters
+        ----------
+        mode : Key
+            Now.
+        snapshot : Snapshot
+            Numbers at `state`.
+        values, state, time
+            Where.
+        fired : tuple of str
+            Margins that fell: on the edge of a condition they tell the sides apart.
+        tolerances : mapping
+            Of `gap`, and of the conditions.
+        """
+        result: dict[int, str] = {}
+        for i, found in enumerate(self._numbers(values, state, time)):
+            if not found:
+                continue
+            if mode[i] == OFF:
+                sign = -1.0 if f"{self._names[i]}.{OFF}" in fired else 1.0
+                holds = all(value > sign * tolerances[name] for value, name in found)
+                if holds and snapshot.contacts[i].gap >= -tolerances["gap"]:
+                    result[i] = "free"
+            elif any(
+                value < (tolerances[name] if name in fired else -tolerances[name])
+                for value, name in found
+            ):
+                result[i] = OFF
+        return result
+
+    def _numbers(self, values: Array, state: Array, time: float) -> list[list[tuple[float, str]]]:
+        if not any(self._margins):
+            return [[] for _ in self._names]
+        numbers = iter(self._tape.at(state, values, time).tolist())
+        return [[(next(numbers), margin.name) for margin in gates] for gates in self._margins]
+
+
+def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
+    """Return the snapshot with the contacts that are off infinitely far away."""
+    if OFF not in mode:
+        return snapshot
+    contacts = tuple(
+        contact._replace(gap=math.inf) if name == OFF else contact
+        for contact, name in zip(snapshot.contacts, mode, strict=True)
+    )
+    return replace(snapshot, contacts=contacts)
