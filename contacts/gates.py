@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import sympy as sp
@@ -42,6 +41,7 @@ class Gates:
     def __init__(self, mechanics: Mechanics, parameters: Sequence[sp.Symbol]) -> None:
         self._names = tuple(mechanics.scene.contacts)
         self._margins = [mechanics.gates(name) for name in self._names]
+        self._any = any(self._margins)
         self._tape = compile_tape(
             [margin.expression for gates in self._margins for margin in gates],
             variables=(*mechanics.q, *mechanics.v),
@@ -51,7 +51,7 @@ class Gates:
 
     def bands(self, values: Array, initial: Array, sizes: Array) -> dict[str, float]:
         """Return how near zero each condition counts as on the edge: name -> band."""
-        if not any(self._margins):
+        if not self._any:
             return {}
         first = self._tape.at(initial, values, 0.0)
         change = np.abs(first)
@@ -82,7 +82,8 @@ class Gates:
         state: Array,
         time: float,
         fired: tuple[str, ...],
-        tolerances: Mapping[str, float],
+        near: float,
+        bands: Mapping[str, float],
     ) -> dict[int, str]:
         """Return the contacts that go off or come back, and the state that each takes.
 
@@ -96,27 +97,30 @@ class Gates:
             Where.
         fired : tuple of str
             Margins that fell: on the edge of a condition they tell the sides apart.
-        tolerances : mapping
-            Of `gap`, and of the conditions.
+        near : float
+            The gap's tolerance.
+        bands : mapping
+            As `bands` returned them.
         """
         result: dict[int, str] = {}
+        if not self._any:
+            return result
         for i, found in enumerate(self._numbers(values, state, time)):
             if not found:
                 continue
             if mode[i] == OFF:
                 sign = -1.0 if f"{self._names[i]}.{OFF}" in fired else 1.0
-                holds = all(value > sign * tolerances[name] for value, name in found)
-                if holds and snapshot.contacts[i].gap >= -tolerances["gap"]:
+                holds = all(value > sign * bands[name] for value, name in found)
+                if holds and snapshot.contacts[i].gap >= -near:
                     result[i] = "free"
             elif any(
-                value < (tolerances[name] if name in fired else -tolerances[name])
-                for value, name in found
+                value < (bands[name] if name in fired else -bands[name]) for value, name in found
             ):
                 result[i] = OFF
         return result
 
     def _numbers(self, values: Array, state: Array, time: float) -> list[list[tuple[float, str]]]:
-        if not any(self._margins):
+        if not self._any:
             return [[] for _ in self._names]
         numbers = iter(self._tape.at(state, values, time).tolist())
         return [[(next(numbers), margin.name) for margin in gates] for gates in self._margins]
@@ -130,4 +134,4 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
         contact._replace(gap=math.inf) if name == OFF else contact
         for contact, name in zip(snapshot.contacts, mode, strict=True)
     )
-    return replace(snapshot, contacts=contacts)
+    return snapshot._replace(contacts=contacts)

@@ -170,7 +170,8 @@ class SceneLaws:
             state,
             clock.high,
             fired,
-            {**setup.tolerances, **setup.bands},
+            setup.tolerances["gap"],
+            setup.bands,
         )
         if switched:
             return self._switch(clock, j, flow, state, fired, snapshot, switched)

