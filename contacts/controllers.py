@@ -19,6 +19,7 @@ from contacts.classify import Candidate, candidates
 from contacts.controls import Controller, Transition
 from contacts.laws import SceneLaws
 from contacts.mechanics import Mechanics
+from contacts.modes import OPEN
 from contacts.setup import SceneSetup
 from contacts.snapshot import SnapshotTape
 from statechart.automaton import Edge, Flow, Margin, Projector, Region, Setup, State
@@ -207,7 +208,7 @@ class ControlledLaws:
             return {}
         snapshot = self._at(own)[1].at(setup.values, state, clock.high)
         modes = flow.flow[: self._count]
-        closed = [mode != "free" for mode in modes]
+        closed = [mode not in OPEN for mode in modes]
         solved = candidates(
             snapshot, setup.contacts, [(mode,) for mode in modes], closed, closed, setup.scales
         )[0]
@@ -247,7 +248,7 @@ class ControlledLaws:
             mode=(*flow.mode, *states),
             flow=(*flow.flow, *states),
             settled=False,
-            tolerances={**setup.stops, **tolerances},
+            tolerances={**setup.bands, **tolerances},
             pending=pending or {},
         )
 

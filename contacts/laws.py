@@ -104,7 +104,7 @@ class SceneLaws:
         state = setup.initial
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
-        failing = self._numbers.gates.failing(setup.values, state, 0.0)
+        failing = self.numbers.gates.failing(setup.values, state, 0.0)
         depth = max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"])
         off = tuple(
             OFF if why or (self._modes.get(name) == OFF and contact.gap < -depth) else "free"
@@ -163,7 +163,7 @@ class SceneLaws:
         assert isinstance(setup, SceneSetup)
         before = state
         snapshot = self._tape.at(setup.values, state, clock.high)
-        switched = self._numbers.gates.switched(
+        switched = self.numbers.gates.switched(
             flow.mode,
             snapshot,
             setup.values,
