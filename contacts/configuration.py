@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.controllers import ControlledLaws
 from contacts.feasibility import DRIVEN, feasible_modes, without_direction
 from contacts.laws import SceneLaws
 from contacts.setup import SceneSetup
@@ -37,7 +38,7 @@ def feasibility(automaton: Automaton, setup: Setup, state: Array, time: float) -
         If a contact has no direction there (a point at the centre of a circle).
     """
     laws = automaton.laws
-    assert isinstance(laws, SceneLaws)
+    assert isinstance(laws, SceneLaws | ControlledLaws)
     assert isinstance(setup, SceneSetup)
     snapshot = laws.snapshot(setup, state, time)
     names = [law.name for law in setup.contacts]

@@ -21,7 +21,7 @@ from contacts.laws import SceneLaws
 from contacts.mechanics import Mechanics
 from contacts.modes import OPEN
 from contacts.setup import SceneSetup
-from contacts.snapshot import SnapshotTape
+from contacts.snapshot import Snapshot, SnapshotTape
 from statechart.automaton import Edge, Flow, Margin, Projector, Region, Setup, State
 from statechart.firing import Guard, Listening, Watch, guards
 from statechart.trace import Clock, Jump, Key
@@ -90,7 +90,7 @@ class ControlledLaws:
         self._controllers = mechanics.scene.regions
         self._names = tuple(self._controllers)
         self._count = len(regions) - len(self._names)
-        self._under: dict[Key, tuple[SceneLaws, SnapshotTape]] = {}
+        self._under: dict[Key, SceneLaws] = {}
         self._guarded: dict[Key, _Guards] = {}
         region_of = mechanics.scene.controlled.region_of
         self._varying = any(
@@ -129,7 +129,7 @@ class ControlledLaws:
         """Classify the contacts, then ask the controllers."""
         assert isinstance(setup, SceneSetup)
         own = flow.mode[self._count :]
-        laws, tape = self._at(own)
+        laws = self._at(own)
         setup = self._within(setup, own)
         made = laws.jump(setup, clock, j, self._parted(flow), state, fired)
         if made is not None:
@@ -144,7 +144,7 @@ class ControlledLaws:
         name = self._names[firing.place]
         taken = self._controllers[name].transitions[firing.transition]
         states = (*own[: firing.place], taken.target, *own[firing.place + 1 :])
-        energy = tape.at(setup.values, state, clock.high).energy
+        energy = laws.snapshot(setup, state, clock.high).energy
         jump = Jump(
             clock.high,
             j,
@@ -155,6 +155,7 @@ class ControlledLaws:
             state,
             state,
             fired,
+            path=() if taken.on is None else (f"on {taken.on}",),
             energy=(energy, energy),
         )
         pending = self._listening.heard(replace(flow, pending=firing.pending), jump)
@@ -169,9 +170,8 @@ class ControlledLaws:
         if jumps[-1].region in self._controllers:
             return None
         own = flow.mode[self._count :]
-        laws, _ = self._at(own)
         setup = self._within(setup, own)
-        made = laws.accumulate(setup, clock, self._parted(flow), jumps, rest)
+        made = self._at(own).accumulate(setup, clock, self._parted(flow), jumps, rest)
         if made is None:
             return None
         jump, following = made
@@ -181,12 +181,16 @@ class ControlledLaws:
         """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
         return self._contacts.projector(setup, flow[: self._count], start, anchor)
 
-    def _at(self, states: Key) -> tuple[SceneLaws, SnapshotTape]:
+    def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
+        """Return the numbers at a state, the controllers in their initial states."""
+        return self._contacts.snapshot(setup, state, time)
+
+    def _at(self, states: Key) -> SceneLaws:
         """Return the contacts' laws as long as the controllers are in `states`."""
         if states not in self._under:
             named = dict(zip(self._names, states, strict=True))
             tape = SnapshotTape(self._mechanics, self._parameters, named)
-            self._under[states] = self._contacts.under(tape), tape
+            self._under[states] = self._contacts.under(tape)
         return self._under[states]
 
     def _within(self, setup: SceneSetup, states: Key) -> SceneSetup:
@@ -206,7 +210,7 @@ class ControlledLaws:
         tolerances = np.array([flow.tolerances[guard.margin] for guard in watched])
         if (guarded.rows(setup, clock.high, state)[:, 0] > tolerances).all():
             return {}
-        snapshot = self._at(own)[1].at(setup.values, state, clock.high)
+        snapshot = self._at(own).snapshot(setup, state, clock.high)
         modes = flow.flow[: self._count]
         closed = [mode not in OPEN for mode in modes]
         solved = candidates(

@@ -44,6 +44,8 @@ _MOST_PANELS = 4
 # Relative to the largest value: below this a curve is the rounding of zero.
 _NOTHING = 1e-9
 _MOST_LABELLED = 24
+# Between a label that ends at its event and one that begins there, of the width.
+_GAP = 0.02
 _STYLE = {
     "font.family": "sans-serif",
     "font.size": 9.0,
@@ -66,7 +68,7 @@ class _Panel:
 
     title: str
     names: tuple[str, ...]
-    cone: tuple[str, float] | None = None
+    cone: tuple[str, float | Array] | None = None
 
 
 def figure(observer: Observer, trace: Trace, path: Path | str | None = None) -> Figure:
@@ -163,13 +165,25 @@ def _panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[_Panel
                 gaps.append(f"{region}.gap")
         normal, tangential = f"{region}.V", f"{region}.H"
         if normal in columns and tangential in columns and _largest(columns[normal]) > 0.0:
-            friction = trace.parameters.get(f"{region}.friction", 0.0)
-            cone = (normal, friction) if 0.0 < friction < np.inf else None
+            # A column where states of regions set it.
+            friction = columns.get(f"{region}.friction")
+            if friction is None:
+                friction = np.array(trace.parameters.get(f"{region}.friction", 0.0))
+            drawable = np.where((friction > 0.0) & (friction < np.inf), friction, np.nan)
+            cone = None if np.isnan(drawable).all() else (normal, drawable)
             drawn = (normal, tangential) if _largest(columns[tangential]) > 0.0 else (normal,)
             forces.append(_Panel("force", drawn, cone))
     forces = forces[: _MOST_PANELS - len(panels)]
     if gaps and len(panels) + len(forces) < _MOST_PANELS:
         panels.append(_Panel("gap", tuple(gaps)))
+    # Coefficients of contacts show as the edges of their cones.
+    controls = [
+        name
+        for name, expression in automaton.observables.items()
+        if expression in automaton.controls and "." not in name
+    ]
+    if controls:
+        forces.append(_Panel("control", tuple(controls)))
     return panels + forces
 
 
@@ -336,7 +350,7 @@ def _draw_events(axes: Sequence[Axes], trace: Trace) -> None:
         level = next((k for k, end in enumerate(free) if left >= end), None)
         if level is None:
             continue
-        free[level] = left + width
+        free[level] = left + width + (_GAP if left < place else 0.0)
         axes[0].text(
             jump.t,
             1.02 + 0.1 * level,

@@ -14,6 +14,8 @@ from contacts.testing import properties
 from statechart.automaton import Automaton
 from statechart.document import dump, interpret, read_text, validate
 from statechart.errors import DeclarationError, EventLoop
+from statechart.feasibility import feasibility
+from statechart.figure import figure
 from statechart.kinds import kind
 from statechart.observe import Observer
 from statechart.outputs import Outputs
@@ -257,6 +259,7 @@ def test_a_controller_that_counts_bounces_does_not_disturb_their_accumulation(na
     bounces = [jump for jump in trace.jumps if jump.cause == "touchdown"]
     assert len(bounces) == len([jump for jump in plain.jumps if jump.cause == "touchdown"])
     assert sum(jump.region == "pump" for jump in trace.jumps) == len(bounces)
+    # What happens at their end is an event like another.
     rests = [jump.t for t in (trace, plain) for jump in t.jumps if jump.cause == "zeno"]
     assert rests == pytest.approx([rests[1]] * 2, abs=1e-12)
 
@@ -460,6 +463,84 @@ def test_every_property_of_runs_holds_with_controllers(text: str) -> None:
     for item in (*generic(case.subject), *properties(model)):
         if not item.skipped:
             item.holds(case)
+
+
+def test_every_mode_of_contacts_is_possible_with_every_state_of_controllers() -> None:
+    held = ICE.replace("friction: 2*grip, restitution: 0", "modes: [slide, pin], friction: 2*grip")
+    built = compose(held)
+    setup = built.laws.setup({}, 1e-9)
+    found = feasibility(built.declaration, built, setup, setup.initial, 0.0)
+    assert found is not None
+    assert found.declared == {(m, w): "" for m in ("slide", "pin") for w in ("dry", "icy", "wet")}
+
+
+def test_a_scene_without_contacts_may_have_controllers() -> None:
+    text = SPRINT.replace(CART, CART[: CART.index("surfaces:")]).replace("gravity: g", "gravity: 0")
+    trace = ran(text, "taylor", 4.0)
+    assert trace.modes == (("go",), ("brake",), ("rest",))
+    assert trace.final[[0, 2]] == pytest.approx([2.0, 0.0], abs=1e-12)
+
+
+def test_the_figure_shows_controls_and_the_cone_of_every_state() -> None:
+    simulator = Simulator(compose(ICE), engine("taylor"))
+    trace = simulator.run(until=3.0)
+    axes = figure(Observer(simulator), trace).axes
+    assert [ax.get_ylabel() for ax in axes[:-1]] == ["position", "velocity", "force", "control"]
+    edge = next(line for line in axes[2].lines if "cone" in str(line.get_label()))
+    times, values = (np.asarray(data, float) for data in edge.get_data())
+    weight = 20 * math.cos(0.3)
+    for at, mu in ((0.5, 0.5), (1.2, 0.1), (2.5, 0.5)):
+        assert np.interp(at, times, values) == pytest.approx(mu * weight, abs=1e-9)
+
+
+STAIRS = (
+    BLOCK
+    + DRIVE
+    + """\
+controls: {push: F0}
+regions:
+  stairs:
+    initial: s0
+    states: {s0: {}, s1: {sets: {push: F1}}, s2: {sets: {push: F2}}, s3: {sets: {push: F3}}}
+    transitions:
+      - {name: step, from: s0, to: s1, guard: time >= 0.5}
+      - {name: step, from: s1, to: s2, guard: time >= 1}
+      - {name: step, from: s2, to: s3, guard: time >= 1.5}
+"""
+).replace("{F: 2, ", "{F0: 0, F1: 0, F2: 0, F3: 0, ")
+
+
+def staircase(forces: list[float]) -> tuple[float, float, int]:
+    """Return place, speed and number of changes of mode of a block of weight 10, mu = 1/2."""
+    x, v, mode, changes = 0.0, 0.0, 0, 0
+    for force in forces:
+        left = 0.5
+        while left > 0.0:
+            now = 0 if v == 0.0 and abs(force) <= 5.0 else math.copysign(1, v or force)
+            changes += now != mode
+            mode = now
+            a = 0.0 if now == 0 else force - 5.0 * now
+            dt = min(left, -v / a) if v * a < 0.0 else left
+            stops = dt < left
+            x, v, left = x + v * dt + a * dt**2 / 2, 0.0 if stops else v + a * dt, left - dt
+    return x, v, changes
+
+
+def test_a_staircase_of_forces_moves_a_block_as_its_parabolas_say() -> None:
+    random = np.random.default_rng(8)
+    simulators = {name: Simulator(compose(STAIRS), engine(name)) for name in ENGINES}
+    seen: set[str] = set()
+    for _ in range(60):
+        forces = (random.choice([0, 4.8, 5.15, 7.3, 12.1], 4) * random.choice([-1, 1], 4)).tolist()
+        x, v, changes = staircase(forces)
+        for name, simulator in simulators.items():
+            trace = simulator.run({f"F{i}": f for i, f in enumerate(forces)}, until=2.0)
+            assert trace.final[[0, 2]] == pytest.approx([x, v], abs=1e-9), (name, forces)
+            modes = [trace.start_mode[0], *(jump.target[0] for jump in trace.jumps)]
+            found = sum(a != b for a, b in zip(["pin", *modes], modes, strict=False))
+            assert found == changes, (name, forces)
+            seen |= {jump.cause for jump in trace.jumps}
+    assert seen == {"step", "slip", "stick", "reverse"}
 
 
 def hops(until: float, **parameters: float) -> dict[str, list[float]]:
