@@ -7,7 +7,7 @@ simplified.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -397,17 +397,35 @@ class Mechanics:
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
         x, y = point = self._in_frame(surface, self.point(contact.point))
-        gap, normal, unit = self._surface(surface, x, y)
+        # The surface is differentiated in its own coordinates and the point in those of its body:
+        # both are short, where gap(q) and its second derivative are long.
+        own = sp.Dummy("x", real=True), sp.Dummy("y", real=True)
+        here = dict(zip(own, point, strict=True))
+        function, direction, factor = self._surface(surface, *own)
+        gap, unit = function.xreplace(here), factor.xreplace(here)
+        normal = (direction[0].xreplace(here), direction[1].xreplace(here))
         tangent = (normal[1], -normal[0])
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
-        gap_rate = self.rate(gap)
+        rates = [self.rate(x), self.rate(y)]
+        drifts = [self.rate(rate).xreplace(at_rest) for rate in rates]
+        gradient = [sp.diff(function, u) for u in own]
+        along = [sp.diff(direction[1], u) for u in own], [-sp.diff(direction[0], u) for u in own]
+        curvature = [[sp.diff(slope, u) for u in own] for slope in gradient]
+
+        def times(rows: Sequence[sp.Expr], columns: Sequence[sp.Expr]) -> sp.Expr:
+            return sp.Add(*(r.xreplace(here) * c for r, c in zip(rows, columns, strict=True)))
+
+        def bent(rows: Sequence[Sequence[sp.Expr]]) -> sp.Expr:
+            return sp.Add(*(times(r, rates) * rate for r, rate in zip(rows, rates, strict=True)))
+
+        gap_rate = times(gradient, rates)
         jacobian = [(sp.diff(x, q), sp.diff(y, q)) for q in self.q]
         jacobian_n = tuple(normal[0] * dx + normal[1] * dy for dx, dy in jacobian)
         jacobian_t = tuple(tangent[0] * dx + tangent[1] * dy for dx, dy in jacobian)
-        slip = tangent[0] * self.rate(x) + tangent[1] * self.rate(y)
+        slip = tangent[0] * rates[0] + tangent[1] * rates[1]
         # On the surface (gap = gap' = 0) this is the derivative of the normal velocity.
-        bias_n = unit * self.rate(gap_rate).xreplace(at_rest)
-        bias_t = self.rate(slip).xreplace(at_rest)
+        bias_n = unit * (times(gradient, drifts) + bent(curvature))
+        bias_t = tangent[0] * drifts[0] + tangent[1] * drifts[1] + bent(along)
         V, H = self.forces[name]
         cone_n, cone_t = self._cones[name]
         symbols = ContactSymbols(
@@ -446,18 +464,19 @@ class Mechanics:
         dx, dy = point[0] - x0, point[1] - y0
         return c * dx + s * dy, c * dy - s * dx
 
-    def _surface(self, surface: Surface, x: sp.Expr, y: sp.Expr) -> tuple[sp.Expr, Vector, sp.Expr]:
+    def _surface(
+        self, surface: Surface, x: sp.Symbol, y: sp.Symbol
+    ) -> tuple[sp.Expr, Vector, sp.Expr]:
         """Return a function that is zero on the surface, the unit normal, and a factor.
 
         Function times factor is the distance to first order: the factor is the inverse of the
         length of the function's gradient.
         """
         if surface.height is not None:
-            abscissa = sp.Dummy("x", real=True)
-            height = self._formula(surface.height, x=abscissa)
-            slope = sp.diff(height, abscissa).xreplace({abscissa: x})
+            height = self._formula(surface.height, x=x)
+            slope = sp.diff(height, x)
             unit = 1 / sp.sqrt(1 + slope**2)
-            return y - height.xreplace({abscissa: x}), (-slope * unit, unit), unit
+            return y - height, (-slope * unit, unit), unit
         if surface.circle is not None and surface.radius is not None:
             cx, cy = (self._formula(text) for text in surface.circle)
             away = sp.sqrt((x - cx) ** 2 + (y - cy) ** 2)
