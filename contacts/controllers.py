@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from contacts.classify import Candidate, candidates
 from contacts.controls import Controller, Transition
+from contacts.gates import Gates
 from contacts.laws import SceneLaws
 from contacts.mechanics import Mechanics
 from contacts.modes import OPEN
@@ -189,8 +190,10 @@ class ControlledLaws:
         """Return the contacts' laws as long as the controllers are in `states`."""
         if states not in self._under:
             named = dict(zip(self._names, states, strict=True))
-            tape = SnapshotTape(self._mechanics, self._parameters, named)
-            self._under[states] = self._contacts.under(tape)
+            self._under[states] = self._contacts.under(
+                SnapshotTape(self._mechanics, self._parameters, named),
+                Gates(self._mechanics, self._parameters, named),
+            )
         return self._under[states]
 
     def _within(self, setup: SceneSetup, states: Key) -> SceneSetup:

@@ -36,9 +36,16 @@ class Gates:
         The scene's equations.
     parameters : sequence of Symbol
         In the order of the values.
+    states : mapping, optional
+        Controller -> its state; those at the start by default.
     """
 
-    def __init__(self, mechanics: Mechanics, parameters: Sequence[sp.Symbol]) -> None:
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        parameters: Sequence[sp.Symbol],
+        states: Mapping[str, str] | None = None,
+    ) -> None:
         self._names = tuple(mechanics.scene.contacts)
         self._margins = [mechanics.gates(name) for name in self._names]
         self._any = any(self._margins)
@@ -47,6 +54,7 @@ class Gates:
             variables=(*mechanics.q, *mechanics.v),
             parameters=parameters,
             time=mechanics.time,
+            definitions=mechanics.controlled(states),
         )
 
     def bands(self, values: Array, initial: Array, sizes: Array) -> dict[str, float]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from contacts.bounces import rests_of_bounces
 from contacts.classify import Choice, ContactLaw, choose
 from contacts.closing import check_joints
-from contacts.gates import hidden
+from contacts.gates import Gates, hidden
 from contacts.mechanics import Mechanics
 from contacts.modes import OFF, OPEN
 from contacts.painleve import Paradox, paradoxes
@@ -82,12 +82,13 @@ class SceneLaws:
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = SceneNumbers(mechanics, parameters, stops)
         self._tape = SnapshotTape(mechanics, symbols)
+        self._gates = self.numbers.gates
         self._projection = Projection(mechanics, symbols, self._tape)
 
-    def under(self, tape: SnapshotTape) -> SceneLaws:
-        """Return the laws where forces and coefficients are those of `tape`."""
+    def under(self, tape: SnapshotTape, gates: Gates) -> SceneLaws:
+        """Return the laws where forces are those of `tape`, and conditions those of `gates`."""
         laws = copy.copy(self)
-        laws._tape = tape
+        laws._tape, laws._gates = tape, gates
         return laws
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
@@ -104,7 +105,7 @@ class SceneLaws:
         state = setup.initial
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
-        failing = self.numbers.gates.failing(setup.values, state, 0.0)
+        failing = self._gates.failing(setup.values, state, 0.0)
         depth = max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"])
         off = tuple(
             OFF if why or (self._modes.get(name) == OFF and contact.gap < -depth) else "free"
@@ -163,7 +164,7 @@ class SceneLaws:
         assert isinstance(setup, SceneSetup)
         before = state
         snapshot = self._tape.at(setup.values, state, clock.high)
-        switched = self.numbers.gates.switched(
+        switched = self._gates.switched(
             flow.mode,
             snapshot,
             setup.values,

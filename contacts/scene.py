@@ -221,6 +221,7 @@ class Scene(Declaration):
                 if text is not None:
                     self.controlled.check_coefficient(text, parameters, *at, key)
         seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
+        seen |= set(self.controls)
         for name, contact in self.contacts.items():
             for place, text in enumerate(contact.enabled):
                 loc = ("contacts", name, "enabled", place)

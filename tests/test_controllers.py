@@ -465,6 +465,36 @@ def test_every_property_of_runs_holds_with_controllers(text: str) -> None:
             item.holds(case)
 
 
+@both
+def test_a_state_can_switch_a_contact_off(name: str) -> None:
+    # A trapdoor opens under a resting ball, and closes above it; a spring brings the ball back.
+    text = (
+        BALL[: BALL.index("controls:")]
+        .replace("restitution: bounce", "restitution: 0\n    enabled: open < 0.5")
+        .replace("{start: h}", "{start: 0}")
+        + """\
+controls: {open: 0, lift: 0}
+forces: {jack: {body: ball, force: [0, lift]}}
+regions:
+  trap:
+    initial: shut
+    states: {shut: {}, open: {sets: {open: 1}}, again: {sets: {lift: 4*g}}}
+    transitions:
+      - {name: unlock, from: shut, to: open, guard: time >= 1}
+      - {name: lock, from: open, to: again, guard: y <= -1}
+"""
+    )
+    trace = ran(text, name, 2.5)
+    # It falls 1, is braked over 1/3, rises through the door, which is there again above it.
+    fall, brake = math.sqrt(0.2), math.sqrt(0.2) / 3
+    rise = math.sqrt(2 * (4 / 3) / 30)
+    assert jumps(trace)[:4] == [
+        ("trap", "unlock"), ("skin", "disable"), ("trap", "lock"), ("skin", "enable"),
+    ]  # fmt: skip
+    expected = [1.0, 1.0, 1.0 + fall, 1.0 + fall + brake + rise]
+    assert [jump.t for jump in trace.jumps[:4]] == pytest.approx(expected, abs=1e-9)
+
+
 def test_every_mode_of_contacts_is_possible_with_every_state_of_controllers() -> None:
     held = ICE.replace("friction: 2*grip, restitution: 0", "modes: [slide, pin], friction: 2*grip")
     built = compose(held)
