@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.classify import ContactLaw
-from contacts.complementarity import LcpStatus, contact_impulses, contact_problem, solve_lcp
+from contacts.complementarity import (
+    LcpStatus,
+    contact_impulses,
+    contact_problem,
+    delassus,
+    solve_lcp,
+)
 from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SOLVED, solve_modes
 from contacts.redundancy import connected, into_cone, mode_columns, rank, smallest
 from contacts.snapshot import Snapshot
@@ -264,13 +270,8 @@ class _Problem:
 
         It serves to find the modes only, so that inertias may be filled up where they vanish.
         """
-        rows = self.jacobians.reshape(-1, len(self.mass))
-        reach = np.abs(rows).max(axis=0)
-        largest = (np.diag(self.mass) / reach**2).max()
-        filled = self.mass + np.diag(1e-14 * largest * reach**2)
-        root = np.linalg.cholesky(filled)
-        half = np.linalg.solve(root, rows.T)
-        matrix, vector = contact_problem(half.T @ half, self.start, self.cones)
+        contacts, _ = delassus(self.mass, self.jacobians, np.zeros(len(self.mass)))
+        matrix, vector = contact_problem(contacts, self.start, self.cones)
         solution = solve_lcp(matrix, vector)
         if solution.status is not LcpStatus.SOLVED:
             return []

@@ -23,7 +23,7 @@ from contacts.mechanics import Mechanics
 from contacts.modes import OPEN
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot, SnapshotTape
-from statechart.automaton import Edge, Flow, Margin, Projector, Region, Setup, State
+from statechart.automaton import Edge, Flow, Margin, Projector, Region, Setup, State, plain
 from statechart.firing import Guard, Listening, Watch, guards
 from statechart.trace import Clock, Jump, Key
 
@@ -126,7 +126,7 @@ class ControlledLaws:
         flow: Flow,
         state: Array,
         fired: tuple[str, ...],
-    ) -> tuple[Jump, Flow] | None:
+    ) -> tuple[Jump | None, Flow] | None:
         """Classify the contacts, then ask the controllers."""
         assert isinstance(setup, SceneSetup)
         own = flow.mode[self._count :]
@@ -135,6 +135,8 @@ class ControlledLaws:
         made = laws.jump(setup, clock, j, self._parted(flow), state, fired)
         if made is not None:
             jump, following = made
+            if jump is None:
+                return None, self._joined(setup, clock, following, own, state, flow.pending)
             jump = replace(jump, source=flow.mode, target=(*jump.target, *own))
             pending = self._listening.heard(flow, jump)
             return jump, self._joined(setup, clock, following, own, jump.after, pending)
@@ -214,7 +216,7 @@ class ControlledLaws:
         if (guarded.rows(setup, clock.high, state)[:, 0] > tolerances).all():
             return {}
         snapshot = self._at(own).snapshot(setup, state, clock.high)
-        modes = flow.flow[: self._count]
+        modes = plain(flow.flow[: self._count])
         closed = [mode not in OPEN for mode in modes]
         solved = candidates(
             snapshot, setup.contacts, [(mode,) for mode in modes], closed, closed, setup.scales

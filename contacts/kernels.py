@@ -10,17 +10,20 @@ from numpy.typing import NDArray
 
 __all__ = [
     "AGAINST",
+    "CONTRADICTORY",
     "FREE",
     "INEXACT",
     "INTO",
     "OUTSIDE",
     "PIN",
     "PULLS",
+    "REDUNDANT",
     "SINGULAR",
     "SLIDE",
     "SLIDE_MINUS",
     "SLIDE_PLUS",
     "SOLVED",
+    "independent",
     "saddle",
     "solve_modes",
 ]
@@ -28,7 +31,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS = range(5)
-SOLVED, SINGULAR, INEXACT = range(3)
+SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY = range(5)
 INTO, PULLS, OUTSIDE, AGAINST = range(4)
 
 # What only kernels call needs nothing to be called by from Python, and compiles sooner without.
@@ -37,6 +40,10 @@ _inner = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 # A solution whose residual stays above this, relative to its terms, is refused.
 _RESIDUAL = 1e-8
+# Rows this close to dependent are: elimination would give forces that are huge and cancel.
+_DEPENDENT = 1e-10
+# Constraints that others imply are contradicted when the accelerations miss them by this.
+_CONTRADICTED = 1e-9
 
 
 @_inner
@@ -149,6 +156,44 @@ def saddle(
     return _solve(matrix, b)
 
 
+@_kernel
+def independent(rows: Array) -> tuple[int, NDArray[np.int64], NDArray[np.int64]]:
+    """Return the rank, and the orders of rows and columns: the first `rank` are independent.
+
+    Elimination with complete pivoting, rows and then columns scaled by powers of two; the first
+    of equal pivots is taken, so that rows that come earlier are kept.
+    """
+    count, size = rows.shape
+    left = rows.copy()
+    row_order, column_order = np.arange(count), np.arange(size)
+    for i in range(count):
+        left[i] *= _power_of_two(_largest(left[i]))
+    for k in range(size):
+        left[:, k] *= _power_of_two(_largest(left[:, k]))
+    for r in range(min(count, size)):
+        best, at, beside = 0.0, r, r
+        for i in range(r, count):
+            for k in range(r, size):
+                # Pivots within a factor of two are as good as each other.
+                if abs(left[i, k]) > 2.0 * best:
+                    best, at, beside = abs(left[i, k]), i, k
+        if not best > _DEPENDENT:
+            return r, row_order, column_order
+        if at != r:
+            row_order[r], row_order[at] = row_order[at], row_order[r]
+            for k in range(size):
+                left[r, k], left[at, k] = left[at, k], left[r, k]
+        if beside != r:
+            column_order[r], column_order[beside] = column_order[beside], column_order[r]
+            for i in range(count):
+                left[i, r], left[i, beside] = left[i, beside], left[i, r]
+        for i in range(r + 1, count):
+            factor = left[i, r] / left[r, r]
+            for k in range(r, size):
+                left[i, k] -= factor * left[r, k]
+    return min(count, size), row_order, column_order
+
+
 @_inner
 def _dot(a: Array, b: Array) -> float:
     total = 0.0
@@ -166,6 +211,83 @@ def _direction(code: int) -> float:
 def _worse(verdict: Array, amount: float, contact: int, which: int, number: float) -> None:
     if amount > verdict[0]:
         verdict[0], verdict[1], verdict[2], verdict[3] = amount, contact, which, number
+
+
+@_inner
+def _judge(
+    verdict: Array,
+    accelerations: Array,
+    jacobians: Array,
+    biases: Array,
+    code: NDArray[np.int64],
+    closed: NDArray[np.bool_],
+    still: NDArray[np.bool_],
+    scale: float,
+) -> None:
+    """Judge the motion of a combination."""
+    for c in range(len(code)):
+        sign = _direction(code[c])
+        if code[c] == FREE and closed[c]:
+            apart = biases[c, 0] + _dot(jacobians[c, 0], accelerations)
+            _worse(verdict, -apart / scale, c, INTO, apart)
+        elif sign != 0.0 and still[c]:
+            along = sign * (biases[c, 1] + _dot(jacobians[c, 1], accelerations))
+            _worse(verdict, -along / scale, c, AGAINST, along)
+
+
+@_inner
+def _judge_forces(
+    verdict: Array, forces: Array, cones: Array, code: NDArray[np.int64], scale: float
+) -> None:
+    for c in range(len(code)):
+        V, H = forces[c, 0], forces[c, 1]
+        cone_n, cone_t = cones[c, 0], cones[c, 1]
+        if code[c] == PIN:
+            _worse(verdict, -V / scale, c, PULLS, V)
+            if cone_n > 0.0:
+                _worse(verdict, (cone_n * abs(H) - cone_t * V) / scale, c, OUTSIDE, abs(H))
+        elif code[c] != FREE:
+            edge = cone_n * V - _direction(code[c]) * cone_t * H
+            _worse(verdict, -edge / scale, c, PULLS, V)
+
+
+@_inner
+def _accelerate(
+    mass: Array,
+    right: Array,
+    rows: Array,
+    constants: Array,
+    columns: Array,
+    acceleration_scale: float,
+    accelerations: Array,
+    amounts: Array,
+) -> int:
+    """Solve with as many rows, first ones first, as columns; the others must then hold as well."""
+    n, rank = len(right), len(columns)
+    matrix = np.zeros((n + rank, n + rank))
+    b = np.empty(n + rank)
+    for i in range(n):
+        b[i] = right[i]
+        for k in range(n):
+            matrix[i, k] = mass[i, k]
+        for k in range(rank):
+            matrix[i, n + k] = -columns[k, i]
+            matrix[n + k, i] = rows[k, i]
+    for k in range(rank):
+        b[n + k] = constants[k]
+    status, x = _solve(matrix, b)
+    if status != SOLVED:
+        return status
+    accelerations[:] = x[:n]
+    amounts[:rank] = x[n:]
+    for k in range(rank, len(rows)):
+        terms, missed = acceleration_scale, -constants[k]
+        for i in range(n):
+            terms += abs(rows[k, i] * x[i])
+            missed += rows[k, i] * x[i]
+        if abs(missed) > _CONTRADICTED * terms:
+            return CONTRADICTORY
+    return SOLVED
 
 
 @_kernel
@@ -201,9 +323,12 @@ def solve_modes(
     Returns
     -------
     status : (k,), accelerations : (k, n), forces : (k, c, 2)
+        Where the forces are not determined but the accelerations are (REDUNDANT), the forces are
+        one choice of those that explain the motion, and need not be in their cones.
     verdicts : (k, 4)
         Of the inequality broken most: by how much in the scales (<= 0: not at all), contact,
-        which inequality (INTO, PULLS, OUTSIDE, AGAINST), its number.
+        which inequality (INTO, PULLS, OUTSIDE, AGAINST), its number. REDUNDANT ones are judged
+        by their motion alone.
     """
     count, contacts = codes.shape
     n = len(right)
@@ -211,62 +336,63 @@ def solve_modes(
     accelerations = np.zeros((count, n))
     forces = np.zeros((count, contacts, 2))
     verdicts = np.zeros((count, 4))
+    rows, columns = np.empty((2 * contacts, n)), np.empty((2 * contacts, n))
+    constants, amounts = np.empty(2 * contacts), np.empty(2 * contacts)
+    owners, directions = np.empty(2 * contacts, np.int64), np.empty((2 * contacts, 2))
     for k in range(count):
         verdicts[k, 0] = -np.inf
-        size = n
+        code = codes[k]
+        m = 0
         for c in range(contacts):
-            size += 2 * (codes[k, c] != FREE)
-        matrix = np.zeros((size, size))
-        b = np.zeros(size)
-        for i in range(n):
-            b[i] = right[i]
-            for j in range(n):
-                matrix[i, j] = mass[i, j]
-        at = n
-        for c in range(contacts):
-            code = codes[k, c]
-            if code == FREE:
+            for d in range(0 if code[c] == FREE else 2 if code[c] == PIN else 1):
+                owners[m], constants[m] = c, -biases[c, d]
+                if code[c] == PIN:
+                    directions[m, 0], directions[m, 1] = 1 - d, d
+                else:
+                    directions[m, 0] = cones[c, 0]
+                    directions[m, 1] = -_direction(code[c]) * cones[c, 1]
+                for i in range(n):
+                    rows[m, i] = jacobians[c, d, i]
+                    columns[m, i] = directions[m, 0] * jacobians[c, 0, i]
+                    columns[m, i] += directions[m, 1] * jacobians[c, 1, i]
+                m += 1
+        if m > 1:
+            rank, first, _ = independent(rows[:m])
+            reach, bearing, _ = independent(columns[:m])
+            if rank != reach:
+                status[k] = SINGULAR
                 continue
-            for i in range(n):
-                matrix[i, at] = -jacobians[c, 0, i]
-                matrix[i, at + 1] = -jacobians[c, 1, i]
-                matrix[at, i] = jacobians[c, 0, i]
-                if code == PIN:
-                    matrix[at + 1, i] = jacobians[c, 1, i]
-            b[at] = -biases[c, 0]
-            if code == PIN:
-                b[at + 1] = -biases[c, 1]
-            else:
-                matrix[at + 1, at] = _direction(code) * cones[c, 1]
-                matrix[at + 1, at + 1] = cones[c, 0]
-            at += 2
-        status[k], x = _solve(matrix, b)
+        else:
+            rank, first, bearing = m, np.arange(m), np.arange(m)
+        if rank == m:
+            bearing = first = np.arange(m)
+        status[k] = _accelerate(
+            mass,
+            right,
+            rows[first],
+            constants[first],
+            columns[bearing[:rank]],
+            acceleration_scale,
+            accelerations[k],
+            amounts,
+        )
         if status[k] == SOLVED:
-            for i in range(n):
-                accelerations[k, i] = x[i]
-            at = n
-            for c in range(contacts):
-                if codes[k, c] != FREE:
-                    forces[k, c, 0], forces[k, c, 1] = x[at], x[at + 1]
-                    at += 2
-                code = codes[k, c]
-                if code != FREE or closed[c]:
-                    V, H = forces[k, c, 0], forces[k, c, 1]
-                    cone_n, cone_t = cones[c, 0], cones[c, 1]
-                    if code == FREE:
-                        apart = biases[c, 0] + _dot(jacobians[c, 0], accelerations[k])
-                        _worse(verdicts[k], -apart / acceleration_scale, c, INTO, apart)
-                    elif code == PIN:
-                        _worse(verdicts[k], -V / force_scale, c, PULLS, V)
-                        outside = (cone_n * abs(H) - cone_t * V) / force_scale
-                        if cone_n > 0.0:
-                            _worse(verdicts[k], outside, c, OUTSIDE, abs(H))
-                    else:
-                        sign = _direction(code)
-                        edge = cone_n * V - sign * cone_t * H
-                        _worse(verdicts[k], -edge / force_scale, c, PULLS, V)
-                        if sign != 0.0 and still[c]:
-                            along = biases[c, 1] + _dot(jacobians[c, 1], accelerations[k])
-                            along *= sign
-                            _worse(verdicts[k], -along / acceleration_scale, c, AGAINST, along)
+            for i in range(rank):
+                c = owners[bearing[i]]
+                forces[k, c, 0] += amounts[i] * directions[bearing[i], 0]
+                forces[k, c, 1] += amounts[i] * directions[bearing[i], 1]
+            _judge(
+                verdicts[k],
+                accelerations[k],
+                jacobians,
+                biases,
+                code,
+                closed,
+                still,
+                acceleration_scale,
+            )
+            if rank == m:
+                _judge_forces(verdicts[k], forces[k], cones, code, force_scale)
+            else:
+                status[k] = REDUNDANT
     return status, accelerations, forces, verdicts

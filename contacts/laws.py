@@ -21,7 +21,7 @@ from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.simultaneous import Impacts, impacts, without_collision
 from contacts.snapshot import Snapshot, SnapshotTape
-from statechart.automaton import Flow, Margin, Projector, Setup
+from statechart.automaton import Flow, Margin, Projector, Setup, plain
 from statechart.errors import DeclarationProblem, NoConsistentMode
 from statechart.parameters import Parameters
 from statechart.trace import Clock, Jump, Key
@@ -145,11 +145,13 @@ class SceneLaws:
         except _Jam as jam:
             return self._flow(setup, jam.sliding, settled=False), state
         self._check_declared(choice, touching, failing)
-        taken = choice.taken.states
+        taken = choice.taken
         settled = not any(
             shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
         )
-        return self._flow(setup, taken, warning=choice.warning, settled=settled), state
+        return self._flow(
+            setup, taken.states, taken.flow, None, choice.warning, settled, choice.notes
+        ), state
 
     def jump(
         self,
@@ -159,7 +161,7 @@ class SceneLaws:
         flow: Flow,
         state: Array,
         fired: tuple[str, ...],
-    ) -> tuple[Jump, Flow] | None:
+    ) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.classify`."""
         assert isinstance(setup, SceneSetup)
         before = state
@@ -179,7 +181,8 @@ class SceneLaws:
         snapshot = hidden(snapshot, flow.mode)
         # Between steps a dense output leaves the constraints by its own error: a contact that the
         # flow kept closed is judged as closed.
-        state = landed(flow.flow, snapshot, state, setup.tolerances)
+        moving = plain(flow.flow)
+        state = landed(moving, snapshot, state, setup.tolerances)
         if state is not before:
             snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
@@ -196,9 +199,11 @@ class SceneLaws:
             hit = [jam.place]
             return self._impact(setup, clock, j, flow, state, fired, snapshot, hit, closed, jam)
         target = choice.taken.states
-        skipping = flow.flow != flow.mode
-        if target == flow.flow and not (skipping and fired == ("zeno",)):
-            return None
+        skipping = moving != flow.mode
+        if target == moving and not (skipping and fired == ("zeno",)):
+            if choice.taken.flow == flow.flow:
+                return None
+            return None, dataclasses.replace(flow, flow=choice.taken.flow, settled=True)
         after = landed(target, snapshot, state, setup.tolerances)
         energy = snapshot.energy
         left = energy if after is state else self._energy(setup, after, clock.high)
@@ -214,7 +219,9 @@ class SceneLaws:
             considered=choice.considered,
             energy=(energy, left),
         )
-        return jump, self._flow(setup, target, warning=choice.warning)
+        return jump, self._flow(
+            setup, target, choice.taken.flow, warning=choice.warning, notes=choice.notes
+        )
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
@@ -233,28 +240,31 @@ class SceneLaws:
         took_part = set().union(*(past.impulse for past in jumps[since[-1] :]))
         if len(took_part) < 2:
             return None
-        state = jump.after
+        state, before = jump.after, plain(flow.flow)
         snapshot = self._tape.at(setup.values, state, clock.high)
         shut = [
             name in took_part or now not in OPEN
-            for name, now in zip(self._names, flow.flow, strict=True)
+            for name, now in zip(self._names, before, strict=True)
         ]
         key = tuple(
             now if now not in OPEN or not closed else "slide"
-            for now, closed in zip(flow.flow, shut, strict=True)
+            for now, closed in zip(before, shut, strict=True)
         )
         state = on_constraints(key, snapshot, state)
         snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
         choice = self._choose(setup, snapshot, shut)
-        moving = choice.taken.states
-        after = landed(moving, snapshot, state, setup.tolerances)
+        after = landed(choice.taken.states, snapshot, state, setup.tolerances)
         energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
-        following = self._flow(setup, flow.mode, moving, rest, choice.warning)
+        following = self._flow(
+            setup, flow.mode, choice.taken.flow, rest, choice.warning, notes=choice.notes
+        )
         return dataclasses.replace(jump, after=after, energy=energy, skipped=rest), following
 
     def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Projector | None:
         """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
-        return self._projection.projector(flow, start, anchor, setup.values, setup.tolerances)
+        return self._projection.projector(
+            plain(flow), start, anchor, setup.values, setup.tolerances
+        )
 
     def _impact(
         self,
@@ -292,6 +302,7 @@ class SceneLaws:
         considered: Mapping[str, str] = {}
         warnings = [*filter(None, ("" if jam is None else str(jam), result.warning))]
         target = moving = tuple(OFF if name == OFF else "free" for name in flow.mode)
+        notes: tuple[str, ...] = ()
         # A sequence of impacts may leave an approach behind: then it is asked again.
         settled = not any(shut and rate < -slow for shut, rate in zip(closed, rates, strict=True))
         if any(touching):
@@ -300,11 +311,11 @@ class SceneLaws:
             except _Jam as next_jam:
                 moving, settled = next_jam.sliding, False
             else:
-                considered, moving = choice.considered, choice.taken.states
+                considered, moving, notes = choice.considered, choice.taken.flow, choice.notes
                 warnings += [choice.warning] if choice.warning else []
-            after = landed(moving, following, after, setup.tolerances)
+            after = landed(plain(moving), following, after, setup.tolerances)
             # Where bounces are skipped the contact is still free, and moves as if closed.
-            target = tuple("free" if i in rests else name for i, name in enumerate(moving))
+            target = tuple("free" if i in rests else name for i, name in enumerate(plain(moving)))
         before, left = snapshot.energy, self._energy(setup, after, clock.high)
         rest = max(rests.values(), default=None)
         jump = Jump(
@@ -330,7 +341,8 @@ class SceneLaws:
             energy=(before, left),
             skipped=rest or 0.0,
         )
-        return jump, self._flow(setup, target, moving, rest, "; ".join(warnings), settled)
+        warning = "; ".join(warnings)
+        return jump, self._flow(setup, target, moving, rest, warning, settled, notes)
 
     def _switch(
         self,
@@ -392,9 +404,10 @@ class SceneLaws:
         rest: float | None = None,
         warning: str = "",
         settled: bool = True,
+        notes: tuple[str, ...] = (),
     ) -> Flow:
         remaining = math.inf if rest is None else rest
-        return Flow(mode, flow or mode, remaining, warning, settled, tolerances=setup.bands)
+        return Flow(mode, flow or mode, remaining, warning, settled, notes, tolerances=setup.bands)
 
     def _check_declared(self, choice: Choice, touching: list[bool], failing: Sequence[str]) -> None:
         for name, declared in self._modes.items():

@@ -439,6 +439,8 @@ class Mechanics:
             H,
             cone_n,
             cone_t,
+            (jacobian_n, jacobian_t),
+            tuple(row.jacobian for row in self.joint_rows),
         )
         return ContactGeometry(
             point, normal, tangent, symbols, jacobian_n, jacobian_t, bias_n, bias_t

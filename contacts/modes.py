@@ -21,6 +21,7 @@ __all__ = [
     "Slide",
     "as_mode",
     "off",
+    "shared",
 ]
 
 
@@ -43,6 +44,10 @@ class ContactSymbols:
     cone_n, cone_t : Expr
         The cone's unit edge (1, mu) / hypot(1, mu): mu = 0 and mu = inf are ordinary values.
         Plain numbers where no coefficient is needed: (1, 0) frictionless, (0, 1) without slide.
+    jacobian : (tuple of Expr, tuple of Expr)
+        d(normal, tangential velocity)/d(rates): what the forces do to each coordinate.
+    joints : tuple of tuple of Expr
+        Jacobian of the scene's joints, row by row.
     """
 
     name: str
@@ -55,6 +60,8 @@ class ContactSymbols:
     H: sp.Symbol
     cone_n: sp.Expr
     cone_t: sp.Expr
+    jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
+    joints: tuple[tuple[sp.Expr, ...], ...]
 
 
 class Free(Part):
@@ -112,6 +119,56 @@ def off(contact: ContactSymbols, gates: tuple[Margin, ...]) -> State:
     conditions = (margin.expression for margin in gates)
     back = sp.Min(contact.gap, *conditions, evaluate=False)
     return State((contact.V, contact.H), (Margin(f"{contact.name}.{OFF}", -back),))
+
+
+def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, part: str) -> State:
+    """Return the state of a contact that shares its load (see `contacts.sharing`).
+
+    Parameters
+    ----------
+    part : str
+        ``zone|rows|coordinates|joints``: where the contact is on its cone, which of its
+        constraints the others do not imply, the coordinates whose displacements determine the
+        forces, and the rows of the joints that these displacements keep (named once in a mode).
+    """
+    own = mode.state(contact, direction)
+    zone, rows, coordinates, joints = part.split("|")
+    constraints = {"n": contact.normal_acceleration, "t": contact.tangential_acceleration}
+    kept = tuple(constraints[row] for row in rows)
+    if zone == "own":
+        laws = tuple(e for e in own.equations if e not in constraints.values())
+        return State((*kept, *laws), own.margins)
+    name, n, t = contact.name, contact.cone_n, contact.cone_t
+    places = [int(place) for place in coordinates.split(",")]
+    y = {place: sp.Symbol(f"y{place}", real=True) for place in places}
+    w, u = (sp.Add(*(row[i] * y[i] for i in places)) for row in contact.jacobian)
+    pinned = isinstance(mode, Pin)
+    # Along the edge, where there is but one, and across it, away from the inside of the cone.
+    t = t if pinned and zone == "upper" else -t if pinned else -direction * t
+    along = n * w + t * u
+    across = n * u - t * w
+    margins = tuple(m for m in own.margins if m.kind == "speed")
+    force = (w, u)
+    if zone == "inside":
+        margins = own.margins
+    elif zone == "apex":
+        force = (sp.S.Zero, sp.S.Zero)
+        margins += (Margin(f"{name}.spared", -along, "force"),)
+        if pinned:
+            margins += (Margin(f"{name}.spared -", t * u - n * w, "force"),)
+    else:
+        force = (n * along, t * along)
+        margins += (Margin(f"{name}.V", n * contact.V + t * contact.H, "force"),)
+        if pinned:
+            away = across if zone == "upper" else -across
+            margins += (Margin(f"{name}.on edge", away, "force"),)
+    kept += tuple(
+        sp.Add(*(contact.joints[int(joint)][i] * y[i] for i in places))
+        for joint in joints.split(",")
+        if joint
+    )
+    laws = (contact.V - force[0], contact.H - force[1])
+    return State((*kept, *laws), margins, unknowns=tuple(y.values()))
 
 
 ContactMode = Annotated[Free | Slide | Pin, Field(discriminator="mode")]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from contacts.kernels import FREE, PIN, SLIDE, SLIDE_PLUS
 
-__all__ = ["connected", "into_cone", "mode_columns", "rank", "smallest"]
+__all__ = ["connected", "directions", "into_cone", "mode_columns", "rank", "smallest", "unseen"]
 
 Array = NDArray[np.float64]
 
@@ -34,22 +34,35 @@ def mode_columns(code: NDArray[np.int64], jacobians: Array, cones: Array) -> lis
     jacobians : (c, 2, n), cones : (c, 2)
     """
     return [
-        [V * n + H * t for V, H in _directions(mode, cone)]
+        [V * n + H * t for V, H in directions(mode, cone)]
         for mode, (n, t), cone in zip(code, jacobians, cones, strict=True)
     ]
 
 
 def rank(columns: Array, tolerance: float) -> tuple[int, Array]:
     """Return the rank, and a basis of what the columns do not see (m, m - rank)."""
+    sizes, right = _spectrum(columns)
+    count = int((sizes > tolerance * sizes.max(initial=0.0)).sum())
+    return count, _clean(right[count:].T)
+
+
+def unseen(columns: Array, count: int) -> Array:
+    """Return a basis (m, m - count) of what columns of rank `count` do not see."""
+    return _clean(_spectrum(columns)[1][count:].T)
+
+
+def _spectrum(columns: Array) -> tuple[Array, Array]:
     largest = np.abs(columns).max(axis=1, keepdims=True)
     rows = columns[largest[:, 0] > 0.0] / largest[largest[:, 0] > 0.0]
     if not len(rows):
-        return 0, np.eye(columns.shape[1])
+        return np.zeros(0), np.eye(columns.shape[1])
     _, sizes, right = np.linalg.svd(rows)
-    count = int((sizes > tolerance * sizes[0]).sum())
-    hidden = right[count:].T
+    return sizes, right
+
+
+def _clean(hidden: Array) -> Array:
     # Rounding would mix impulses that share nothing and differ by decades.
-    return count, np.where(np.abs(hidden) > _DEPENDENT, hidden, 0.0)
+    return np.where(np.abs(hidden) > _DEPENDENT, hidden, 0.0)
 
 
 def smallest(
@@ -71,7 +84,7 @@ def smallest(
     if not len(owners) or not impulses.any():
         return impulses, [False] * len(code)
     flat = np.array([column for several in columns for column in several])
-    directions = np.array([d for k in range(len(code)) for d in _directions(code[k], cones[k])])
+    units = np.array([d for k in range(len(code)) for d in directions(code[k], cones[k])])
     hidden = rank(flat.T, _DEPENDENT)[1]
     exchanged = np.abs(hidden @ hidden.T) > _DEPENDENT
     linked = np.zeros((len(code), len(code)), dtype=np.bool_)
@@ -81,13 +94,13 @@ def smallest(
     given = impulses.copy()
     for label in np.unique(labels[linked.any(axis=1)]):
         ours = labels[owners] == label
-        amounts = (directions[ours] * impulses[owners[ours]]).sum(axis=1)
+        amounts = (units[ours] * impulses[owners[ours]]).sum(axis=1)
         least = _least(flat[ours].T, amounts, _bounds(owners[ours], code, cones))
         if least is None:
             continue
         for k in np.nonzero(labels == label)[0]:
             mine = owners[ours] == k
-            given[k] = least[mine] @ directions[ours][mine]
+            given[k] = least[mine] @ units[ours][mine]
     return given, [bool(row.any()) for row in linked]
 
 
@@ -109,7 +122,7 @@ def connected(linked: NDArray[np.bool_]) -> NDArray[np.int64]:
     return labels
 
 
-def _directions(mode: int, cone: Array) -> list[tuple[float, float]]:
+def directions(mode: int, cone: Array) -> list[tuple[float, float]]:
     """Return (V, H) per unit of a contact's columns."""
     if mode == FREE:
         return []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from contacts.modes import OFF, OPEN, ContactSymbols, Free, Pin, Slide, off
+from contacts.modes import OFF, OPEN, ContactSymbols, Free, Pin, Slide, off, shared
 from contacts.parts import Contact
 from statechart.automaton import Edge, Margin, Region, State
 
@@ -56,8 +56,13 @@ def region(
     def build(state: str) -> State:
         if state == OFF:
             return off(symbols(), gates())
-        mode: Free | Slide | Pin = modes[state.rstrip("+-")]  # type: ignore[index]
-        built = mode.state(symbols(), _DIRECTIONS.get(state, 0))
+        name, _, part = state.partition("|")
+        mode: Free | Slide | Pin = modes[name.rstrip("+-")]  # type: ignore[index]
+        direction = _DIRECTIONS.get(name, 0)
+        if part:
+            built = shared(mode, symbols(), direction, part)
+        else:
+            built = mode.state(symbols(), direction)
         return replace(built, margins=(*built.margins, *gates())) if gate else built
 
     names = states(contact, gate=gate)

@@ -34,6 +34,7 @@ __all__ = [
     "Region",
     "Setup",
     "State",
+    "plain",
 ]
 
 Kind = Literal["plain", "gap", "speed", "force"]
@@ -46,6 +47,15 @@ Projector = Callable[[NDArray[np.float64], float], tuple[NDArray[np.float64], fl
 """From a state and the time since the flow began to the state back on the flow's constraints (the
 same object where it is near enough), and how far it was off in tolerances: above 1 they were
 violated."""
+
+
+def plain(flow: Key) -> Key:
+    """Return the mode of a flow: its states without what chooses among equivalent equations.
+
+    Where a mode's equations leave quantities open that do not change the motion, a flow says after
+    the state's name, separated by ``|``, what determines them (``pin|inside|nt|0,1,2|``).
+    """
+    return tuple(state.partition("|")[0] for state in flow)
 
 
 @dataclass(frozen=True)
@@ -76,19 +86,22 @@ class State:
     Attributes
     ----------
     equations : tuple of Expr
-        Each = 0, linear in the automaton's unknowns.
+        Each = 0, linear in the automaton's unknowns and its own.
     margins : tuple of Margin
         What an event of the state is the fall of.
     invariants : tuple of Margin
         What its declaration asserts besides; for checks of a trace, no run looks at them.
     values : mapping
         What the state sets: some of the automaton's controls -> expressions without unknowns.
+    unknowns : tuple of Symbol
+        Further ones that its equations need; states may share them.
     """
 
     equations: tuple[sp.Expr, ...] = ()
     margins: tuple[Margin, ...] = ()
     invariants: tuple[Margin, ...] = ()
     values: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    unknowns: tuple[sp.Symbol, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -197,6 +210,8 @@ class Flow:
         What a reader must know of the choice of this mode; "" where nothing.
     settled : bool
         True when the laws have seen the state that the flow starts from and keep the mode.
+    notes : tuple of str
+        What a reader must know of the mode, told once.
     held : mapping
         Region -> when its Zeno sequence, whose rest is skipped, comes to its end.
     tolerances : mapping
@@ -213,6 +228,7 @@ class Flow:
     remaining: float = float("inf")
     warning: str = ""
     settled: bool = False
+    notes: tuple[str, ...] = ()
     held: Mapping[str, Clock] = field(default_factory=dict)
     tolerances: Mapping[str, float] = field(default_factory=dict)
     terms: NDArray[np.float64] | None = None
@@ -243,8 +259,11 @@ class Laws(Protocol):
         flow: Flow,
         state: NDArray[np.float64],
         fired: tuple[str, ...],
-    ) -> tuple[Jump, Flow] | None:
-        """Return the jump that the state calls for, or None when the mode holds."""
+    ) -> tuple[Jump | None, Flow] | None:
+        """Return the jump that the state calls for, or None when the mode holds.
+
+        A flow without a jump: the mode holds, but by other equations.
+        """
         ...
 
     def accumulate(

@@ -77,9 +77,10 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
         used = set().union(*(e.free_symbols for e in equations)) if equations else set()
         equations += [unknown for unknown in automaton.unknowns if unknown not in used]
     margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
+    further = dict.fromkeys(unknown for state in states for unknown in state.unknowns)
     return Mode(
         key,
-        (*controls, *solve_linear(equations, automaton.unknowns)),
+        (*controls, *solve_linear(equations, (*automaton.unknowns, *further))),
         tuple(rate.xreplace(substitution) for rate in automaton.rates),
         tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins),
     )

@@ -71,9 +71,10 @@ def solve_linear(
 
     first: list[Definition] = []
     last: list[Definition] = []
+    sizes: dict[sp.Expr, float] = {}
     while True:
         rows = [(row, right) for row, right in rows if row]
-        pivot = _pivot(rows)
+        pivot = _pivot(rows, sizes)
         if pivot is None:
             break
         index, unknown, where = pivot
@@ -121,8 +122,19 @@ def _row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.
     return {u: c for u, c in sums.items() if c != 0}, -sp.Add(*known)
 
 
-def _pivot(rows: list[tuple[Row, sp.Expr]]) -> tuple[int, sp.Symbol, str] | None:
-    """Choose the cheapest pivot that divides by a factor of the determinant only."""
+def _pivot(
+    rows: list[tuple[Row, sp.Expr]], sizes: dict[sp.Expr, float]
+) -> tuple[int, sp.Symbol, str] | None:
+    """Choose the cheapest pivot that divides by a factor of the determinant only.
+
+    `sizes` keeps those of the coefficients seen so far: 0 where they are not numbers.
+    """
+
+    def size(coefficient: sp.Expr) -> float:
+        if coefficient not in sizes:
+            sizes[coefficient] = abs(float(coefficient)) if coefficient.is_number else 0.0
+        return sizes[coefficient]
+
     for index, (row, _) in enumerate(rows):
         if len(row) == 1:
             return index, next(iter(row)), "row"
@@ -132,11 +144,11 @@ def _pivot(rows: list[tuple[Row, sp.Expr]]) -> tuple[int, sp.Symbol, str] | None
             count[unknown] = count.get(unknown, 0) + 1
     best: tuple[int, int, sp.Symbol, str] | None = None
     for index, (row, _) in enumerate(rows):
-        largest = max((abs(c) for c in row.values() if c.is_number), default=0)
+        largest = max(map(size, row.values()))
         for unknown, coefficient in row.items():
             if count[unknown] == 1:
                 return index, unknown, "column"
-            if coefficient.is_number and abs(coefficient) >= max(_SMALLEST, 0.1 * largest):
+            if size(coefficient) >= max(_SMALLEST, 0.1 * largest):
                 # Markowitz: the fill that the elimination can make.
                 cost = (len(row) - 1) * (count[unknown] - 1)
                 if best is None or cost < best[0]:

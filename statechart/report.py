@@ -50,7 +50,8 @@ def report(
     dict
         `model`, `outcome`, `message`, `t_end`, `engine`, `certified`, `evidence`,
         `error_estimate`, `modes_total` (directions of sliding told apart), `modes_declared`
-        (as users count), `modes_built`, `modes` (in the order visited), `events`, `final`,
+        (as users count), `modes_built`, `modes` (in the order visited), `indeterminate` (modes
+        whose motion leaves quantities of regions open, and which), `events`, `final`,
         `outputs`, `margins`, `warnings`, `counts`, `timings`, `parameters`, `tolerances`.
     """
     automaton = observer.automaton
@@ -73,6 +74,10 @@ def report(
         "modes_declared": automaton.modes_declared,
         "modes_built": trace.counts.get("modes_built", 0),
         "modes": [dict(zip(trace.regions, key, strict=True)) for key in trace.modes],
+        "indeterminate": [
+            {"mode": dict(zip(trace.regions, key, strict=True)), "regions": names}
+            for key, names in trace.indeterminate.items()
+        ],
         "events": events,
         "final": dict(zip(trace.variables, trace.final.tolist(), strict=True)),
         "outputs": outputs(observer, trace),

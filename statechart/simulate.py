@@ -12,7 +12,7 @@ import numpy as np
 import sympy as sp
 
 from statechart.advance import CompiledMode, advance, compile_mode
-from statechart.automaton import HELD, Automaton, Flow, Setup
+from statechart.automaton import HELD, Automaton, Flow, Setup, plain
 from statechart.compose import build_mode
 from statechart.engine import Engine, Path
 from statechart.errors import EventLoop, SimulationError
@@ -121,7 +121,7 @@ class Simulator:
     @property
     def modes_built(self) -> int:
         """Number of modes whose equations were built so far."""
-        return len({key for key, _ in self._compiled if HELD not in key})
+        return len({plain(key) for key, _ in self._compiled if HELD not in key})
 
 
 class Progress:
@@ -167,6 +167,7 @@ class _Run:
     steps: int = 0
     entered: dict[Key, CompiledMode] = field(default_factory=dict)
     stalled: tuple[float, float, tuple[str, ...]] | None = None
+    rearranged: tuple[tuple[float, float], int] = (0.0, 0.0), 0
 
     def __post_init__(self) -> None:
         self.flow: Flow | None = None
@@ -272,6 +273,8 @@ class _Run:
         return (margin.name,)
 
     def _warn(self) -> None:
+        if self.flow is not None:
+            self.warnings |= dict.fromkeys(self.flow.notes)
         if self.flow is not None and self.flow.warning:
             self.warnings[f"t = {self.clock.high:.17g}: {self.flow.warning}"] = None
 
@@ -303,6 +306,9 @@ class _Run:
                 break
             moved = True
             jump, self.flow = made
+            if jump is None:
+                self._rearrange(fired)
+                continue
             self._warn()
             self.jumps.append(jump)
             self.state = jump.after
@@ -322,6 +328,16 @@ class _Run:
         if fired and not moved:
             self._stall(fired)
         return False
+
+    def _rearrange(self, fired: tuple[str, ...]) -> None:
+        """Note that a mode goes on by other equations: again and again at one instant is a loop."""
+        now = (self.clock.high, self.clock.low)
+        self.rearranged = (now, self.rearranged[1] + 1 if self.rearranged[0] == now else 1)
+        if self.rearranged[1] > _JUMPS_AT_ONCE:
+            raise EventLoop(
+                f"{', '.join(fired)} falls at t = {now[0]:.17g}, and equations of the mode follow "
+                "one another for ever"
+            )
 
     def _skip(self, jump: Jump) -> None:
         """Skip the rest of a sequence of jumps that accumulate, where the laws can."""

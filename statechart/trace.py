@@ -247,6 +247,17 @@ class Trace:
         )
 
     @property
+    def indeterminate(self) -> dict[Key, tuple[str, ...]]:
+        """Mode -> regions some of whose quantities its motion does not determine."""
+        found: dict[Key, tuple[str, ...]] = {}
+        for arc in self.arcs:
+            open_ones = zip(self.regions, arc.flow or (), strict=False)
+            names = tuple(name for name, state in open_ones if "|" in state)
+            if names:
+                found[arc.mode] = names
+        return found
+
+    @property
     def modes(self) -> tuple[Key, ...]:
         """The modes in the order visited, zero-length ones included, repeats merged."""
         sequence = [self.start_mode]

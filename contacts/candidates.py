@@ -1,0 +1,388 @@
+"""Modes of the closed contacts, solved and judged by their own inequalities.
+
+Where contacts can stand in for each other, a mode is judged by whether some forces in the cones
+explain its motion (`contacts.sharing`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.complementarity import (
+    LcpStatus,
+    contact_impulses,
+    contact_problem,
+    delassus,
+    solve_lcp,
+)
+from contacts.kernels import (
+    AGAINST,
+    CONTRADICTORY,
+    FREE,
+    INTO,
+    OUTSIDE,
+    PIN,
+    PULLS,
+    REDUNDANT,
+    SLIDE,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    SOLVED,
+    solve_modes,
+)
+from contacts.modes import OFF
+from contacts.scales import Scales
+from contacts.sharing import Share, share
+from contacts.snapshot import Snapshot
+
+__all__ = [
+    "Candidate",
+    "ContactLaw",
+    "Undetermined",
+    "by_lemke",
+    "candidates",
+    "openness",
+    "same_motion",
+]
+
+Array = NDArray[np.float64]
+
+_CODES = {
+    "free": FREE,
+    OFF: FREE,
+    "pin": PIN,
+    "slide": SLIDE,
+    "slide+": SLIDE_PLUS,
+    "slide-": SLIDE_MINUS,
+}
+_WORDS = {
+    INTO: "it would accelerate at {:.3g} into the surface",
+    PULLS: "V = {:.3g} < 0",
+    OUTSIDE: "|H| = {:.6g} > mu V",
+    AGAINST: "slip would accelerate at {:.3g} against it",
+}
+_SINGULAR = "its equations do not determine the motion"
+_CONTRADICTS = "its contacts cannot move like that together"
+_UNEXPLAINED = "no forces within the cones explain its motion"
+_LESS = "moves like a mode that keeps more contacts closed or pinned"
+# Besides what `contacts.kernels` numbers: forces in no cone.
+_NOWHERE = -1
+# Two motions are the same when their accelerations agree to this.
+_SAME_MOTION = 1e-9
+# Relative to the scene's force: smaller forces cannot be told from none.
+_EXACT = 1e-13
+
+
+@dataclass(frozen=True)
+class ContactLaw:
+    """What a contact may do.
+
+    Attributes
+    ----------
+    name : str
+        Of the contact.
+    states : tuple of str
+        Its region's states.
+    cone_n, cone_t : float
+        Unit edge of the friction cone.
+    restitution : float
+        Coefficient, 0 where the contact is never free.
+    impact : str
+        stronge, newton or poisson.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    cone_n: float
+    cone_t: float
+    restitution: float
+    impact: str
+
+
+Undetermined = tuple[tuple[str, ...], str]
+"""States per contact, and why they determine no motion."""
+
+
+class Candidate(NamedTuple):
+    """One assignment of modes to the contacts, solved.
+
+    Attributes
+    ----------
+    states : tuple of str
+        Per contact.
+    accelerations : (n,) array
+    forces : (c, 2) array
+        V and H per contact.
+    violation : float
+        The largest inequality it breaks, in units of the scales; <= 0: none.
+    broken : (str, int, float)
+        That inequality: contact, which (as `contacts.kernels` numbers them), its number.
+    share : Share or None
+        How the contacts share the forces, where the motion does not determine them.
+    """
+
+    states: tuple[str, ...]
+    accelerations: Array
+    forces: Array
+    violation: float
+    broken: tuple[str, int, float]
+    share: Share | None = None
+
+    @property
+    def flow(self) -> tuple[str, ...]:
+        """The states, and how the forces are shared: what a flow's equations follow from."""
+        return self.states if self.share is None else self.share.flow(self.states)
+
+    @property
+    def reason(self) -> str:
+        """The inequality it is judged by, in words."""
+        contact, which, number = self.broken
+        if which == _NOWHERE:
+            return _UNEXPLAINED
+        return f"{contact}: " + _WORDS[which].format(number)
+
+
+def candidates(
+    snapshot: Snapshot,
+    laws: Sequence[ContactLaw],
+    options: Sequence[Sequence[str]],
+    closed: Sequence[bool],
+    still: Sequence[bool],
+    scales: Scales,
+    tie: float = 0.0,
+) -> list[Candidate | Undetermined]:
+    """Solve every combination of `options` (states per contact).
+
+    Where contacts can stand in for each other, a combination is judged by whether some forces in
+    the cones explain its motion; of those with one motion, the one that keeps most contacts closed,
+    then most of them pinned, stands for all.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+        The state's numbers.
+    laws : sequence of ContactLaw
+        One per contact.
+    options : sequence of sequence of str
+        States to try per contact; contacts that are not closed have ("free",).
+    closed, still : sequence of bool
+        Whether the contact's gap is closed; whether its slip is zero.
+    scales : Scales
+        For judging inequalities.
+    tie : float
+        See `choose`.
+
+    Returns
+    -------
+    list
+        A `Candidate`, or (states, reason) where the combination determines no motion.
+    """
+    return _solved(snapshot, laws, *_combinations(tuple(options)), closed, still, scales, tie)
+
+
+def _solved(
+    snapshot: Snapshot,
+    laws: Sequence[ContactLaw],
+    combinations: Sequence[tuple[str, ...]],
+    codes: NDArray[np.int64],
+    closed: Sequence[bool],
+    still: Sequence[bool],
+    scales: Scales,
+    tie: float,
+) -> list[Candidate | Undetermined]:
+    cones = np.array([(law.cone_n, law.cone_t) for law in laws], dtype=float).reshape(-1, 2)
+    status, accelerations, forces, verdicts = solve_modes(
+        snapshot.mass,
+        snapshot.forces,
+        snapshot.jacobians,
+        snapshot.biases,
+        cones,
+        codes,
+        np.array(closed, dtype=np.bool_),
+        np.array(still, dtype=np.bool_),
+        scales.force,
+        scales.acceleration,
+    )
+    found: list[Candidate | Undetermined] = []
+    for k, (states, solved, verdict) in enumerate(
+        zip(combinations, status.tolist(), verdicts.tolist(), strict=True)
+    ):
+        if solved not in (SOLVED, REDUNDANT):
+            found.append((states, _CONTRADICTS if solved == CONTRADICTORY else _SINGULAR))
+            continue
+        violation, contact, which, number = verdict
+        broken = (laws[int(contact)].name if laws else "", int(which), number)
+        found.append(Candidate(states, accelerations[k], forces[k], violation, broken))
+    redundant = [k for k, solved in enumerate(status.tolist()) if solved == REDUNDANT]
+    if redundant:
+        _explain(snapshot, cones, codes, found, redundant, scales, tie)
+    return found
+
+
+def _explain(
+    snapshot: Snapshot,
+    cones: Array,
+    codes: NDArray[np.int64],
+    found: list[Candidate | Undetermined],
+    redundant: Sequence[int],
+    scales: Scales,
+    tie: float,
+) -> None:
+    """Replace candidates judged by their motion alone, by whether forces explain it."""
+    inward = 0.25 * max(tie, _EXACT) * scales.force
+    moving: list[tuple[int, Candidate]] = []
+    for k in redundant:
+        candidate = found[k]
+        assert isinstance(candidate, Candidate)
+        if candidate.violation <= max(tie, _SAME_MOTION):
+            moving.append((k, candidate))
+    taken: list[Candidate] = []
+    failed: list[tuple[Candidate, NDArray[np.int64]]] = []
+    for k, candidate in sorted(moving, key=lambda item: openness(item[1])):
+        if any(same_motion(one, candidate, scales) for one in taken):
+            found[k] = candidate.states, _LESS
+            continue
+        given = None
+        if not any(
+            _within(codes[k], code) and same_motion(one, candidate, scales, _EXACT)
+            for one, code in failed
+        ):
+            given = share(codes[k], snapshot, cones, candidate.forces, inward)
+        if given is None or given.violation > tie * scales.force:
+            failed.append((candidate, codes[k]))
+            found[k] = candidate.states, _UNEXPLAINED
+            continue
+        outside = given.violation / scales.force
+        shared = candidate._replace(forces=given.forces, share=given)
+        if outside > shared.violation:
+            shared = shared._replace(violation=outside, broken=("", _NOWHERE, outside))
+        found[k] = shared
+        taken.append(shared)
+
+
+def _within(code: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
+    """Whether what every contact may bear in one mode it may bear in the other."""
+    return bool(((code == other) | (code == FREE) | (other == PIN)).all())
+
+
+@lru_cache(maxsize=1024)
+def _combinations(
+    options: tuple[Sequence[str], ...],
+) -> tuple[tuple[tuple[str, ...], ...], NDArray[np.int64]]:
+    """Return every combination of states, in names and as the kernel numbers them."""
+    combinations = tuple(product(*options))
+    return combinations, np.array([[_CODES[state] for state in s] for s in combinations], np.int64)
+
+
+def same_motion(
+    one: Candidate, other: Candidate, scales: Scales, tolerance: float = _SAME_MOTION
+) -> bool:
+    """Whether two candidates move the bodies alike."""
+    size = max(scales.acceleration, float(np.abs(other.accelerations).max()))
+    difference = np.abs(one.accelerations - other.accelerations).max()
+    return bool(difference <= tolerance * size)
+
+
+def openness(candidate: Candidate) -> tuple[int, int, str]:
+    """Most contacts closed first, then most of them pinned; names make ties deterministic."""
+    states = candidate.states
+    return (
+        sum(state == "free" for state in states),
+        sum(state != "pin" for state in states),
+        " ".join(states),
+    )
+
+
+def by_lemke(
+    snapshot: Snapshot,
+    laws: Sequence[ContactLaw],
+    options: Sequence[Sequence[str]],
+    closed: Sequence[bool],
+    still: Sequence[bool],
+    scales: Scales,
+    tie: float,
+) -> list[Candidate | Undetermined]:
+    """Solve the modes that Lemke's algorithm ends in (see `candidates`).
+
+    The complementarity problem is in the contacts' accelerations and forces (Stewart and Trinkle's
+    form; where there is slip, the force is along the edge that opposes it). It serves to find the
+    modes only; they are solved and judged as any others. None: it found no solution.
+    """
+    group = [i for i, shut in enumerate(closed) if shut]
+    cones = np.array([(laws[i].cone_n, laws[i].cone_t) for i in group])
+    slides = np.array([0.0 if still[i] else np.sign(snapshot.contacts[i].slip) for i in group])
+    contacts, alone = delassus(snapshot.mass, snapshot.jacobians[group], snapshot.forces)
+    free = snapshot.biases[group] + alone
+    solution = solve_lcp(*contact_problem(contacts, free, cones, slides))
+    if solution.status is not LcpStatus.SOLVED:
+        return []
+    forces = contact_impulses(solution.z, cones, slides)
+    after = free + (contacts @ forces.ravel()).reshape(-1, 2)
+    at_rest = np.abs(after) <= _SAME_MOTION * max(scales.acceleration, float(np.abs(after).max()))
+    least = _SAME_MOTION * float(np.abs(forces).max())
+    found = []
+    # What bears no force may be closed, what is on the edge of its cone may be pinned.
+    for closer, firmer in product((True, False), repeat=2):
+        states = [several[0] if len(several) == 1 else "free" for several in options]
+        for k, i in enumerate(group):
+            V, H = forces[k].tolist()
+            bears = max(V, abs(H)) > least
+            if not at_rest[k, 0] or not (bears or closer):
+                continue
+            inside = cones[k, 1] * V - cones[k, 0] * abs(H) > least
+            along = slides[k] or (-H if bears and at_rest[k, 1] else after[k, 1])
+            if still[i] and at_rest[k, 1] and (firmer or inside) and "pin" in options[i]:
+                states[i] = "pin"
+            elif cones[k, 1] == 0.0:
+                states[i] = "slide"
+            else:
+                states[i] = "slide+" if along > 0.0 else "slide-"
+        if _listed(states, options):
+            found.append(tuple(states))
+    tried = _only(snapshot, laws, found, closed, still, scales, tie)
+    # Where slip is about to start, the algorithm cannot tell it from none: the accelerations can.
+    closer_ones = []
+    for candidate in tried:
+        if isinstance(candidate, Candidate) and candidate.violation <= tie:
+            after = snapshot.biases + snapshot.jacobians @ candidate.accelerations
+            size = max(scales.acceleration, float(np.abs(after).max()))
+            states = [several[0] if len(several) == 1 else "free" for several in options]
+            for i in group:
+                normal, along = after[i].tolist()
+                if normal > _SAME_MOTION * size:
+                    continue
+                pinned = still[i] and abs(along) <= _EXACT * size and "pin" in options[i]
+                slip = along if still[i] else snapshot.contacts[i].slip
+                sliding = "slide" if "slide" in options[i] else "slide+" if slip > 0.0 else "slide-"
+                states[i] = "pin" if pinned else sliding
+            if tuple(states) not in found and _listed(states, options):
+                closer_ones.append(tuple(states))
+    return tried + _only(snapshot, laws, closer_ones, closed, still, scales, tie)
+
+
+def _listed(states: Sequence[str], options: Sequence[Sequence[str]]) -> bool:
+    return all(state in several for state, several in zip(states, options, strict=True))
+
+
+def _only(
+    snapshot: Snapshot,
+    laws: Sequence[ContactLaw],
+    modes: Sequence[tuple[str, ...]],
+    closed: Sequence[bool],
+    still: Sequence[bool],
+    scales: Scales,
+    tie: float,
+) -> list[Candidate | Undetermined]:
+    """Solve the modes given."""
+    combinations = tuple(dict.fromkeys(modes))
+    if not combinations:
+        return []
+    codes = np.array([[_CODES[state] for state in states] for states in combinations])
+    return _solved(snapshot, laws, combinations, codes, closed, still, scales, tie)

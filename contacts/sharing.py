@@ -1,0 +1,155 @@
+"""How contacts share a load that the motion does not tell apart: the smallest forces.
+
+Of all forces in the cones that explain a motion, the smallest ``sum V^2 + H^2`` are unique, and of
+a simple form: every contact bears the projection on its cone of ``w = J y``, what equal springs
+would bear if the bodies were displaced by y. On which part of its cone each contact is, is its
+*zone*; as long as no zone changes, y and all forces follow from linear equations, so that a flow
+can carry them. A zone that changes is no change of mode: other forces explain the motion then. Only
+where no forces in the cones do, the mode ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, independent
+from contacts.modes import OFF
+from contacts.redundancy import directions, mode_columns, unseen
+from contacts.snapshot import Snapshot
+from contacts.springs import APEX, INSIDE, LOWER, UPPER, springs
+
+__all__ = ["OWN", "Share", "share"]
+
+Array = NDArray[np.float64]
+
+OWN = "own"
+"""The zone of a contact that does not share its load."""
+_ZONES = {INSIDE: "inside", UPPER: "upper", LOWER: "lower", APEX: "apex"}
+_SLIDING = {PIN: 0.0, SLIDE_PLUS: 1.0, SLIDE_MINUS: -1.0}
+
+# Parts of a unit of forces that no motion shows, below which a contact has none.
+_DEPENDENT = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Share:
+    """The smallest forces that explain a motion.
+
+    Attributes
+    ----------
+    forces : (c, 2) array
+        V and H per contact.
+    zones : tuple of str
+        Per contact; OWN where the motion determines its force.
+    rows : tuple of str
+        Which of the contact's constraints ("nt", "n", "t", "") are among the independent ones.
+    coordinates, joints : tuple of int
+        Those whose displacements y are enough, and the rows of the joints that hold for them.
+    violation : float
+        How far the worst contact is outside its zone, in units of force; <= 0: not at all.
+    """
+
+    forces: Array
+    zones: tuple[str, ...]
+    rows: tuple[str, ...]
+    coordinates: tuple[int, ...]
+    joints: tuple[int, ...]
+    violation: float
+
+    def flow(self, states: Sequence[str]) -> tuple[str, ...]:
+        """Return `states` with what of their equations to use (see `contacts.modes.shared`)."""
+        whole = {"pin": "nt", "free": "", OFF: ""}
+        coordinates = ",".join(map(str, self.coordinates))
+        first = next(k for k, zone in enumerate(self.zones) if zone != OWN)
+        result = []
+        for k, (state, zone, rows) in enumerate(zip(states, self.zones, self.rows, strict=True)):
+            if zone != OWN:
+                joints = ",".join(map(str, self.joints)) if k == first else ""
+                state = f"{state}|{zone}|{rows}|{coordinates}|{joints}"
+            elif rows != whole.get(state, "n"):
+                state = f"{state}|{zone}|{rows}||"
+            result.append(state)
+        return tuple(result)
+
+
+def share(
+    code: NDArray[np.int64], snapshot: Snapshot, cones: Array, forces: Array, inward: float
+) -> Share | None:
+    """Return the smallest forces within the cones that act like `forces`; None: there are none.
+
+    Parameters
+    ----------
+    code : (c,) array of int
+        Modes, as `contacts.kernels` numbers them.
+    snapshot : Snapshot
+    cones : (c, 2), forces : (c, 2)
+        Which explain the motion, in their cones or not.
+    inward : float
+        Forces this small inside the cones are added when zones are looked for, so that on the
+        boundary of what can be explained the zones still determine the forces.
+    """
+    jacobians = snapshot.jacobians
+    columns = mode_columns(code, jacobians, cones)
+    owners = np.array([k for k, several in enumerate(columns) for _ in several], dtype=np.int64)
+    flat = np.array([column for several in columns for column in several])
+    hidden = unseen(flat.T, independent(flat)[0])
+    shared = np.unique(owners[np.abs(hidden).max(axis=1) > _DEPENDENT])
+    load = np.einsum("gdn,gd->n", jacobians[shared], forces[shared])
+    reach, order, _ = independent(np.ascontiguousarray(flat[np.isin(owners, shared)].T))
+    coordinates = np.sort(order[:reach])
+    # A slide without friction is one along the edge (1, 0).
+    smooth = code[shared] == SLIDE
+    explained, borne, places, violation = springs(
+        np.where(smooth[:, None], [1.0, 0.0], cones[shared]),
+        np.array([_SLIDING.get(mode, 1.0) for mode in code[shared].tolist()]),
+        np.ascontiguousarray(jacobians[shared][:, :, coordinates]),
+        load[coordinates],
+        inward,
+    )
+    if not explained:
+        return None
+    given, zones = forces.copy(), [OWN] * len(code)
+    given[shared] = borne
+    for k, place in zip(shared.tolist(), places.tolist(), strict=True):
+        zones[k] = _ZONES[place]
+    for k in np.nonzero((code != FREE) & ~np.isin(np.arange(len(code)), shared))[0]:
+        violation = max(violation, _outside(code[k], cones[k], forces[k]))
+    rows, joints = _rows(code, jacobians), np.zeros(0, dtype=np.int64)
+    if snapshot.held is not None:
+        joints = np.nonzero(~snapshot.held.joints.redundant)[0]
+        coordinates = _displaced(snapshot.held.basis, flat[np.isin(owners, shared)], reach)
+    return Share(
+        given, tuple(zones), rows, tuple(coordinates.tolist()), tuple(joints.tolist()), violation
+    )
+
+
+def _displaced(basis: Array, columns: Array, reach: int) -> NDArray[np.int64]:
+    """Return the scene's coordinates without those that need no displacement.
+
+    Of the displacements that the joints allow, those remain that the contacts' `columns` (of rank
+    `reach`) tell apart.
+    """
+    hidden = basis @ unseen(columns, reach)
+    count, order, _ = independent(hidden)
+    return np.sort(order[count:])
+
+
+def _outside(mode: int, cone: Array, force: Array) -> float:
+    """Return how far a force that the motion determines is outside its cone or off its edge."""
+    (n, t), (V, H) = cone.tolist(), force.tolist()
+    if mode == PIN:
+        return max(-V, n * abs(H) - t * V)
+    (along_n, along_t), *_ = directions(mode, cone)
+    return -(along_n * V + along_t * H)
+
+
+def _rows(code: NDArray[np.int64], jacobians: Array) -> tuple[str, ...]:
+    """Return which constraints of each contact the others do not imply."""
+    own = [(k, d) for k, c in enumerate(code) if c != FREE for d in range(2 if c == PIN else 1)]
+    count, order, _ = independent(np.array([jacobians[k, d] for k, d in own]))
+    kept = {own[i] for i in order[:count]}
+    return tuple("".join("nt"[d] for d in range(2) if (k, d) in kept) for k in range(len(code)))

@@ -1,0 +1,236 @@
+"""The smallest forces in cones with a given effect: those of equal springs, found by Newton.
+
+The dual problem, ``min |P(J y)|^2 / 2 - load y`` over displacements y, with P the projection on
+the cones, is convex and piecewise quadratic: Newton's method with line search ends in finitely
+many steps where such forces exist, and leaves all bounds where none do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from contacts.kernels import SOLVED, independent, saddle
+
+__all__ = ["APEX", "INSIDE", "LOWER", "UPPER", "springs"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+INSIDE, UPPER, LOWER, APEX = range(4)
+"""Where ``w = J y`` is: inside the cone; off it, nearest to its edge with H > 0, with H < 0; off
+it, nearest to its tip."""
+
+_kernel = njit(cache=True, no_cfunc_wrapper=True)
+_inner = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+# Where zones do not determine the displacement, it is moved by what is missing over this; where
+# that never explains the load, it ends beyond all bounds.
+_DAMPING, _BEYOND = 1e-12, 1e9
+_STEPS, _HALVINGS = 200, 60
+_ROUNDING = 64 * 2.0**-52
+
+
+@_inner
+def _zone(w: Array, cone: Array, sliding: float) -> int:
+    side = UPPER if w[1] > 0.0 else LOWER
+    if sliding != 0.0:
+        # A slide bears along one edge: against its direction.
+        side = LOWER if sliding > 0.0 else UPPER
+    elif cone[0] * abs(w[1]) <= cone[1] * w[0]:
+        return INSIDE
+    sign = 1.0 if side == UPPER else -1.0
+    return side if cone[0] * w[0] + sign * cone[1] * w[1] >= 0.0 else APEX
+
+
+@_inner
+def _force(zone: int, w: Array, cone: Array, force: Array) -> None:
+    """Project `w` as its zone says."""
+    if zone == INSIDE:
+        force[:] = w
+    elif zone == APEX:
+        force[:] = 0.0
+    else:
+        edge = cone[1] if zone == UPPER else -cone[1]
+        along = cone[0] * w[0] + edge * w[1]
+        force[0], force[1] = cone[0] * along, edge * along
+
+
+@_inner
+def _displaced(reach: Array, y: Array, w: Array) -> None:
+    for g in range(len(reach)):
+        for d in range(2):
+            w[g, d] = 0.0
+            for i in range(len(y)):
+                w[g, d] += reach[g, d, i] * y[i]
+
+
+@_inner
+def _missing(reach: Array, forces: Array, load: Array) -> Array:
+    left = load.copy()
+    for g in range(len(reach)):
+        for d in range(2):
+            for i in range(len(load)):
+                left[i] -= reach[g, d, i] * forces[g, d]
+    return left
+
+
+@_inner
+def _stiffness(reach: Array, zones: Ints, cones: Array) -> Array:
+    size = reach.shape[2]
+    result = np.zeros((size, size))
+    bears = np.empty(2)
+    for g in range(len(reach)):
+        for k in range(size):
+            _force(zones[g], reach[g, :, k], cones[g], bears)
+            for i in range(size):
+                result[i, k] += reach[g, 0, i] * bears[0] + reach[g, 1, i] * bears[1]
+    return result
+
+
+@_inner
+def _solved(
+    stiffness: Array, zones: Ints, cones: Array, reach: Array, load: Array, w: Array, forces: Array
+) -> bool:
+    """Solve for the forces in given zones, refined on the factors: the stiffness squares them."""
+    size = len(load)
+    y = np.zeros(size)
+    left = load
+    for _ in range(3):
+        status, step = saddle(
+            stiffness, left, np.empty((0, size)), np.empty((size, 0)), np.empty(0)
+        )
+        if status != SOLVED:
+            return False
+        y += step
+        _displaced(reach, y, w)
+        for g in range(len(reach)):
+            _force(zones[g], w[g], cones[g], forces[g])
+        left = _missing(reach, forces, load)
+    return True
+
+
+@_inner
+def _height(
+    reach: Array, cones: Array, sliding: Array, load: Array, y: Array, w: Array, forces: Array
+) -> float:
+    """Return the dual function; `w` and `forces` are left as they are at `y`."""
+    _displaced(reach, y, w)
+    height = 0.0
+    for g in range(len(reach)):
+        _force(_zone(w[g], cones[g], sliding[g]), w[g], cones[g], forces[g])
+        height += 0.5 * (forces[g, 0] ** 2 + forces[g, 1] ** 2)
+    for i in range(len(y)):
+        height -= load[i] * y[i]
+    return height
+
+
+@_inner
+def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
+    """Return how far the worst `w` is outside its zone."""
+    worst = -np.inf
+    for g in range(len(zones)):
+        n, t = cones[g, 0], cones[g, 1]
+        sign = 1.0 if zones[g] == UPPER else -1.0
+        if sliding[g] != 0.0:
+            sign = -1.0 if sliding[g] > 0.0 else 1.0
+        along = n * w[g, 0] + sign * t * w[g, 1]
+        if zones[g] == INSIDE:
+            worst = max(worst, n * abs(w[g, 1]) - t * w[g, 0])
+        elif zones[g] == APEX:
+            worst = max(worst, along if sliding[g] != 0.0 else n * w[g, 0] + t * abs(w[g, 1]))
+        else:
+            worst = max(worst, -along)
+            if sliding[g] == 0.0:
+                worst = max(worst, t * w[g, 0] - sign * n * w[g, 1])
+    return worst
+
+
+@_kernel
+def springs(
+    cones: Array, sliding: Array, reach: Array, load: Array, inward: float
+) -> tuple[bool, Array, Ints, float]:
+    """Return the smallest forces in the cones with ``sum reach^T force = load``.
+
+    Parameters
+    ----------
+    cones : (g, 2) array
+        Their unit edges.
+    sliding : (g,) array
+        0 where all of the cone may be used; +1 or -1 where it is the edge that opposes this slip.
+    reach : (g, 2, r) array
+    load : (r,) array
+    inward : float
+        Forces that sum to this are added inside the cones when zones are looked for.
+
+    Returns
+    -------
+    found : bool
+        Whether there are such forces.
+    forces : (g, 2), zones : (g,)
+    violation : float
+        How far the worst contact is outside its zone; <= 0: not at all.
+    """
+    count, size = len(cones), len(load)
+    scaled = reach.copy()
+    right, pushed = load.copy(), load.copy()
+    for i in range(size):
+        scale = 1.0 / np.abs(reach[:, :, i]).max()
+        scaled[:, :, i] *= scale
+        right[i] *= scale
+        pushed[i] = right[i]
+    zones = np.empty(count, np.int64)
+    for g in range(count):
+        sign = -sliding[g] if sliding[g] != 0.0 else 0.0
+        n, t = (cones[g, 0], sign * cones[g, 1]) if sign != 0.0 else (1.0, 0.0)
+        zones[g] = INSIDE if sign == 0.0 else UPPER if sign > 0.0 else LOWER
+        for i in range(size):
+            pushed[i] += inward / count * (n * scaled[g, 0, i] + t * scaled[g, 1, i])
+    w, forces, own = np.empty((count, 2)), np.zeros((count, 2)), np.empty(2)
+    size_of_load = np.abs(pushed).max()
+    if size_of_load == 0.0:
+        return True, forces, zones, 0.0
+    y = np.zeros(size)
+    for _ in range(_STEPS):
+        stiffness = _stiffness(scaled, zones, cones)
+        determined = independent(stiffness)[0] == size
+        if determined and _solved(stiffness, zones, cones, scaled, pushed, w, forces):
+            # Whether the zones that the displacement is in give the same forces.
+            missed, largest = 0.0, size_of_load
+            for g in range(count):
+                _force(_zone(w[g], cones[g], sliding[g]), w[g], cones[g], own)
+                for d in range(2):
+                    missed = max(missed, abs(own[d] - forces[g, d]))
+                    largest = max(largest, abs(w[g, d]))
+            if missed <= _ROUNDING * largest:
+                if not _solved(stiffness, zones, cones, scaled, right, w, forces):
+                    return False, forces, zones, np.inf
+                violation = _violation(zones, w, cones, sliding)
+                if abs(violation) <= _ROUNDING * largest:
+                    violation = 0.0
+                return True, forces, zones, violation
+        height = _height(scaled, cones, sliding, pushed, y, w, forces)
+        left = _missing(scaled, forces, pushed)
+        for i in range(size):
+            stiffness[i, i] += _DAMPING
+        status, step = saddle(
+            stiffness, left, np.empty((0, size)), np.empty((size, 0)), np.empty(0)
+        )
+        if status != SOLVED:
+            return False, forces, zones, np.inf
+        rise = 0.0
+        for i in range(size):
+            rise += left[i] * step[i]
+        length = 1.0
+        for _ in range(_HALVINGS):
+            there = _height(scaled, cones, sliding, pushed, y + length * step, w, forces)
+            if there <= height - 1e-4 * length * rise:
+                break
+            length *= 0.5
+        y += length * step
+        if np.abs(y).max() > _BEYOND * size_of_load:
+            return False, forces, zones, np.inf
+        for g in range(count):
+            zones[g] = _zone(w[g], cones[g], sliding[g])
+    return False, forces, zones, np.inf
