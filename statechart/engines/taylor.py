@@ -27,6 +27,15 @@ __all__ = ["Taylor", "Unsupported"]
 Array = NDArray[np.float64]
 
 
+# Compiling this many operations without loops takes some 3 s.
+_COMPACT = 300
+
+
+def _operations(mode: Mode) -> int:
+    found: int = sp.count_ops([*(value for _, value in mode.definitions), *mode.rates])
+    return found
+
+
 class Unsupported(StatechartError):  # noqa: N818 -- named after what the flow is
     """A formula that has no Taylor series everywhere (abs, sign, min, max)."""
 
@@ -69,8 +78,9 @@ class Taylor(Engine):
             system,
             [0.0] * len(states),
             tol=self.tolerance,
-            # Modes are small: loops in the compiled code cost more than they save in size.
-            compact_mode=len(mode.definitions) > 60,
+            # Loops in the compiled code cost small modes up to half of their speed; without them
+            # the compiler needs half a minute for a mode of two thousand operations.
+            compact_mode=_operations(mode) > _COMPACT,
         )
         # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
         # cancel); the first is the start of the arc.
