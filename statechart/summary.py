@@ -97,9 +97,9 @@ def shown(events: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any] | i
 def change(event: Mapping[str, Any]) -> str:
     """Return the states that an event changes, such as ``A: free -> pin``."""
     before, after = event["from"], event["to"]
-    changed = [name for name in before if before[name] != after[name]]
-    if not changed and event["contact"]:
-        changed = [event["contact"]]
+    # Who was hit and is free again has changed as well.
+    jumped = {event["contact"], *event["impulse"]}
+    changed = [name for name in before if before[name] != after[name] or name in jumped]
     several = len(before) > 1
     return ", ".join(
         f"{name + ': ' if several else ''}{before[name]} -> {after[name]}" for name in changed

@@ -1,0 +1,67 @@
+"""The rimless wheel against closed forms and reference numbers (McGeer 1990, Coleman 1998)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from runs import ENGINES, golden, outputs, run
+
+MODEL = "rimless_wheel"
+CASES = golden(MODEL)["cases"]
+
+pytestmark = [
+    pytest.mark.parametrize("engine", ENGINES),
+    pytest.mark.parametrize("case", CASES, ids=lambda case: f"g={case['g']}"),
+]
+
+
+def given(case: dict) -> dict[str, float]:
+    return {name: float(case[name]) for name in ("alpha", "gamma", "g", "l")}
+
+
+def test_rates_after_impacts_are_the_reference_ones(engine: str, case: dict) -> None:
+    start, *expected = map(float, case["omega_plus_sequence"])
+    until = (len(expected) + 0.5) * float(case["step_period"])
+    trace = run(MODEL, engine, until=until, omega0=start, **given(case))
+    assert trace.certified
+    found = outputs(MODEL, engine, trace)["omega_plus"]
+    assert found[: len(expected)] == pytest.approx(expected, abs=1e-9)
+
+
+def test_each_spoke_takes_over_from_the_one_before(engine: str, case: dict) -> None:
+    until = 9.5 * float(case["step_period"])
+    start = float(case["omega_plus_star"])
+    trace = run(MODEL, engine, until=until, omega0=start, **given(case))
+    assert len(trace.jumps) == 9
+    for n, jump in enumerate(trace.jumps):
+        before, now = f"s{n % 8}", f"s{(n + 1) % 8}"
+        assert (jump.region, jump.cause) == (now, "touchdown")
+        assert jump.also == {before: "liftoff"}
+        assert list(jump.impulse) == [now]
+        # Angular momentum about the new foot: the factor is cos(2 alpha).
+        ratio = jump.after[5] / jump.before[5]
+        assert ratio == pytest.approx(float(case["lambda_restitution"]), abs=1e-11)
+
+
+def test_its_limit_cycle_is_the_reference_one(engine: str, case: dict) -> None:
+    period, rate = float(case["step_period"]), float(case["omega_plus_star"])
+    trace = run(MODEL, engine, until=9.5 * period, omega0=rate, **given(case))
+    found = outputs(MODEL, engine, trace)
+    assert found["omega_plus"] == pytest.approx([rate] * 9, abs=1e-9)
+    assert np.diff([0.0, *found["impact_times"]]) == pytest.approx([period] * 9, abs=1e-9)
+    before = [-jump.before[5] for jump in trace.jumps]
+    assert before == pytest.approx([float(case["omega_minus_star"])] * 9, abs=1e-9)
+    # A step takes the hub 2 l sin(alpha) along the slope.
+    hub = np.diff([jump.before[:2] for jump in trace.jumps], axis=0)
+    step = 2.0 * float(case["l"]) * math.sin(float(case["alpha"]))
+    assert np.hypot(*hub.T) == pytest.approx([step] * 8, abs=1e-9)
+
+
+@pytest.mark.parametrize("factor", [1 + 1e-4, 1 - 1e-4])
+def test_it_passes_the_vertical_only_above_a_rate(engine: str, case: dict, factor: float) -> None:
+    rate = factor * float(case["omega_min_to_pass_vertical"])
+    until = 4.0 * float(case["step_period"])
+    trace = run(MODEL, engine, until=until, omega0=rate, **given(case))
+    assert trace.jumps[0].region == ("s1" if factor > 1.0 else "s7")
