@@ -104,7 +104,7 @@ def collisions(
     if len(group) > _ENUMERATED:
         agree = problem.solve(problem.by_lemke())
     if not agree and len(group) <= _ENUMERATED_LAST:
-        agree = problem.solve(list(product(*map(_choices, problem.cones.tolist()))))
+        agree = problem.solve(list(product(*(_choices(laws[i]) for i in group))))
     found: list[Collision] = []
     for collision in sorted(agree, key=_preference):
         if not any(problem.same_motion(collision, one) for one in found):
@@ -306,11 +306,12 @@ class _Problem:
         return Collision(change, impulses, tuple(states), tuple(indeterminate), collision.violation)
 
 
-def _choices(cone: tuple[float, float]) -> tuple[int, ...]:
-    cone_n, cone_t = cone
-    if cone_t == 0.0:
+def _choices(law: ContactLaw) -> tuple[int, ...]:
+    if law.cone_t == 0.0:
         return (FREE, SLIDE)
-    steep = (_PRESS,) if cone_t > _STEEP * cone_n else ()
+    if not any(state.startswith("slide") for state in law.states):
+        return (FREE, PIN)  # declared not to slip, at whatever force
+    steep = (_PRESS,) if law.cone_t > _STEEP * law.cone_n else ()
     return (FREE, SLIDE_PLUS, SLIDE_MINUS, PIN, *steep)
 
 
