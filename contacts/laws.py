@@ -321,10 +321,7 @@ class SceneLaws:
         jump = Jump(
             clock.high,
             j,
-            next(
-                (laws[i].name for i in hitting if f"{laws[i].name}.gap" in fired),
-                laws[hitting[0]].name,
-            ),
+            laws[hitting[0]].name,  # whichever gap fell by a rounding earlier
             "touchdown" if jam is None else "jam",
             flow.mode,
             target,

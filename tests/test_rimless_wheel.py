@@ -36,7 +36,7 @@ def test_each_spoke_takes_over_from_the_one_before(engine: str, case: dict) -> N
     trace = run(MODEL, engine, until=until, omega0=start, **given(case))
     assert len(trace.jumps) == 9
     for n, jump in enumerate(trace.jumps):
-        before, now = f"s{n % 8}", f"s{(n + 1) % 8}"
+        now = f"s{(n + 1) % 8}"
         assert (jump.region, jump.cause) == (now, "touchdown")
         assert (jump.source[n % 8], jump.target[n % 8]) == ("pin", "free")
         assert list(jump.impulse) == [now]
