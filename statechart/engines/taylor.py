@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.engine import Begin, Engine, Path
+from statechart.engines.stepping import Step, taylor_steps
 from statechart.errors import NonFinite, StatechartError, StepFailure
 from statechart.kernels import append_steps
 
@@ -49,6 +50,8 @@ class _Stepper:
     series: Array
     used: NDArray[np.intp]  # indices of the automaton's parameters that the equations mention
     parametric: bool
+    compiled: Step | None
+    clock: Array
     durations: Array
 
 
@@ -92,6 +95,8 @@ class Taylor(Engine):
             integrator.tc,
             used,
             len(integrator.pars) > 0,
+            Step.of(integrator),
+            np.zeros(2),
             np.empty(0),
         )
 
@@ -110,35 +115,60 @@ class Taylor(Engine):
         """Take up to `count` steps (see `Engine`)."""
         assert isinstance(stepper, _Stepper)
         if begin is not Begin.ON:
-            stepper.integrator.time = 0.0
+            if stepper.compiled is None:
+                stepper.integrator.time = 0.0
+            stepper.clock[:] = 0.0
             stepper.state[:] = state
             if stepper.parametric:
                 stepper.pars[0] = start
                 if begin is Begin.NEW:
                     stepper.pars[1:] = parameters[stepper.used]
-        if count > len(stepper.durations):
-            stepper.durations = np.empty(count)
         path.room(count, *stepper.series.shape)
-        step, durations = stepper.integrator.step, stepper.durations
-        series, now = path.coefficients, stepper.series
-        first, left, h = path.count, duration, duration
-        taken = 0
-        while taken < count:
-            h = step(left, True)[1]
-            series[first + taken] = now
-            durations[taken] = h
-            taken += 1
-            # The step is cut to end at the duration exactly, and then its length is what was left.
-            if h == left or not h > 0.0:
-                break
-            left -= h
-        finite = append_steps(durations, taken, first, path.times, series, end)
+        first = path.count
+        if stepper.compiled is None:
+            taken, finite, h, left = _one_by_one(stepper, path, duration, count, end)
+        else:
+            taken, finite, h, left = taylor_steps(
+                stepper.compiled.address,
+                stepper.state,
+                stepper.pars,
+                stepper.clock,
+                stepper.series,
+                duration,
+                count,
+                first,
+                path.times,
+                path.coefficients,
+                end,
+            )
         if finite == 0:
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
         if h == 0.0 and left > 0.0:
             raise StepFailure(f"the step near t = {start:.17g} underflowed")
         path.count = first + finite
         return finite == taken and bool(h == left)
+
+
+def _one_by_one(
+    stepper: _Stepper, path: Path, duration: float, count: int, end: Array
+) -> tuple[int, int, float, float]:
+    """Do what `taylor_steps` does with heyoka's own calls."""
+    if count > len(stepper.durations):
+        stepper.durations = np.empty(count)
+    step, durations = stepper.integrator.step, stepper.durations
+    series, now = path.coefficients, stepper.series
+    first, left, h = path.count, duration, duration
+    taken = 0
+    while taken < count:
+        h = step(left, True)[1]
+        series[first + taken] = now
+        durations[taken] = h
+        taken += 1
+        # The step is cut to end at the duration exactly, and then its length is what was left.
+        if h == left or not h > 0.0:
+            break
+        left -= h
+    return taken, append_steps(durations, taken, first, path.times, series, end), h, left
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {

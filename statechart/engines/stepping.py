@@ -1,0 +1,183 @@
+"""Taylor steps in one call: heyoka's compiled step, run from a compiled loop.
+
+A call of heyoka from Python costs as much as the step itself, and its code is at hand: an
+integrator hands out its object code and the LLVM module that it comes from, so that the function
+can be linked into this process once more and called by address. All is in this file because
+numba's cache looks only at the file of the function that is called.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import math
+import re
+from functools import cache
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+from heyoka import _core
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+__all__ = ["Step", "taylor_steps"]
+
+Floats = NDArray[np.float64]
+
+# What the loop below relies on: heyoka documents the module, not the function.
+_SIGNATURE = re.compile(
+    r"^define void @step\("
+    r"ptr[^,]*%state_ptr, ptr[^,]*%par_ptr, ptr[^,]*%time_ptr, ptr[^,]*%h_ptr, ptr[^,]*%tc_ptr\)",
+    re.MULTILINE,
+)
+# Functions that heyoka's library brings along.
+_HELPERS = re.compile(r"@(heyoka_\w+)")
+_numbers = itertools.count()
+
+
+class Step:
+    """heyoka's compiled step of one integrator, linked into this process.
+
+    Parameters
+    ----------
+    module : str
+        LLVM module, as text.
+    code : bytes
+        Object code of it.
+
+    Attributes
+    ----------
+    address : int
+        Of ``step(state, parameters, time, h, series)``, five pointers to float64: it advances
+        the state by at most h, writes what it took to h and the Taylor coefficients to series.
+    """
+
+    def __init__(self, module: str, code: bytes) -> None:
+        builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process()
+        library = ctypes.CDLL(_core.__file__)
+        for name in set(_HELPERS.findall(module)):
+            place = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+            builder.import_symbol(name, place)
+        # The code is freed with what tracks it.
+        self._code = builder.export_symbol("step").link(_linker(), f"step {next(_numbers)}")
+        self.address = int(self._code["step"])
+
+    @classmethod
+    def of(cls, integrator: Any) -> Step | None:
+        """Return the step of a heyoka integrator; None where it has no such function."""
+        state = integrator.llvm_state
+        if not isinstance(state.ir, str) or _SIGNATURE.search(state.ir) is None:
+            return None
+        try:
+            return cls(state.ir, state.object_code)
+        except (AttributeError, RuntimeError):  # a symbol that is not to be found
+            return None
+
+
+@cache
+def _linker() -> Any:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    return llvm.create_lljit_compiler(machine)
+
+
+@intrinsic
+def _call(
+    typing: Any, address: Any, state: Any, parameters: Any, time: Any, h: Any, series: Any
+) -> Any:
+    """Call the step at an address."""
+    arrays = (state, parameters, time, h, series)
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = ir.PointerType(ir.IntType(8))
+        target = ir.FunctionType(ir.VoidType(), [pointer] * len(arrays)).as_pointer()
+        data = [
+            builder.bitcast(context.make_array(kind)(context, builder, value).data, pointer)
+            for kind, value in zip(arrays, arguments[1:], strict=True)
+        ]
+        builder.call(builder.inttoptr(arguments[0], target), data)
+        return context.get_dummy_value()
+
+    return types.void(address, *arrays), build
+
+
+@njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)
+def taylor_steps(
+    address: int,
+    state: Floats,
+    parameters: Floats,
+    clock: Floats,
+    series: Floats,
+    duration: float,
+    count: int,
+    first: int,
+    times: Floats,
+    coeffs: Floats,
+    end: Floats,
+) -> tuple[int, int, float, float]:
+    """Take up to `count` steps from `state`, behind the `first` ones of an arc.
+
+    Writes when they end to `times`, their polynomials in s = time / duration to `coeffs`, and
+    the state at the end of the last finite one to `end`.
+
+    Parameters
+    ----------
+    address : int
+        Of the step.
+    state : (n,) array
+        Left where the last step ends.
+    parameters : (p,) array
+        heyoka's.
+    clock : (2,) array
+        Time since the integration began, and its rounding; advanced.
+    series : (n, d + 1) array
+        Scratch.
+    duration : float
+        Longest time.
+
+    Returns
+    -------
+    taken, finite : int
+        How many steps were made, and how many of them are finite.
+    h, left : float
+        Length of the last step, and what was left before it.
+    """
+    n, terms = series.shape
+    step = np.empty(1)
+    left, total, taken, finite = duration, 0.0, 0, 0
+    while True:
+        step[0] = left
+        _call(address, state, parameters, clock, step, series)
+        h = step[0]
+        bounded = taken == finite
+        for v in range(n):
+            factor = 1.0
+            for k in range(terms):
+                value = series[v, k] * factor
+                coeffs[first + taken, v, k] = value
+                factor *= h
+                bounded = bounded and abs(value) < math.inf
+        taken += 1
+        if bounded:
+            finite += 1
+            total += h
+            # Summed from the start of these steps, so that long arcs lose nothing.
+            times[first + finite] = times[first] + total
+            for v in range(n):
+                value = 0.0
+                for k in range(terms - 1, -1, -1):
+                    value += coeffs[first + finite - 1, v, k]
+                end[v] = value
+        # Knuth's two-sum.
+        later = clock[0] + h
+        part = later - clock[0]
+        clock[1] += (clock[0] - (later - part)) + (h - part)
+        clock[0] = later
+        # A step is cut to end at the duration exactly, and then its length is what was left.
+        if taken == count or h == left or not (h > 0.0 and bounded):
+            return taken, finite, h, left
+        left -= h
