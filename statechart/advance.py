@@ -39,14 +39,15 @@ class CompiledMode:
         Equations and margins.
     guards : Tape
         Outputs: the margins, in order.
-    kinds : tuple of str
-        Kind of every margin.
+    names, kinds : tuple of str
+        Name and kind of every margin.
     stepper : object
         The engine's own.
     """
 
     mode: Mode
     guards: Tape
+    names: tuple[str, ...]
     kinds: tuple[str, ...]
     stepper: object
 
@@ -88,6 +89,7 @@ def compile_mode(engine: Engine, automaton: Automaton, mode: Mode) -> CompiledMo
             time=automaton.time,
             definitions=mode.definitions,
         ),
+        tuple(margin.name for margin in mode.margins),
         tuple(margin.kind for margin in mode.margins),
         engine.compile(automaton, mode),
     )
@@ -229,7 +231,7 @@ def _decide(
         return where
     if found.verdict is Verdict.GRAZE:
         return where
-    names = [margin.name for margin in compiled.mode.margins]
+    names = compiled.names
     if found.verdict is Verdict.BUDGET:
         raise Undecided(
             f"no decision within {found.boxes} boxes on one of the guards {', '.join(names)}"

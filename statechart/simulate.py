@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time as wall
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 import sympy as sp
@@ -46,6 +46,7 @@ class Simulator:
         self.engine = engine
         self.progress = progress
         self._compiled: dict[tuple[Key, frozenset[int]], CompiledMode] = {}
+        self._built: set[Key] = set()
         self.path = Path()
 
     def run(
@@ -105,6 +106,8 @@ class Simulator:
                 symbols = self.automaton.parameters
                 mode = build_mode(self.automaton, key, frozenset(symbols[i] for i in zeros))
                 found = self._compiled[key, zeros] = compile_mode(self.engine, self.automaton, mode)
+                if HELD not in key:
+                    self._built.add(plain(key))
             self._compiled[key, setup.zeros] = found
         return found
 
@@ -121,7 +124,7 @@ class Simulator:
     @property
     def modes_built(self) -> int:
         """Number of modes whose equations were built so far."""
-        return len({plain(key) for key, _ in self._compiled if HELD not in key})
+        return len(self._built)
 
 
 class Progress:
@@ -211,8 +214,9 @@ class _Run:
         flow = self.flow
         assert flow is not None
         left = self.clock.until(self.until)
-        pending = (between(self.clock, end) for end in flow.held.values())
-        remaining = min(flow.remaining, *pending, math.inf)
+        remaining = flow.remaining
+        for end in flow.held.values():
+            remaining = min(remaining, between(self.clock, end))
         duration = min(left, remaining)
         if duration <= 0.0:
             return ("zeno",) if remaining <= 0.0 else ()
@@ -228,7 +232,10 @@ class _Run:
             path,
             parameters=self.setup.values,
             tolerances=np.array(
-                [special.get(m.name, tolerances[m.kind]) for m in compiled.mode.margins]
+                [
+                    special.get(name, tolerances[kind])
+                    for name, kind in zip(compiled.names, compiled.kinds, strict=True)
+                ]
             ),
             start=self.clock.high,
             state=self.state,
@@ -366,11 +373,8 @@ class _Run:
     def trace(self) -> Trace:
         simulator = self.simulator
         automaton, engine = simulator.automaton, simulator.engine
-        evidence = {
-            margin.name: self.evidence.get(margin.name, "interval enclosure")
-            for compiled in self.entered.values()
-            for margin in compiled.mode.margins
-        }
+        names = chain.from_iterable(compiled.names for compiled in self.entered.values())
+        evidence = dict.fromkeys(names, "interval enclosure") | self.evidence
         start = self.started_mode or tuple(r.states[0] for r in automaton.regions)
         return Trace(
             name=automaton.name,
