@@ -205,23 +205,23 @@ def _solved(
         snapshot.biases,
         cones,
         codes,
-        np.array(closed, dtype=np.bool_),
-        np.array(still, dtype=np.bool_),
+        _flags(tuple(closed)),
+        _flags(tuple(still)),
         scales.force,
         scales.acceleration,
     )
     found: list[Candidate | Undetermined] = []
-    for k, (states, solved, verdict) in enumerate(
-        zip(combinations, status.tolist(), verdicts.tolist(), strict=True)
+    outcomes = status.tolist()
+    for states, solved, acceleration, force, (violation, contact, which, number) in zip(
+        combinations, outcomes, accelerations, forces, verdicts.tolist(), strict=True
     ):
-        if solved not in (SOLVED, REDUNDANT):
+        if solved in (SOLVED, REDUNDANT):
+            broken = (laws[int(contact)].name if laws else "", int(which), number)
+            found.append(Candidate(states, acceleration, force, violation, broken))
+        else:
             found.append((states, _CONTRADICTS if solved == CONTRADICTORY else _SINGULAR))
-            continue
-        violation, contact, which, number = verdict
-        broken = (laws[int(contact)].name if laws else "", int(which), number)
-        found.append(Candidate(states, accelerations[k], forces[k], violation, broken))
-    redundant = [k for k, solved in enumerate(status.tolist()) if solved == REDUNDANT]
-    if redundant:
+    if REDUNDANT in outcomes:
+        redundant = [k for k, solved in enumerate(outcomes) if solved == REDUNDANT]
         _explain(snapshot, cones, codes, found, redundant, scales, tie)
     return found
 
@@ -270,6 +270,11 @@ def _explain(
 def _within(code: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
     """Whether what every contact may bear in one mode it may bear in the other."""
     return bool(((code == other) | (code == FREE) | (other == PIN)).all())
+
+
+@lru_cache(maxsize=1024)
+def _flags(marks: tuple[bool, ...]) -> NDArray[np.bool_]:
+    return np.array(marks, dtype=np.bool_)
 
 
 @lru_cache(maxsize=1024)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 from contacts.candidates import (
     Candidate,
@@ -133,10 +133,12 @@ def choose(
             + "; ".join(f"{label}: {why}" for label, why in considered.items())
             + ("; only modes that Lemke's algorithm ends in were tried" if many else "")
         )
-    taken = min(consistent, key=lambda c: (c.violation > 0.0, openness(c)))
-    # On the edge of its inequalities (a massless body that needs no force) a mode is no rival.
-    sure = [c for c in consistent if c.violation < -tie] if taken.violation < -tie else []
-    others = [c for c in sure if c is not taken and not same_motion(c, taken, scales)]
+    taken, others = consistent[0], []
+    if len(consistent) > 1:
+        taken = min(consistent, key=lambda c: (c.violation > 0.0, openness(c)))
+        # On the edge of its inequalities (a massless body that needs no force) it is no rival.
+        sure = [c for c in consistent if c.violation < -tie] if taken.violation < -tie else []
+        others = [c for c in sure if c is not taken and not same_motion(c, taken, scales)]
     warning = ""
     if others:
         labels = ", ".join(_label(laws, c) for c in [taken, *others])
@@ -173,10 +175,16 @@ def _options(
 ) -> tuple[str, ...]:
     if not touching:
         return (OFF if contact.gap == math.inf else "free",)
-    direction = "slide+" if contact.slip > 0 else "slide-"
+    return _open(law.states, contact.slip > 0.0, at_rest)
+
+
+@lru_cache(maxsize=1024)
+def _open(states: tuple[str, ...], forward: bool, at_rest: bool) -> tuple[str, ...]:
+    """Return the states that a touching contact may be in, from the sense of its slip."""
+    direction = "slide+" if forward else "slide-"
     return tuple(
         state
-        for state in law.states
+        for state in states
         if state != OFF and (state in ("free", "slide") or at_rest or state == direction)
     )
 

@@ -339,6 +339,7 @@ def solve_modes(
     rows, columns = np.empty((2 * contacts, n)), np.empty((2 * contacts, n))
     constants, amounts = np.empty(2 * contacts), np.empty(2 * contacts)
     owners, directions = np.empty(2 * contacts, np.int64), np.empty((2 * contacts, 2))
+    in_order = np.arange(2 * contacts)
     for k in range(count):
         verdicts[k, 0] = -np.inf
         code = codes[k]
@@ -356,22 +357,23 @@ def solve_modes(
                     columns[m, i] = directions[m, 0] * jacobians[c, 0, i]
                     columns[m, i] += directions[m, 1] * jacobians[c, 1, i]
                 m += 1
+        rank, bearing = m, in_order
+        held, asked, pushing = rows[:m], constants[:m], columns[:m]
         if m > 1:
-            rank, first, _ = independent(rows[:m])
-            reach, bearing, _ = independent(columns[:m])
+            rank, first, _ = independent(held)
+            reach, order, _ = independent(pushing)
             if rank != reach:
                 status[k] = SINGULAR
                 continue
-        else:
-            rank, first, bearing = m, np.arange(m), np.arange(m)
-        if rank == m:
-            bearing = first = np.arange(m)
+            if rank < m:
+                bearing = order
+                held, asked, pushing = held[first], asked[first], pushing[bearing[:rank]]
         status[k] = _accelerate(
             mass,
             right,
-            rows[first],
-            constants[first],
-            columns[bearing[:rank]],
+            held,
+            asked,
+            pushing,
             acceleration_scale,
             accelerations[k],
             amounts,
