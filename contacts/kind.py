@@ -59,8 +59,8 @@ def automaton(scene: Scene) -> Automaton:
         )
         for name, contact in scene.contacts.items()
     )
-    forces = [symbol for pair in mechanics.forces.values() for symbol in pair]
-    forces += [row.force for row in mechanics.joint_rows]
+    forces = [row.force for row in mechanics.joint_rows]
+    forces += [symbol for pair in mechanics.forces.values() for symbol in pair]
     contact_laws = SceneLaws(mechanics, parameters, stops)
     laws: Laws = contact_laws
     if scene.regions:

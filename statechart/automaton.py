@@ -317,7 +317,8 @@ class Automaton:
     time : Symbol
         Time, in expressions.
     unknowns : tuple of Symbol
-        Solved for in every mode: accelerations and forces, or rates.
+        Solved for in every mode: accelerations and forces, or rates; first those that belong to
+        `equations`, one by one.
     rates : tuple of Expr
         d/dt of every variable, in variables and unknowns.
     equations : tuple of Expr

@@ -80,7 +80,10 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
     further = dict.fromkeys(unknown for state in states for unknown in state.unknowns)
     return Mode(
         key,
-        (*controls, *solve_linear(equations, (*automaton.unknowns, *further))),
+        (
+            *controls,
+            *solve_linear(equations, (*automaton.unknowns, *further), len(automaton.equations)),
+        ),
         tuple(rate.xreplace(substitution) for rate in automaton.rates),
         tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins),
     )

@@ -8,7 +8,7 @@ singularities left are those of the mode itself, such as the Painleve boundary.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import sympy as sp
 from sympy.utilities.iterables import connected_components
@@ -19,8 +19,9 @@ __all__ = ["Definition", "Singular", "solve_linear"]
 
 Definition = tuple[sp.Symbol, sp.Expr]
 
-# Laplace expansion grows as n!, and is exact in structure; beyond this, fraction by fraction.
-_CRAMER_LIMIT = 6
+# Laplace expansion grows as n!, and is exact in structure; beyond this, fraction by fraction. One
+# body with a pinned point makes a system of 5.
+_CRAMER_LIMIT = 5
 # A pivot that is a number must not be small: the symbols beside it are of unknown size. The ones of
 # mechanics (a force in its own equation, an acceleration in a constraint) are 1.
 _SMALLEST = 0.5
@@ -41,10 +42,12 @@ class Singular(SingularMode):
 
 
 Row = dict[sp.Symbol, sp.Expr]
+Equation = tuple[Row, sp.Expr, int]
+"""Coefficients, right-hand side, place among the equations given."""
 
 
 def solve_linear(
-    equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol]
+    equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], paired: int = 0
 ) -> tuple[Definition, ...]:
     """Solve `equations` (each = 0, linear in `unknowns`).
 
@@ -54,6 +57,11 @@ def solve_linear(
         As many as there are unknowns.
     unknowns : sequence of Symbol
         What to solve for.
+    paired : int
+        So many equations and unknowns, the first ones, belong together one by one: those of
+        motion with their accelerations, those of constraints with their forces. Large systems are
+        solved by pivots that are then positive whatever the state is: masses seen along a motion
+        that is left, compliances seen by a force.
 
     Returns
     -------
@@ -67,18 +75,22 @@ def solve_linear(
         If the structure of the equations leaves an unknown free.
     """
     place = {unknown: i for i, unknown in enumerate(unknowns)}
-    rows = [_row(equation, place) for equation in equations]
+    rows: list[Equation] = [(*_row(e, place), i) for i, e in enumerate(equations)]
+    mirrored: tuple[int, sp.Symbol] | None = None
 
     first: list[Definition] = []
     last: list[Definition] = []
     sizes: dict[sp.Expr, float] = {}
     while True:
-        rows = [(row, right) for row, right in rows if row]
-        pivot = _pivot(rows, sizes)
+        rows = [equation for equation in rows if equation[0]]
+        pivot = _pivot(rows, sizes, mirrored)
         if pivot is None:
             break
         index, unknown, where = pivot
-        row, right = rows.pop(index)
+        row, right, origin = rows.pop(index)
+        # A constraint solved for an acceleration: that one's equation is solved for the force.
+        swapped = where == "number" and max(origin, place[unknown]) < paired
+        mirrored = (place[unknown], unknowns[origin]) if swapped else None
         coefficient = row.pop(unknown)
         others = sum((-c * u for u, c in row.items()), start=right)
         value = others if coefficient == 1 else others / coefficient
@@ -87,12 +99,12 @@ def solve_linear(
             # A force that is exactly zero takes its quotients with it: no 0/0 where the next
             # pivot vanishes.
             known = value if value == 0 else unknown
-            rows = [_insert(r, b, unknown, known) for r, b in rows]
+            rows = [_insert(equation, unknown, known) for equation in rows]
         else:
             last.append((unknown, value))
             if where == "number":
-                rows = [_eliminate(r, b, unknown, row, right, coefficient) for r, b in rows]
-    block = _blocks(rows)
+                rows = [_eliminate(e, unknown, row, right, coefficient) for e in rows]
+    block = _blocks(rows, place, paired)
     solved = {u for u, _ in (*first, *block, *last)}
     missing = [u for u in unknowns if u not in solved]
     if missing:
@@ -123,11 +135,12 @@ def _row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.
 
 
 def _pivot(
-    rows: list[tuple[Row, sp.Expr]], sizes: dict[sp.Expr, float]
+    rows: list[Equation], sizes: dict[sp.Expr, float], wanted: tuple[int, sp.Symbol] | None
 ) -> tuple[int, sp.Symbol, str] | None:
     """Choose the cheapest pivot that divides by a factor of the determinant only.
 
-    `sizes` keeps those of the coefficients seen so far: 0 where they are not numbers.
+    `sizes` keeps those of the coefficients seen so far: 0 where they are not numbers; `wanted` is
+    the equation and the unknown that come before others of their kind.
     """
 
     def size(coefficient: sp.Expr) -> float:
@@ -135,15 +148,15 @@ def _pivot(
             sizes[coefficient] = abs(float(coefficient)) if coefficient.is_number else 0.0
         return sizes[coefficient]
 
-    for index, (row, _) in enumerate(rows):
+    for index, (row, _, _) in enumerate(rows):
         if len(row) == 1:
             return index, next(iter(row)), "row"
     count: dict[sp.Symbol, int] = {}
-    for row, _ in rows:
+    for row, _, _ in rows:
         for unknown in row:
             count[unknown] = count.get(unknown, 0) + 1
     best: tuple[int, int, sp.Symbol, str] | None = None
-    for index, (row, _) in enumerate(rows):
+    for index, (row, _, origin) in enumerate(rows):
         largest = max(map(size, row.values()))
         for unknown, coefficient in row.items():
             if count[unknown] == 1:
@@ -151,37 +164,45 @@ def _pivot(
             if size(coefficient) >= max(_SMALLEST, 0.1 * largest):
                 # Markowitz: the fill that the elimination can make.
                 cost = (len(row) - 1) * (count[unknown] - 1)
+                cost = -1 if (origin, unknown) == wanted else cost
                 if best is None or cost < best[0]:
                     best = (cost, index, unknown, "number")
     return None if best is None else best[1:]
 
 
-def _insert(row: Row, right: sp.Expr, unknown: sp.Symbol, value: sp.Expr) -> tuple[Row, sp.Expr]:
+def _insert(equation: Equation, unknown: sp.Symbol, value: sp.Expr) -> Equation:
+    row, right, origin = equation
     coefficient = row.get(unknown)
     if coefficient is None:
-        return row, right
-    return {u: c for u, c in row.items() if u != unknown}, right - coefficient * value
+        return equation
+    return {u: c for u, c in row.items() if u != unknown}, right - coefficient * value, origin
 
 
 def _eliminate(
-    row: Row, right: sp.Expr, unknown: sp.Symbol, by: Row, by_right: sp.Expr, pivot: sp.Expr
-) -> tuple[Row, sp.Expr]:
+    equation: Equation,
+    unknown: sp.Symbol,
+    by: Row,
+    by_right: sp.Expr,
+    pivot: sp.Expr,
+    name: Callable[[sp.Expr], sp.Expr] = lambda entry: entry,
+) -> Equation:
+    row, right, origin = equation
     if unknown not in row:
-        return row, right
-    factor = row[unknown] / pivot
+        return equation
+    factor = name(row[unknown] / pivot)
     result = {u: c for u, c in row.items() if u != unknown}
     for other, coefficient in by.items():
         total = result.get(other, sp.S.Zero) - factor * coefficient
         if total == 0:
             result.pop(other, None)
         else:
-            result[other] = total
-    return result, right - factor * by_right
+            result[other] = name(total)
+    return result, name(right - factor * by_right), origin
 
 
-def _blocks(rows: list[tuple[Row, sp.Expr]]) -> list[Definition]:
+def _blocks(rows: list[Equation], place: Mapping[sp.Symbol, int], paired: int) -> list[Definition]:
     """Solve what is left, one connected component at a time."""
-    edges = [(index, unknown) for index, (row, _) in enumerate(rows) for unknown in row]
+    edges = [(index, unknown) for index, (row, _, _) in enumerate(rows) for unknown in row]
     vertices = [*range(len(rows)), *dict.fromkeys(unknown for _, unknown in edges)]
     definitions: list[Definition] = []
     for component in connected_components((vertices, edges)):
@@ -189,10 +210,52 @@ def _blocks(rows: list[tuple[Row, sp.Expr]]) -> list[Definition]:
         unknowns = sorted((u for u in component if not isinstance(u, int)), key=str)
         if len(indices) != len(unknowns):
             raise Singular(unknowns)
+        if len(unknowns) > _CRAMER_LIMIT and paired:
+            named, rest, later = _by_pairs([rows[i] for i in indices], unknowns, place, paired)
+            # Contacts that slide are left, with their edges of the cone.
+            definitions += [*named, *_blocks(rest, place, 0), *reversed(later)]
+            continue
         matrix = sp.Matrix([[rows[i][0].get(u, 0) for u in unknowns] for i in indices])
         right = sp.Matrix([rows[i][1] for i in indices])
         definitions += _cramer(matrix, right, unknowns)
     return definitions
+
+
+def _by_pairs(
+    rows: list[Equation],
+    unknowns: Sequence[sp.Symbol],
+    place: Mapping[sp.Symbol, int],
+    paired: int,
+) -> tuple[list[Definition], list[Equation], list[Definition]]:
+    """Eliminate unknowns by the equations that belong to them, motions first.
+
+    Returns
+    -------
+    named, rest, last
+        Intermediate results, the equations left, and the unknowns eliminated, to be evaluated in
+        the opposite order.
+    """
+    named: list[Definition] = []
+    last: list[Definition] = []
+
+    def name(entry: sp.Expr) -> sp.Expr:
+        if entry.is_number or entry.is_Symbol:
+            return entry
+        symbol = sp.Dummy("pair", real=True)
+        named.append((symbol, entry))
+        return symbol
+
+    rest = [({u: name(c) for u, c in row.items()}, name(b), i) for row, b, i in rows]
+    for unknown in sorted(unknowns, key=place.__getitem__):
+        own = [e for e in rest if e[2] == place[unknown] < paired and unknown in e[0]]
+        if not own:
+            continue
+        row, right, origin = own[0]
+        pivot = row[unknown]
+        others = {u: c for u, c in row.items() if u != unknown}
+        rest = [_eliminate(e, unknown, others, right, pivot, name) for e in rest if e[2] != origin]
+        last.append((unknown, sum((-c * u for u, c in others.items()), start=right) / pivot))
+    return named, rest, last
 
 
 def _cramer(matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]) -> list[Definition]:

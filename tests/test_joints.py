@@ -396,3 +396,42 @@ def test_joints_that_come_to_contradict_one_another_end_the_run() -> None:
     assert "cannot all be kept" in trace.message
     with pytest.raises(NoConsistentMode):
         simulator.run(until=1.0)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_parallel_crank_more_than_needed(name: str) -> None:
+    # A plate hangs on three parallel cranks: one loop more than its motion needs. It swings clear
+    # of where all joints lie on one line, and the cranks could turn either way.
+    def crank(x: float) -> Body:
+        return _body(x + math.sin(a) / 2, math.cos(a) / 2, -a)
+
+    a = 2.5
+    places = {"one": -1.0, "two": 0.0, "three": 2.0}
+    scene = Scene(
+        name="plate",
+        gravity=9.81,
+        bodies={
+            "plate": _body(math.sin(a), math.cos(a)),
+            **{name: crank(x) for name, x in places.items()},
+        },
+        joints={
+            **{
+                f"foot_{name}": Joint(point=Point(body=name, at=(0, -0.5)), to=(x, 0))
+                for name, x in places.items()
+            },
+            **{
+                f"top_{name}": Joint(
+                    point=Point(body="plate", at=(x, 0)), to=Point(body=name, at=(0, 0.5))
+                )
+                for name, x in places.items()
+            },
+        },
+    )
+    trace = _run(scene, name, 2.0)
+    assert sum(v for k, v in trace.parameters.items() if ".redundant_" in k) == 1.0
+    assert trace.final[2] == pytest.approx(0.0, abs=1e-9)
+    # One angle th: (m (1 + 3/4) + 3 I) th'' = m g (1 + 3/2) sin th, by energy.
+    th, w = -trace.final[5], -trace.final[14 + 3]
+    inertia = 2 * (1 + 3 / 4) + 3 * 0.3
+    fallen = 2 * 9.81 * 2.5 * (math.cos(a) - math.cos(th))
+    assert 0.5 * inertia * w**2 == pytest.approx(fallen, abs=1e-8)

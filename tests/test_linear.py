@@ -143,3 +143,27 @@ def test_no_entry_that_vanishes_alone_is_divided_by() -> None:
 
 def test_a_chart_without_unknowns_needs_no_solution() -> None:
     assert solve_linear([], ()) == ()
+
+
+def test_masses_and_constraints_that_belong_together_divide_by_nothing_that_vanishes() -> None:
+    # A mass matrix and constraints of which every entry but the masses may be zero at a state.
+    count, held = 5, 3
+    unknowns = system(count + held)
+    masses = sp.Matrix(count, count, lambda i, k: sp.Symbol(f"m{min(i, k)}{max(i, k)}", real=True))
+    rows = sp.Matrix(held, count, lambda i, k: sp.Symbol(f"j{i}{k}", real=True))
+    a, f = sp.Matrix(unknowns[:count]), sp.Matrix(unknowns[count:])
+    equations = [*(masses * a - rows.T * f - sp.ones(count, 1)), *(rows * a)]
+    definitions = solve_linear(equations, unknowns, len(unknowns))
+    random = np.random.default_rng(1)
+    for hidden in range(8):
+        root = random.uniform(-1.0, 1.0, (count, count))
+        mass = root @ root.T + np.eye(count) if hidden else np.eye(count)
+        jacobian = random.uniform(-1.0, 1.0, (held, count))
+        jacobian *= random.random((held, count)) < 0.6
+        jacobian[range(held), range(held)] = 1.0
+        numbers = {masses[i, k]: mass[i, k] for i in range(count) for k in range(i, count)}
+        numbers |= {rows[i, k]: jacobian[i, k] for i in range(held) for k in range(count)}
+        found = values(definitions, numbers)
+        matrix = np.block([[mass, -jacobian.T], [jacobian, np.zeros((held, held))]])
+        expected = np.linalg.solve(matrix, [1.0] * count + [0.0] * held)
+        assert [found[u] for u in unknowns] == pytest.approx(expected, abs=1e-12)
