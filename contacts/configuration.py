@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -24,8 +25,8 @@ Array = NDArray[np.float64]
 def feasibility(automaton: Automaton, setup: Setup, state: Array, time: float) -> Feasibility:
     """Judge every product mode of a scene by the velocities that it asks for.
 
-    Contacts that do not touch at the configuration are judged as if they did: their gaps are
-    among the remarks. Regions that are no contact's ask for no velocity.
+    Contacts that do not touch at the configuration, or are off, are judged as if they did and were
+    not: the remarks say which. Regions that are no contact's ask for no velocity.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def feasibility(automaton: Automaton, setup: Setup, state: Array, time: float) -
     return Feasibility(
         {k: directed[tuple(k[i] for i in places)] for k in product(*(r.states for r in regions))},
         {k: undirected[tuple(k[i] for i in places)] for k in product(*declared)},
-        _remarks(setup, snapshot),
+        _remarks(setup, snapshot, laws.failing(setup, state, time)),
     )
 
 
@@ -80,12 +81,18 @@ def _driven(snapshot: Snapshot) -> Array:
     return np.where(np.abs(found) > 1e-12 * (sizes + np.abs(moved)), found, 0.0)
 
 
-def _remarks(setup: SceneSetup, snapshot: Snapshot) -> tuple[str, ...]:
+def _remarks(setup: SceneSetup, snapshot: Snapshot, failing: Sequence[str]) -> tuple[str, ...]:
     near = setup.tolerances["gap"]
     found = []
-    for law, contact in zip(setup.contacts, snapshot.contacts, strict=True):
-        if contact.gap > near:
+    for law, contact, why in zip(setup.contacts, snapshot.contacts, failing, strict=True):
+        if why:
+            found.append(f"{law.name} is off, as {why!r} does not hold: judged as if it were on")
+        elif contact.gap > near:
             found.append(f"{law.name} does not touch (gap {contact.gap:.6g}): judged as if it did")
         elif contact.gap < -near:
             found.append(f"{law.name} is {-contact.gap:.6g} inside its surface")
+    if snapshot.held is not None:
+        apart = float(np.abs(snapshot.held.joints.gaps).max(initial=0.0))
+        if apart > near:
+            found.append(f"joints are apart by up to {apart:.6g}")
     return tuple(found)

@@ -188,6 +188,10 @@ class ControlledLaws:
         """Return the numbers at a state, the controllers in their initial states."""
         return self._contacts.snapshot(setup, state, time)
 
+    def failing(self, setup: Setup, state: Array, time: float) -> tuple[str, ...]:
+        """Return, for every contact, the condition that keeps it off; "" where none does."""
+        return self._contacts.failing(setup, state, time)
+
     def _at(self, states: Key) -> SceneLaws:
         """Return the contacts' laws as long as the controllers are in `states`."""
         if states not in self._under:

@@ -99,6 +99,10 @@ class SceneLaws:
         """Return the scene's numbers at a state."""
         return self._tape.at(setup.values, state, time)
 
+    def failing(self, setup: Setup, state: Array, time: float) -> tuple[str, ...]:
+        """Return, for every contact, the condition that keeps it off; "" where none does."""
+        return self.numbers.gates.failing(setup.values, state, time)
+
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode, checked against the declared one."""
         assert isinstance(setup, SceneSetup)

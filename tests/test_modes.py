@@ -207,3 +207,20 @@ def test_a_configuration_without_directions_is_refused(
     arguments = ["--at", "bar.x=1", "--at", "bar.y=0", "--at", "bar.angle=0"]
     assert main(["modes", str(path), *arguments]) != 0
     assert "give another" in capsys.readouterr().err
+
+
+def test_a_contact_that_is_off_and_a_joint_that_is_apart_are_told(listed) -> None:
+    gated = BAR.replace("restitution: 0}", "restitution: 0, enabled: bar.angle >= 0.2}", 1)
+    found = listed(gated, "--set", "tilt=0")
+    assert found["feasibility"]["remarks"] == [
+        "A is off, as 'A: bar.angle >= 0.2' does not hold: judged as if it were on"
+    ]
+    assert numbers(found)[1] == 12
+    hinged = BAR + "joints: {pivot: {point: {body: bar, at: [-half, 0]}, to: [-cos(tilt), 0]}}\n"
+    hinged = hinged.replace("to: [-cos(tilt), 0]", "to: {x: -cos(tilt)}")
+    assert listed(hinged, "--set", "tilt=0")["feasibility"]["remarks"] == []
+    apart = listed(hinged, "--set", "tilt=0", "--at", "bar.x=0.5")["feasibility"]["remarks"]
+    assert apart == ["joints are apart by up to 0.5"]
+    # Held at x, the points of a bar that lies flat cannot slip.
+    refused = listed(hinged, "--set", "tilt=0")["feasibility"]["without_direction"]["infeasible"]
+    assert {"A": "slide", "B": "slide"} in [r["mode"] for r in refused]
