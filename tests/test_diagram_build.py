@@ -7,7 +7,9 @@ from dataclasses import replace
 import pytest
 
 from statechart.diagram.build import build, needs_run
+from statechart.diagram.dot import dot
 from statechart.document import read_text
+from statechart.feasibility import feasibility
 from statechart.run import Runner
 
 SWITCH = """
@@ -107,3 +109,21 @@ def test_a_jump_of_several_regions_at_once_is_a_link_of_its_own() -> None:
         link for link in diagram.links if link.source == "off off" and link.target == "on on"
     ]
     assert (link.cause, link.visits) == ("a turn", 1)
+
+
+def test_modes_that_are_not_possible_say_why_unless_the_run_went_there() -> None:
+    runner = Runner(read_text(BAR))
+    setup = runner.setup()
+    found = feasibility(runner.model, runner.automaton, setup, setup.initial, 0.0)
+    start = runner.start()[0]
+    diagram = build(runner.automaton, start, None, found)
+    refused = {node.name: node.infeasible for node in diagram.nodes if node.infeasible}
+    assert set(refused) == {"slide pin", "pin slide"}
+    assert refused["slide pin"] == "B without slip leaves A no slip"
+    assert any(note.startswith("infeasible: ") for note in diagram.notes)
+    grey = dot(diagram)
+    assert grey.count("infeasible: ") >= 2
+    trace = runner.run().trace
+    went = replace(trace, start_mode=("slide+", "pin"), jumps=())
+    shown = build(runner.automaton, start, went, found)
+    assert {node.name for node in shown.nodes if node.infeasible} == {"pin slide"}

@@ -1,0 +1,77 @@
+"""Twenty contacts: 4^20 modes are declared, and nothing grows with them."""
+
+from __future__ import annotations
+
+import pytest
+
+from statechart import compose, feasibility
+from statechart.diagram.build import build, needs_run
+from statechart.diagram.dot import dot
+from statechart.document import read_text
+from statechart.run import Runner
+
+COUNT = 20
+POINTS = "\n".join(
+    f"  c{i}: {{point: {{body: bar, at: [{-1 + 2 * i / (COUNT - 1)}, 0]}}, surface: floor,"
+    " friction: 0.3, restitution: 0}"
+    for i in range(COUNT)
+)
+SCENE = f"""\
+kind: scene
+name: bar
+gravity: 9.81
+bodies: {{bar: {{mass: 1, inertia: 1/3, start: {{y: 0.2 + sin(0.3), angle: 0.3}}}}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts:
+{POINTS}
+stop: {{time: 2, conditions: {{nearly flat: bar.angle <= 0.05}}}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _no_product(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever asks for the product of twenty contacts never comes back."""
+
+    def refused(*_: object) -> None:
+        raise AssertionError("the product was enumerated")
+
+    monkeypatch.setattr(compose, "product_modes", refused)
+    monkeypatch.setattr("statechart.diagram.build.product", refused)
+    monkeypatch.setattr("contacts.configuration.product", refused)
+
+
+def test_a_run_builds_the_modes_that_it_visits_and_no_other() -> None:
+    runner = Runner(read_text(SCENE))
+    automaton = runner.automaton
+    assert (automaton.modes_declared, automaton.modes_total) == (3**COUNT, 4**COUNT)
+    start, _ = runner.start()
+    assert start == ("free",) * COUNT
+    result = runner.run()
+    visited = list(dict.fromkeys(result.trace.modes))
+    assert [key[0] for key in visited] == ["free", "slide-", "slide+"]
+    assert {key[1:] for key in visited} == {("free",) * (COUNT - 1)}
+    assert result.trace.counts["modes_built"] == len(visited)
+    report = result.report(explain=True)
+    assert (report["modes_total"], report["modes_built"]) == (4**COUNT, 3)
+    assert len(list(automaton.successors(start))) == sum(
+        len([e for e in region.edges if e.source == "free"]) for region in automaton.regions
+    )
+    # What was considered at the end's jump are the modes of the one contact that touches.
+    assert max(len(event["considered"]) for event in report["events"]) <= 4
+
+
+def test_its_picture_has_the_modes_visited_and_one_chart_for_all_contacts() -> None:
+    runner = Runner(read_text(SCENE))
+    start, _ = runner.start()
+    assert needs_run(runner.automaton)
+    setup = runner.setup()
+    found = feasibility.feasibility(runner.model, runner.automaton, setup, setup.initial, 0.0)
+    assert found is None
+    diagram = build(runner.automaton, start, runner.run().trace, found)
+    assert [node.label for node in diagram.groups["modes of the run"]] == [
+        "c0: free", "c0: slide-", "c0: slide+",
+    ]  # fmt: skip
+    assert len(diagram.nodes) == 3 + 4
+    assert "always free: c1, c2, c3, ... c19 (19 in all)" in diagram.notes
+    assert "c0, c1, c2, ... c19 (20 in all)" in diagram.groups
+    assert len(dot(diagram)) < 50_000
