@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from contacts.modes import ContactSymbols
     from statechart.automaton import Setup
     from statechart.feasibility import Feasibility
+    from statechart.observe import Observer
     from statechart.testing import Property
+    from statechart.trace import Trace
 
 __all__ = ["SCENE", "automaton"]
 
@@ -122,6 +124,14 @@ def _feasibility(
     return feasibility(automaton, setup, state, time)
 
 
+def _violations(scene: BaseModel, observer: Observer, trace: Trace) -> Mapping[str, float]:
+    from contacts.violations import violations
+
+    if not isinstance(scene, Scene):
+        raise TypeError(f"a Scene was expected, not {type(scene).__name__}")
+    return violations(scene, observer, trace)
+
+
 _STARTER = """\
 # A rod dropped on the floor: one body, one contact. Run it with
 #   statechart run NAME.yaml
@@ -185,4 +195,13 @@ outputs:
   t_flat: {value: time, at: end}
 """
 
-SCENE = Kind("scene", Scene, _automaton, _STARTER, _properties, _alternatives, _feasibility)
+SCENE = Kind(
+    "scene",
+    Scene,
+    _automaton,
+    _STARTER,
+    _properties,
+    _alternatives,
+    _feasibility,
+    violations=_violations,
+)

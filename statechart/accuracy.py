@@ -4,20 +4,103 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from statechart.outputs import Result as Output
+from statechart.sampling import at_times
 from statechart.trace import Jump, Trace
 
-__all__ = ["difference"]
+__all__ = ["Difference", "compare", "difference", "paired", "parted", "sizes"]
 
 Array = NDArray[np.float64]
 
 # A number that is this much smaller than every other of its run is the rounding of zero, and has
 # no digits to be right.
 _NOTHING = 1e-12
+# Two runs have parted where a variable differs by this part of its size.
+_PARTED = 1e-2
+# Times between two events at which runs are compared for that.
+_BETWEEN = 16
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Where two runs of one model differ, each number relative to its own size.
+
+    Attributes
+    ----------
+    state : float
+        Of the final state, relative to the largest value that a variable had; inf where the runs
+        ended for different reasons.
+    times : float
+        Of the times of the events that both have and of the end, relative to the end.
+    outputs : float
+        Of the outputs, relative to themselves. Counts are not compared, as a Zeno sequence has
+        any number of jumps.
+    diverged : float or None
+        When they first took different modes or ended for different reasons; None if they did
+        not.
+    """
+
+    state: float
+    times: float
+    outputs: float
+    diverged: float | None
+
+    @property
+    def largest(self) -> float:
+        """The largest of the three; inf where the runs took different modes."""
+        return math.inf if self.diverged is not None else max(self.state, self.times, self.outputs)
+
+
+def compare(
+    coarse: Trace,
+    fine: Trace,
+    coarse_outputs: Mapping[str, Output],
+    fine_outputs: Mapping[str, Output],
+) -> Difference:
+    """Compare two runs; a number that is not finite in both must be the same.
+
+    Parameters
+    ----------
+    coarse, fine : Trace
+        Two runs of one model from one start.
+    coarse_outputs, fine_outputs : mapping
+        Their outputs.
+    """
+    pairs, diverged = paired(coarse, fine)
+    same_end = coarse.outcome is fine.outcome
+    if diverged is None and not same_end:
+        diverged = min(coarse.t_end, fine.t_end)
+    largest = np.maximum(sizes(coarse), sizes(fine))
+    nothing = _NOTHING * float(largest.max(initial=0.0))
+    state = max(
+        (
+            _relative(a, b, scale, nothing)
+            for a, b, scale in zip(
+                coarse.final.tolist(), fine.final.tolist(), largest.tolist(), strict=True
+            )
+        ),
+        default=0.0,
+    )
+    end = max(coarse.t_end, fine.t_end)
+    times = [(coarse.t_end, fine.t_end)] if same_end else []
+    times += [(one.t, other.t) for one, other in pairs]
+    outputs = (
+        _relative(a, b, max(abs(a), abs(b)), nothing)
+        for name, one in coarse_outputs.items()
+        for a, b in _numbers(one, fine_outputs[name])
+    )
+    return Difference(
+        state if same_end else math.inf,
+        max((_relative(a, b, end, 0.0) for a, b in times), default=0.0),
+        max(outputs, default=0.0),
+        diverged,
+    )
 
 
 def difference(
@@ -26,70 +109,82 @@ def difference(
     coarse_outputs: Mapping[str, Output],
     fine_outputs: Mapping[str, Output],
 ) -> tuple[float, float | None]:
-    """Return the largest relative difference of two runs.
+    """Return the largest relative difference of two runs, and when they took different modes.
 
-    Compared are the final state (relative to the largest value that a variable had), the times
-    of events and of the end (relative to the end), and outputs (relative to themselves; counts
-    are not compared, as a Zeno sequence has any number of jumps). A number that is not finite in
-    both runs must be the same.
+    See `compare`; the difference is inf where they did, and the time None where they did not.
+    """
+    found = compare(coarse, fine, coarse_outputs, fine_outputs)
+    return found.largest, found.diverged
+
+
+def parted(reference: Trace, trace: Trace) -> float | None:
+    """Return when a run left another for good to the eye; None if it did not.
+
+    That is the first time at which a variable differs by a hundredth of its size or the modes
+    differ, whichever comes first. Between the two times at which an event happened in the one run
+    and in the other the states are not compared: there a jump makes any difference.
 
     Parameters
     ----------
-    coarse, fine : Trace
+    reference, trace : Trace
         Two runs of one model from one start.
-    coarse_outputs, fine_outputs : mapping
-        Their outputs.
-
-    Returns
-    -------
-    float
-        inf where the runs took different modes or ended for different reasons.
-    float or None
-        When they first did so; None if they did not.
     """
-    diverged, times = _events(coarse, fine)
-    if diverged is None and coarse.outcome is not fine.outcome:
-        diverged = min(coarse.t_end, fine.t_end)
-    if diverged is not None:
-        return math.inf, diverged
-    largest = np.maximum(_largest(coarse), _largest(fine))
-    nothing = _NOTHING * float(largest.max(initial=0.0))
-    parts = [
-        _relative(a, b, scale, nothing)
-        for a, b, scale in zip(
-            coarse.final.tolist(), fine.final.tolist(), largest.tolist(), strict=True
-        )
-    ]
-    end = max(coarse.t_end, fine.t_end)
-    parts += [_relative(a, b, end, 0.0) for a, b in times]
-    for name, one in coarse_outputs.items():
-        for a, b in _pairs(one, fine_outputs[name]):
-            parts.append(_relative(a, b, max(abs(a), abs(b)), nothing))
-    return max(parts, default=0.0), None
+    pairs, diverged = paired(reference, trace)
+    end = min(reference.t_end, trace.t_end)
+    if diverged is None and reference.outcome is not trace.outcome:
+        diverged = end
+    until = end if diverged is None else diverged
+    marks = [(0.0, 0.0), *((one.t, other.t) for one, other in pairs), (until, until)]
+    grids = [np.zeros(0)]
+    for before, after in pairwise(marks):
+        start, stop = max(before), min(*after, until)
+        if stop > start:
+            # Neither end: there the one run may have jumped and the other not yet.
+            grids.append(start + (stop - start) * (np.arange(_BETWEEN) + 0.5) / _BETWEEN)
+    times = np.concatenate(grids)
+    if len(times) == 0 or not (reference.arcs and trace.arcs):
+        return diverged
+    scale = np.maximum(sizes(reference), sizes(trace))
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(_states(reference, times) - _states(trace, times)) > _PARTED * scale
+    where = np.flatnonzero(apart.any(axis=1))
+    return float(times[where[0]]) if len(where) else diverged
 
 
-def _events(coarse: Trace, fine: Trace) -> tuple[float | None, list[tuple[float, float]]]:
-    """Pair the jumps of two runs; return when they part, if they do, and the pairs of times.
+def paired(coarse: Trace, fine: Trace) -> tuple[list[tuple[Jump, Jump]], float | None]:
+    """Pair the jumps of two runs; return the pairs, and when the runs part, if they do.
 
     How many jumps of a Zeno sequence are resolved depends on the tolerance: where one run is at
     the accumulation, the other's further jumps of that sequence are passed over.
     """
-    times = [(coarse.t_end, fine.t_end)]
+    pairs: list[tuple[Jump, Jump]] = []
     a, b = list(coarse.jumps), list(fine.jumps)
     i = j = 0
     while i < len(a) and j < len(b):
         one, other = a[i], b[j]
         if _same(one, other):
-            times.append((one.t, other.t))
+            pairs.append((one, other))
             i, j = i + 1, j + 1
         elif _accumulates(one) and _repeats(other, one):
             j += 1
         elif _accumulates(other) and _repeats(one, other):
             i += 1
         else:
-            return min(one.t, other.t), times
+            return pairs, min(one.t, other.t)
     rest = (*a[i:], *b[j:])
-    return (rest[0].t if rest else None), times
+    return pairs, (rest[0].t if rest else None)
+
+
+def sizes(trace: Trace) -> Array:
+    """Return the largest magnitude (n,) of every variable at the ends of arcs and jumps."""
+    states = [trace.initial, trace.final]
+    states += [state for jump in trace.jumps for state in (jump.before, jump.after)]
+    return np.abs(np.array(states)).max(axis=0)
+
+
+def _states(trace: Trace, times: Array) -> Array:
+    arcs, local = at_times(trace, times)
+    return np.concatenate([arc.states(tau) for arc, tau in zip(arcs, local, strict=True)])
 
 
 def _same(one: Jump, other: Jump) -> bool:
@@ -110,14 +205,7 @@ def _repeats(jump: Jump, end: Jump) -> bool:
     return jump.region == end.region and not _accumulates(jump)
 
 
-def _largest(trace: Trace) -> Array:
-    """Return the largest magnitude (n,) of every variable at the ends of arcs and jumps."""
-    states = [trace.initial, trace.final]
-    states += [state for jump in trace.jumps for state in (jump.before, jump.after)]
-    return np.abs(np.array(states)).max(axis=0)
-
-
-def _pairs(one: Output, other: Output) -> Iterable[tuple[float, float]]:
+def _numbers(one: Output, other: Output) -> Iterable[tuple[float, float]]:
     if isinstance(one, list) and isinstance(other, list):
         return zip(one, other, strict=False)
     if isinstance(one, float) and isinstance(other, float):

@@ -104,6 +104,9 @@ def _parser() -> argparse.ArgumentParser:
     error = run.add_mutually_exclusive_group()
     error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
     error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")
+    error.add_argument(
+        "--budget", metavar="S", type=_number, help="best accuracy within so many seconds"
+    )
     run.add_argument(
         "--alternatives", action="store_true",
         help="run under the other choices of simultaneous: too, and show where that matters",
@@ -114,6 +117,12 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     run.add_argument("--output", metavar="DIR", help="write tables, data set and figure there")
     run.add_argument("--json", action="store_true", help="print one JSON object")
+    trade = verb("trade", "measure what speed costs in accuracy")
+    trade.add_argument("--json", action="store_true", help="print one JSON object")
+    trade.add_argument(
+        "-o", "--output", metavar="DIR",
+        help="keep table, data and figure there; what was interrupted goes on from there",
+    )  # fmt: skip
     modes = verb("modes", "list a model's modes, which are possible, and their transitions")
     _settable(modes)
     where = modes.add_mutually_exclusive_group()

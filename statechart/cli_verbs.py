@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from statechart.run import Result, Runner
+    from statechart.study import Study
 
-__all__ = ["check", "draw", "modes", "new", "run", "schema", "validate"]
+__all__ = ["check", "draw", "modes", "new", "run", "schema", "trade", "validate"]
 
 
 def validate(arguments: argparse.Namespace) -> int:
@@ -52,6 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
         tolerance=arguments.tolerance,
         accuracy=arguments.accuracy,
         step=arguments.step,
+        budget=arguments.budget,
+        study=_study(arguments),
         progress=True,
     )
     result = runner.run(parameters, until=arguments.until, throw=False)
@@ -74,7 +77,46 @@ def run(arguments: argparse.Namespace) -> int:
             from statechart.explanation import explanation
 
             print(f"\n{explanation(report)}", end="")
-    return 0 if result.trace.outcome.succeeded else 1
+    asked = result.asked
+    met = asked is None or asked.accuracy is None or asked.reached(result.error_estimate)
+    return 0 if met and result.trace.outcome.succeeded else 1
+
+
+def _study(arguments: argparse.Namespace) -> Study | None:
+    """Return what `trade` has left in the folder where the results go."""
+    if arguments.output is None or (arguments.accuracy is None and arguments.budget is None):
+        return None
+    from statechart.study_file import load
+
+    return load(arguments.output)
+
+
+def trade(arguments: argparse.Namespace) -> int:
+    """Run a model at many settings; print what each costs and gives."""
+    from statechart.study_text import text
+    from statechart.trade import trade as study_of
+
+    if arguments.output is not None and Path(arguments.output).is_file():
+        raise DeclarationError(
+            f"--output {arguments.output}: this is a file", advice="name a folder"
+        )
+    study = study_of(
+        _runner(arguments.file),
+        folder=arguments.output,
+        progress=lambda line: print(line, file=sys.stderr, flush=True),
+    )
+    if arguments.output is not None:
+        from statechart.study_figure import write
+
+        write(arguments.output, study)
+    if arguments.json:
+        _print_json(study.report())
+    else:
+        print(text(study), end="")
+    if not study.complete:
+        again = "the same command goes on" if arguments.output is not None else "-o DIR keeps it"
+        print(f"interrupted; {again}", file=sys.stderr)
+    return 0 if study.complete else 1
 
 
 def _alternatives(

@@ -13,6 +13,7 @@
         StepFailure           the integrator cannot meet its tolerance
         NonFinite             the state became infinite or undefined
         SingularMode          the equations of a mode do not determine the motion
+        OutOfBudget           the time allowed for a run was over before its end
         Undecided             a guard could be neither found nor excluded within the search's budget
         Zeno                  jumps accumulate, and nothing declared says what follows
         StepTooLarge          a fixed time step does not see the model
@@ -39,6 +40,7 @@ __all__ = [
     "InitialPenetration",
     "NoConsistentMode",
     "NonFinite",
+    "OutOfBudget",
     "Position",
     "SimulationError",
     "SingularMode",
@@ -249,6 +251,12 @@ class NonFinite(SimulationError):
     """The state became infinite or undefined."""
 
     outcome = "NON_FINITE"
+
+
+class OutOfBudget(SimulationError):
+    """The time allowed for a run was over before its end."""
+
+    outcome = "OUT_OF_BUDGET"
 
 
 class Undecided(SimulationError):

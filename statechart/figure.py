@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["figure", "render"]
+__all__ = ["LINES", "STYLE", "figure", "render"]
 
 Array = NDArray[np.float64]
 
 # Okabe and Ito (2008): told apart by everybody, colour-blind or not.
-_LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 # Modes keep their colours from picture to picture; others take the next of the rest.
 _MODES = {
     "free": "#A6D8F5",
@@ -46,7 +46,7 @@ _NOTHING = 1e-9
 _MOST_LABELLED = 24
 # Between a label that ends at its event and one that begins there, of the width.
 _GAP = 0.02
-_STYLE = {
+STYLE = {
     "font.family": "sans-serif",
     "font.size": 9.0,
     "axes.linewidth": 0.7,
@@ -101,7 +101,7 @@ def figure(observer: Observer, trace: Trace, path: Path | str | None = None) -> 
     panels = _panels(observer.automaton, trace, samples)
     bands = len(trace.regions)
     heights = [1.6 if i == 0 else 1.3 for i in range(len(panels))] + [0.26 * bands]
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         result = Figure(figsize=(7.2, 0.9 + 1.12 * sum(heights)), layout="constrained")
         axes = result.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[
             :, 0
@@ -130,7 +130,7 @@ def render(drawing: Figure, kind: str) -> bytes:
 
     stream = BytesIO()
     dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         drawing.savefig(stream, format=kind, dpi=150, metadata=dated.get(kind))
     return stream.getvalue()
 
@@ -197,7 +197,7 @@ def _draw_panel(ax: Axes, panel: _Panel, samples: Samples) -> None:
     t = np.insert(samples.t, breaks, np.nan)
     ax.axhline(0.0, color=_INK, linewidth=0.6, zorder=1)
     values = {name: samples.columns[name] for name in panel.names}
-    for name, colour in zip(panel.names[:_MOST_LINES], _LINES, strict=False):
+    for name, colour in zip(panel.names[:_MOST_LINES], LINES, strict=False):
         ax.plot(t, np.insert(values[name], breaks, np.nan), color=colour, label=name, zorder=3)
     if len(panel.names) > _MOST_LINES:
         ax.plot([], [], " ", label=f"and {len(panel.names) - _MOST_LINES} more")

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
     from statechart.automaton import Automaton, Setup
     from statechart.feasibility import Feasibility
+    from statechart.observe import Observer
     from statechart.testing import Property
+    from statechart.trace import Trace
 
 __all__ = ["CHART", "Kind", "kind", "kinds"]
 
@@ -44,6 +46,9 @@ class Kind:
         The model under the other choices that its laws leave open, by what the choice is called.
     feasibility : callable, optional
         Judges every product mode at a configuration (see `statechart.feasibility`).
+    violations : callable, optional
+        From a model, an observer and a trace: by how much what must hold does not, each relative
+        to the model's own scales (constraints, cones of friction).
     """
 
     name: str
@@ -53,6 +58,7 @@ class Kind:
     properties: Callable[[BaseModel], Sequence[Property]] | None = None
     alternatives: Callable[[BaseModel], Mapping[str, BaseModel]] | None = None
     feasibility: Callable[[Automaton, Setup, NDArray[np.float64], float], Feasibility] | None = None
+    violations: Callable[[BaseModel, Observer, Trace], Mapping[str, float]] | None = None
 
 
 def kinds() -> Mapping[str, EntryPoint]:

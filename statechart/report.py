@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ def report(
     error_estimate: float | None = None,
     timings: Mapping[str, float] | None = None,
     explain: bool = False,
+    asked: Mapping[str, Any] | None = None,
+    conditions: Sequence[float | None] = (),
 ) -> dict[str, Any]:
     """Return a run as an object of dicts, lists, strings and numbers.
 
@@ -44,18 +47,25 @@ def report(
         What took how many seconds.
     explain : bool
         Give every event its `margins`: those of the mode left, at that instant.
+    asked : mapping, optional
+        What was asked for instead of a tolerance, and what it took.
+    conditions : sequence of float or None
+        Of every event, from `statechart.condition.conditions`; shown where given.
 
     Returns
     -------
     dict
         `model`, `outcome`, `message`, `t_end`, `engine`, `certified`, `evidence`,
-        `error_estimate`, `modes_total` (directions of sliding told apart), `modes_declared`
-        (as users count), `modes_built`, `modes` (in the order visited), `indeterminate` (modes
-        whose motion leaves quantities of regions open, and which), `events`, `final`,
-        `outputs`, `margins`, `warnings`, `counts`, `timings`, `parameters`, `tolerances`.
+        `error_estimate`, `asked`, `condition` (the largest of the events'), `modes_total`
+        (directions of sliding told apart), `modes_declared` (as users count), `modes_built`,
+        `modes` (in the order visited), `indeterminate` (modes whose motion leaves quantities of
+        regions open, and which), `events`, `final`, `outputs`, `margins`, `warnings`, `counts`,
+        `timings`, `parameters`, `tolerances`.
     """
     automaton = observer.automaton
-    events = [_event(trace, jump) for jump in trace.jumps]
+    events = [
+        _event(trace, jump, condition) for jump, condition in zip_longest(trace.jumps, conditions)
+    ]
     if explain:
         for event, values in zip(events, observer.margins(trace, trace.jumps), strict=True):
             event["margins"] = values
@@ -70,6 +80,8 @@ def report(
         "certified": trace.certified,
         "evidence": trace.evidence,
         "error_estimate": error_estimate,
+        "asked": asked,
+        "condition": max((c for c in conditions if c is not None), default=None),
         "modes_total": automaton.modes_total,
         "modes_declared": automaton.modes_declared,
         "modes_built": trace.counts.get("modes_built", 0),
@@ -129,7 +141,7 @@ def json_safe(value: Any) -> Any:
     return value
 
 
-def _event(trace: Trace, jump: Jump) -> dict[str, Any]:
+def _event(trace: Trace, jump: Jump, condition: float | None) -> dict[str, Any]:
     names = trace.variables
     event: dict[str, Any] = {
         "t": jump.t,
@@ -149,6 +161,7 @@ def _event(trace: Trace, jump: Jump) -> dict[str, Any]:
         "considered": jump.considered,
         "energy": jump.energy,
         "skipped": jump.skipped,
+        "condition": condition,
     }
     return event
 

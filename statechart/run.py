@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from statechart.accuracy import difference
 from statechart.automaton import Automaton, Setup
+from statechart.budget import Allowance, Limited
 from statechart.declaration import Declaration
 from statechart.document import Document, find, interpret, read
 from statechart.engine import Engine
@@ -22,6 +22,7 @@ from statechart.errors import (
     FormulaError,
     StatechartError,
 )
+from statechart.estimate import BELOW, TIGHTER, Answer, Cost, tighten, within
 from statechart.formula import close_matches, parse
 from statechart.kinds import kind
 from statechart.observe import Observer
@@ -31,14 +32,46 @@ from statechart.simulate import Simulator, error_of
 from statechart.stepping import SteppingSimulator
 from statechart.trace import Key, Outcome, Trace
 
-__all__ = ["Result", "Runner", "run"]
+if TYPE_CHECKING:
+    from statechart.study import Study
 
-# The step from one tolerance to the next when an error is estimated. Measured over 180 runs: with
-# it the difference of the two bounds the error in 179, at 3.2 to 3.7 times the cost of one.
-_TIGHTER = 1.0 / 20.0
-# Errors of a run exceed its tolerance by about so much: where an accuracy is asked for, the first
-# tolerance is that far below.
-_BELOW = 1.0 / 10.0
+__all__ = ["Asked", "Result", "Runner", "run"]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What was asked for instead of a tolerance, and what it took.
+
+    Attributes
+    ----------
+    accuracy : float or None
+        Relative error allowed.
+    budget : float or None
+        Seconds allowed.
+    basis : str
+        What the first tolerance was chosen by.
+    cost : Cost
+        Of all runs.
+    """
+
+    accuracy: float | None
+    budget: float | None
+    basis: str
+    cost: Cost
+
+    def reached(self, estimate: float | None) -> bool:
+        """Whether `estimate` is what was asked for: of an accuracy, any of a budget."""
+        return estimate is not None and estimate <= (self.accuracy or math.inf)
+
+    def report(self, estimate: float | None) -> dict[str, Any]:
+        """Return this as one plain object."""
+        return {
+            "accuracy": self.accuracy,
+            "budget": self.budget,
+            "reached": self.reached(estimate),
+            "basis": self.basis,
+            "cost": asdict(self.cost),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +87,19 @@ class Result:
     error_estimate : float or None
         Where an accuracy was asked for: the largest difference between this run and one at 20
         times its tolerance, of the final state, the times of events and the outputs, each
-        relative to its own size; inf where the two took different modes.
+        relative to its own size; inf where the two took different modes. None where nothing was
+        estimated.
     timings : mapping of str to float
         What took how many seconds.
+    asked : Asked or None
+        The accuracy or the budget that was asked for, and what it took.
     """
 
     trace: Trace
     observer: Observer
     error_estimate: float | None
     timings: Mapping[str, float]
+    asked: Asked | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -74,6 +111,13 @@ class Result:
         """The outputs that the model declares."""
         return Outputs(self.observer).of(self.trace)
 
+    @cached_property
+    def conditions(self) -> tuple[float | None, ...]:
+        """How much an error is magnified into the time of every event; see `conditions`."""
+        from statechart.condition import conditions
+
+        return conditions(self.observer, self.trace)
+
     def report(self, *, explain: bool = False) -> dict[str, Any]:
         """Return the run as one plain object; see `statechart.report.report`."""
         from statechart.report import report
@@ -84,6 +128,8 @@ class Result:
             error_estimate=self.error_estimate,
             timings=self.timings,
             explain=explain,
+            asked=None if self.asked is None else self.asked.report(self.error_estimate),
+            conditions=() if self.asked is None else self.conditions,
         )
 
     def save(self, folder: Path | str) -> tuple[str, ...]:
@@ -113,6 +159,10 @@ class Runner:
         the estimated error is below it.
     step : float, optional
         Length of a step in time; of the engine impulse, which needs it.
+    budget : float, optional
+        Seconds allowed for a run: tolerances are tightened as long as there is time.
+    study : Study, optional
+        What was measured of this model: engine and first tolerance are chosen by it.
     progress : bool
         Whether runs above about a second report to stderr.
 
@@ -131,6 +181,8 @@ class Runner:
         tolerance: float | None = None,
         accuracy: float | None = None,
         step: float | None = None,
+        budget: float | None = None,
+        study: Study | None = None,
         progress: bool = False,
     ) -> None:
         began = time.perf_counter()
@@ -144,12 +196,16 @@ class Runner:
         read_at = time.perf_counter()
         self.automaton = _automaton(model)
         self.accuracy: float | None = None
+        self.budget: float | None = None
         self._reason = ""
         self._timings = {"read": read_at - began, "compose": time.perf_counter() - read_at}
         self._progress = progress
-        self.step = self._stepping(engine, method, tolerance, accuracy, step)
+        self.step = self._stepping(engine, method, tolerance, accuracy, budget, step)
+        self._allowance: Allowance | None = None
+        self._first: float | None = None
         if self.step is None:
-            self._settle(engine, method, tolerance, accuracy)
+            self._settle(engine, method, tolerance, accuracy, budget)
+            self._learn(study)
         self._observers: dict[float, Observer] = {}
 
     def run(
@@ -178,22 +234,21 @@ class Runner:
             With the trace so far, if the run cannot go on and `throw` is set.
         """
         overrides = dict(parameters or {})
-        end = self._end(overrides, until)
+        end = self.end(overrides, until=until)
         began = time.perf_counter()
-        if self.step is not None:
-            observer, trace = self._once(math.nan, overrides, end)
-            estimate = None
-        elif self.accuracy is None:
-            observer, trace = self._once(self._engine.tolerance, overrides, end)
-            estimate = None
-        else:
-            observer, trace, estimate = self._accurate(self.accuracy, overrides, end)
+        answer = self._answer(overrides, end)
+        observer, trace, estimate = answer.observer, answer.trace, answer.estimate
+        asked = None
+        if self.accuracy is not None or self.budget is not None:
+            asked = Asked(self.accuracy, self.budget, self._basis, answer.cost)
+        if answer.warnings:
+            trace = replace(trace, warnings=(*trace.warnings, *answer.warnings))
         if self._reason:
             trace = replace(trace, warnings=(self._reason, *trace.warnings))
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         timings = {**self._timings, "run": time.perf_counter() - began}
-        return Result(trace, observer, estimate, timings)
+        return Result(trace, observer, estimate, timings, asked)
 
     def start(self, parameters: Mapping[str, float] | None = None) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state without running; return its mode and the warnings.
@@ -242,6 +297,7 @@ class Runner:
         method: str | None,
         tolerance: float | None,
         accuracy: float | None,
+        budget: float | None,
         step: float | None,
     ) -> float | None:
         """Return the step where the engine is impulse, else None."""
@@ -255,7 +311,8 @@ class Runner:
                 )
             return None
         for what, given in (
-            ("method", method), ("tolerance", tolerance), ("accuracy", accuracy)
+            ("method", method), ("tolerance", tolerance), ("accuracy", accuracy),
+            ("budget", budget),
         ):  # fmt: skip
             if given is not None:
                 raise DeclarationError(
@@ -285,13 +342,20 @@ class Runner:
         method: str | None,
         tolerance: float | None,
         accuracy: float | None,
+        budget: float | None,
     ) -> None:
         settings = self.model.settings
-        if tolerance is not None and accuracy is not None:
+        given = {"tolerance": tolerance, "accuracy": accuracy, "budget": budget}
+        named = [what for what, value in given.items() if value is not None]
+        if len(named) > 1:
             raise DeclarationError(
-                "tolerance and accuracy exclude each other",
-                advice="accuracy finds the tolerance that it needs",
+                f"{' and '.join(named)} exclude each other",
+                advice="accuracy and budget find the tolerance that they need",
             )
+        if budget is not None:
+            if not 0.0 < budget < math.inf:
+                raise DeclarationError(f"the budget must be a time in seconds, not {budget:g}")
+            self._allowance = Allowance(budget)
         for what, value in (("tolerance", tolerance), ("accuracy", accuracy)):
             if value is not None and not 0.0 < value < 1.0:
                 raise DeclarationError(f"{what} must be above 0 and below 1, not {value:g}")
@@ -301,16 +365,61 @@ class Runner:
             method = method or settings.method
         elif engine != "taylor":
             method = method or settings.method
-        if tolerance is None and accuracy is None:
+        if not named:
             tolerance, accuracy = settings.tolerance, settings.accuracy
-        self.accuracy = accuracy
+        self.accuracy, self.budget = accuracy, budget
         self._named, self._method = engine, method
         self._engine, self._reason = self._choose(tolerance)
 
-    def _choose(self, tolerance: float | None) -> tuple[Engine, str]:
-        return choose(engine=self._named, method=self._method, tolerance=tolerance)
+    def _learn(self, study: Study | None) -> None:
+        """Choose the engine and the first tolerance by what was measured, where something was."""
+        self._first = None if self.accuracy is None else self.accuracy * BELOW
+        self._basis = "estimated: nothing was measured of this model"
+        if study is None or (self.accuracy is None and self.budget is None):
+            return
+        from statechart.study import fingerprint
 
-    def _end(self, overrides: Mapping[str, float], until: float | None) -> float:
+        if study.fingerprint != fingerprint(self.model):
+            self._basis = "estimated: the study given is of another model"
+            return
+        found = study.choose(
+            accuracy=self.accuracy,
+            budget=self.budget,
+            engine=None if self._named == "auto" else self._named,
+            method=self._method,
+        )
+        if found is None:
+            self._basis = "estimated: no setting that was measured is expected to do"
+            return
+        self._named, self._method, self._first = found.engine, found.method, found.tolerance
+        if self.budget is not None and self._first is not None:
+            # Two runs are to fit in: that one, and one before it to compare it with.
+            self._first /= TIGHTER
+        self._engine, self._reason = self._choose(None)
+        self._basis = f"measured: {found.label}"
+
+    def _choose(self, tolerance: float | None) -> tuple[Engine, str]:
+        engine, reason = choose(engine=self._named, method=self._method, tolerance=tolerance)
+        if self._allowance is not None:
+            engine = Limited(engine, self._allowance)
+        return engine, reason
+
+    def end(
+        self, parameters: Mapping[str, float] | None = None, *, until: float | None = None
+    ) -> float:
+        """Return when a run ends at the latest.
+
+        Parameters
+        ----------
+        parameters, until
+            As for `run`.
+
+        Raises
+        ------
+        DeclarationError
+            If a parameter or the end is wrong, or there is none.
+        """
+        overrides = dict(parameters or {})
         values = self._check(overrides)
         if until is not None:
             if not 0.0 <= until < math.inf:
@@ -367,7 +476,9 @@ class Runner:
         except StatechartError as error:
             if not self._fall_back(error):
                 raise
-            return self._once(self._engine.tolerance, overrides, end)
+            if self._first is None and self._allowance is None:
+                tolerance = self._engine.tolerance
+            return self._once(tolerance, overrides, end)
         return observer, trace
 
     def _observer(self, tolerance: float) -> Observer:
@@ -402,39 +513,21 @@ class Runner:
         self._observers.clear()
         return True
 
-    def _accurate(
-        self, accuracy: float, overrides: Mapping[str, float], end: float
-    ) -> tuple[Observer, Trace, float]:
-        """Run at ever tighter tolerances until two runs differ by less than `accuracy`."""
+    def _answer(self, overrides: Mapping[str, float], end: float) -> Answer:
+        def once(tolerance: float) -> tuple[Observer, Trace]:
+            return self._once(tolerance, overrides, end)
+
+        if self.step is not None:
+            observer, trace = once(math.nan)
+            return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
         floor = self._choose(math.ulp(0.0))[0].tolerance
-        tolerance = max(accuracy * _BELOW, floor / _TIGHTER)
-        observer, trace = self._once(tolerance, overrides, end)
-        warnings: list[str] = []
-        while trace.outcome is not Outcome.INTERRUPTED:
-            coarse, coarse_outputs = trace, Outputs(observer).of(trace)
-            tolerance = max(tolerance * _TIGHTER, floor)
-            observer, trace = self._once(tolerance, overrides, end)
-            if trace.outcome is Outcome.INTERRUPTED:
-                break
-            estimate, diverged = difference(
-                coarse, trace, coarse_outputs, Outputs(observer).of(trace)
-            )
-            if diverged is not None:
-                warnings.append(
-                    f"runs at tolerances {coarse.tolerance:.2g} and {trace.tolerance:.2g} take "
-                    f"different modes: accuracy is undefined from t = {diverged:.17g} on"
-                )
-            if estimate <= accuracy:
-                # What looser tolerances did is of no concern now.
-                return observer, trace, estimate
-            if tolerance <= floor:
-                if diverged is None:
-                    warnings.append(
-                        f"the accuracy {accuracy:g} was not reached: at the least tolerance of "
-                        f"the engine the estimated error is {estimate:.2g}"
-                    )
-                return observer, _warned(trace, warnings[-1:]), estimate
-        return observer, _warned(trace, ["interrupted before its error was estimated"]), math.inf
+        if self.accuracy is not None and self._first is not None:
+            return tighten(once, self.accuracy, first=self._first, floor=floor)
+        if self._allowance is not None:
+            self._allowance.begin()
+            return within(once, self._allowance.seconds, first=self._first, floor=floor)
+        observer, trace = once(self._engine.tolerance)
+        return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
 
     def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         try:
@@ -481,6 +574,8 @@ def run(
     tolerance: float | None = None,
     accuracy: float | None = None,
     step: float | None = None,
+    budget: float | None = None,
+    study: Study | None = None,
     progress: bool = False,
     throw: bool = True,
 ) -> Result:
@@ -499,6 +594,8 @@ def run(
         tolerance=tolerance,
         accuracy=accuracy,
         step=step,
+        budget=budget,
+        study=study,
         progress=progress,
     )
     return runner.run(parameters, until=until, throw=throw)
@@ -516,7 +613,3 @@ def _automaton(model: Declaration) -> Automaton:
     if not isinstance(automaton, Automaton):
         raise TypeError(f"a kind must build an Automaton, not {type(automaton).__name__}")
     return automaton
-
-
-def _warned(trace: Trace, warnings: list[str]) -> Trace:
-    return replace(trace, warnings=(*trace.warnings, *warnings))

@@ -59,6 +59,16 @@ def _head(report: Mapping[str, Any]) -> str:
     ]
     if report["error_estimate"] is not None:
         lines.append(f"  estimated relative error {float(report['error_estimate']):.2g}")
+    if report["asked"] is not None:
+        cost = report["asked"]["cost"]
+        runs = f"{cost['runs']} run{'s' if cost['runs'] != 1 else ''}"
+        lines.append(
+            f"  it took {runs}, {cost['steps']} steps, {cost['seconds']:.2g} s; first tolerance "
+            f"{report['asked']['basis']}"
+        )
+    if report["condition"] is not None:
+        condition = float(report["condition"])
+        lines.append(f"  times of events magnify errors of the state by up to {condition:.2g}")
     if not report["certified"]:
         lines += [f"  evidence of {name}: {how}" for name, how in report["evidence"].items()]
     return "\n".join(lines) + "\n"

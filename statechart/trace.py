@@ -22,6 +22,7 @@ class Outcome(Enum):
     HORIZON = "The end of the time asked for was reached."
     STOPPED = "A stop condition of the declaration was met."
     INTERRUPTED = "The run was interrupted; the trace ends where it was."
+    OUT_OF_BUDGET = "The time allowed was over; the trace ends where the run was."
     NO_CONSISTENT_MODE = "No mode of the contacts agrees with the state: see the margins."
     AMBIGUOUS_MODE = "Several modes agree with the state and move it differently: see the margins."
     EVENT_LOOP = "Too many jumps at one instant: the modes listed follow one another for ever."

@@ -1,0 +1,67 @@
+"""By how much a run violates what contacts demand: no penetration, forces within friction."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from contacts.scene import Scene
+from contacts.setup import SceneSetup
+from statechart.formula import parse
+from statechart.observe import Observer
+from statechart.trace import Trace
+
+__all__ = ["violations"]
+
+# Of a run of many steps fewer points of each are looked at.
+_MANY = 5000
+
+
+def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, float]:
+    """Return the largest violations over a run, relative to the scene's length and force.
+
+    Parameters
+    ----------
+    scene : Scene
+        The model.
+    observer : Observer
+        Of the simulator that made the run.
+    trace : Trace
+        The run.
+
+    Returns
+    -------
+    dict
+        `constraint`: how deep a contact point is in its surface, or how far off it while the
+        contact is closed. `cone`: how far a force of a closed contact is outside the cone of
+        friction, measured across its edge, or pulls. Both 0 without contacts.
+    """
+    if not scene.contacts:
+        return {"constraint": 0.0, "cone": 0.0}
+    values = {name: trace.parameters[name] for name in scene.parameters}
+    setup = observer.automaton.laws.setup(values, 1e-12)
+    assert isinstance(setup, SceneSetup)
+    steps = sum(len(arc.coefficients) for arc in trace.arcs)
+    names = [f"{name}.{what}" for name in scene.contacts for what in ("gap", "V", "H")]
+    samples = observer.sample(trace, names, per_step=8 if steps < _MANY else 1)
+    deepest = outside = 0.0
+    for place, (name, contact) in enumerate(scene.contacts.items()):
+        gap, normal, tangential = (samples.columns[f"{name}.{what}"] for what in ("gap", "V", "H"))
+        closed = np.array([key[place] != "free" for key in samples.modes])[samples.mode]
+        deepest = max(deepest, _largest(-gap), _largest(np.abs(gap[closed])))
+        mu = math.inf if contact.friction is None else parse(contact.friction).value(values)
+        n, t = (
+            (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu))
+        )
+        V, H = normal[closed], tangential[closed]
+        outside = max(outside, _largest(n * np.abs(H) - t * V), _largest(-V))
+    return {
+        "constraint": deepest / setup.scales.length,
+        "cone": outside / setup.scales.force,
+    }
+
+
+def _largest(values: np.ndarray) -> float:
+    """Return the largest value that is a number and positive, else 0."""
+    return float(np.fmax.reduce(values, initial=0.0))

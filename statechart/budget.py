@@ -1,0 +1,95 @@
+"""A limit on the time of a run: an engine that gives up when it is over."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.automaton import Automaton
+from statechart.compose import Mode
+from statechart.engine import Begin, Engine, Path
+from statechart.errors import OutOfBudget
+
+__all__ = ["Allowance", "Limited"]
+
+Array = NDArray[np.float64]
+
+
+class Allowance:
+    """Seconds that several runs share.
+
+    Parameters
+    ----------
+    seconds : float
+        How many.
+    clock : callable
+        Tells the time.
+    """
+
+    def __init__(self, seconds: float, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.seconds, self.clock = seconds, clock
+        self._until = math.inf
+
+    def begin(self) -> None:
+        """Count from now on."""
+        self._until = self.clock() + self.seconds
+
+    def check(self, now: float) -> None:
+        """Raise where the time is over; `now` is how far the run came.
+
+        Raises
+        ------
+        OutOfBudget
+        """
+        if self.clock() > self._until:
+            raise OutOfBudget(
+                f"the {self.seconds:g} s allowed were over at t = {now:.17g}; "
+                "allow more time, shorten the run, or take a looser tolerance"
+            )
+
+
+class Limited(Engine):
+    """An engine within an allowance of time, looked at before every call for steps.
+
+    A mode that is being compiled is not interrupted.
+
+    Parameters
+    ----------
+    engine : Engine
+        What does the work.
+    allowance : Allowance
+        Shared by all that work on one answer.
+    """
+
+    def __init__(self, engine: Engine, allowance: Allowance) -> None:
+        self._engine, self._allowance = engine, allowance
+        self.name, self.method, self.tolerance = engine.name, engine.method, engine.tolerance
+
+    def compile(self, automaton: Automaton, mode: Mode) -> object:
+        """Compile (see `Engine`)."""
+        return self._engine.compile(automaton, mode)
+
+    def steps(
+        self,
+        stepper: object,
+        path: Path,
+        parameters: Array,
+        start: float,
+        state: Array,
+        duration: float,
+        count: int,
+        begin: Begin,
+        end: Array,
+    ) -> bool:
+        """Take steps, unless the time is over (see `Engine`)."""
+        self._allowance.check(start)
+        self._engine.sizes = self.sizes
+        finished = self._engine.steps(
+            stepper, path, parameters, start, state, duration, count, begin, end
+        )
+        self.evaluations = self._engine.evaluations
+        return finished

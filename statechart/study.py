@@ -1,0 +1,364 @@
+"""What speed costs in accuracy: the record of a model run at many settings."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from statechart.declaration import Declaration
+
+__all__ = ["ORDERS", "Errors", "Point", "Setting", "Slope", "Study", "fingerprint", "ordered"]
+
+ORDERS: Mapping[str, int] = {"RK45": 5, "DOP853": 8, "Radau": 5, "impulse": 1}
+"""Order of a family of settings: the error falls with this power of the step, and with it of the
+evaluations. Taylor's method and LSODA change theirs as they go."""
+
+# A slope is fitted to points between these errors: above, a method has not come to its order yet;
+# below, in multiples of what the reference resolves, rounding is in the way.
+_COARSEST, _RESOLVED = 1e-4, 20.0
+_LEAST_POINTS = 3
+
+_Time = Annotated[float, Field(ge=0)]
+
+
+class _Record(BaseModel):
+    """Base of what is written to a file and read back."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+
+class Setting(_Record):
+    """An engine, and what it is told.
+
+    Attributes
+    ----------
+    engine : str
+        taylor, scipy or impulse.
+    method : str or None
+        Of scipy.
+    tolerance, accuracy, step : float or None
+        One of them is given: tolerance of every step, accuracy of the result, or a fixed step.
+    """
+
+    engine: str
+    method: str | None = None
+    tolerance: float | None = None
+    accuracy: float | None = None
+    step: float | None = None
+
+    @property
+    def family(self) -> str:
+        """Settings that differ in how fine they are only."""
+        return "accuracy" if self.accuracy is not None else self.method or self.engine
+
+    @property
+    def fineness(self) -> float:
+        """The tolerance, accuracy or step."""
+        return self.accuracy or self.tolerance or self.step or math.nan
+
+    @property
+    def promise(self) -> float | None:
+        """The relative error that a user may expect; None where nothing is promised."""
+        return self.accuracy or self.tolerance
+
+    @property
+    def label(self) -> str:
+        """What it is called."""
+        what = "step" if self.step is not None else "accuracy" if self.accuracy is not None else ""
+        words = (self.engine, self.method or "", what, f"{self.fineness:.3g}")
+        return " ".join(word for word in words if word)
+
+
+class Errors(_Record):
+    """Of a run against the reference; None where there is nothing to compare.
+
+    Attributes
+    ----------
+    state, times, outputs : float or None
+        As in `statechart.accuracy.Difference`; times and outputs None where the modes differ.
+    energy : float or None
+        Largest difference of the energy at the events and the end, relative to its size.
+    violations : mapping of str to float
+        By how much the run violates what must hold, whatever the reference (constraint, cone).
+    """
+
+    state: float | None = None
+    times: float | None = None
+    outputs: float | None = None
+    energy: float | None = None
+    violations: dict[str, float] = {}
+
+    @property
+    def largest(self) -> float | None:
+        """Of state, times and outputs."""
+        found = [x for x in (self.state, self.times, self.outputs) if x is not None]
+        return max(found, default=None)
+
+
+class Point(_Record):
+    """One setting: what it gave and what it cost.
+
+    Attributes
+    ----------
+    setting : Setting
+        What was run.
+    outcome : str
+        Why it ended.
+    same_modes : bool
+        Whether it took the modes of the reference, one by one.
+    diverged : float or None
+        When it first did not.
+    parted : float or None
+        When it left the reference for good to the eye; see `statechart.accuracy.parted`.
+    refused : str
+        Why a run to an accuracy says itself that it did not reach it; else empty.
+    errors : Errors
+        Against the reference.
+    seconds : float
+        Median time of a run, compiling apart.
+    repeats : int
+        How many runs that is the median of.
+    compiling : float or None
+        How much longer the first run took; None where it was the only one.
+    steps, evaluations : int
+        Of the integrator and of the rates; evaluations are 0 where they are not counted.
+    """
+
+    setting: Setting
+    outcome: str
+    same_modes: bool
+    diverged: float | None
+    parted: float | None
+    refused: str = ""
+    errors: Errors
+    seconds: _Time
+    repeats: int
+    compiling: float | None
+    steps: int
+    evaluations: int
+
+
+class Slope(_Record):
+    """How the cost of a family of settings grows as its error falls.
+
+    Attributes
+    ----------
+    family : str
+        See `Setting.family`.
+    order : float
+        The error falls with this power of the evaluations (of the inverse of the step, where the
+        step is fixed); a straight line through `points` points, in logarithms.
+    theory : int
+        What it should be.
+    points : int
+        How many points it was fitted to.
+    """
+
+    family: str
+    order: float
+    theory: int
+    points: int
+
+
+class Study(_Record):
+    """A model at many settings.
+
+    Attributes
+    ----------
+    model, fingerprint : str
+        Name of the model, and what tells it from any other.
+    until : float
+        End of the runs.
+    reference, check : str
+        The run that the others are compared with, and the independent one that it was compared
+        with itself.
+    resolution : Errors
+        Difference of these two: nothing smaller can be told.
+    parted : float or None
+        When these two left each other: then the motion is chaotic or on a knife's edge, and what
+        is measured is when runs leave the reference, not errors.
+    planned : int
+        Number of settings.
+    points : tuple of Point
+        Those that were run.
+    left_out : mapping of str to str
+        Setting -> why it was not run.
+    """
+
+    format: Literal["statechart trade 1"] = "statechart trade 1"
+    model: str
+    fingerprint: str
+    until: float
+    reference: str
+    check: str
+    resolution: Errors
+    parted: float | None
+    planned: int
+    points: tuple[Point, ...] = ()
+    left_out: dict[str, str] = {}
+
+    @property
+    def complete(self) -> bool:
+        """Whether every setting was run or left out for a reason."""
+        return len(self.points) + len(self.left_out) >= self.planned
+
+    def error(self, point: Point) -> float | None:
+        """Return the error of a point: the largest, and no less than what can be told.
+
+        None where the motion has no accuracy, or the run did not get to the end.
+        """
+        largest = point.errors.largest
+        if self.parted is not None or largest is None or not math.isfinite(largest):
+            return None
+        return max(largest, self.resolution.largest or 0.0)
+
+    def comparable(self, point: Point) -> bool:
+        """Whether a point took the modes of the reference and has an error."""
+        return point.same_modes and self.error(point) is not None
+
+    def front(self) -> tuple[Point, ...]:
+        """Return the Pareto front: no other point is at least as accurate and faster.
+
+        Only of points that took the modes of the reference; from the fastest on.
+        """
+        found: list[Point] = []
+        least = math.inf
+        for point in sorted(filter(self.comparable, self.points), key=lambda p: p.seconds):
+            error = self.error(point)
+            if error is not None and error < least:
+                least = error
+                found.append(point)
+        return tuple(found)
+
+    def kept(self, point: Point) -> bool | None:
+        """Return whether a run kept what it promised; None where that cannot be told.
+
+        A tolerance is taken for a promise of the result, which is what users hope for. A run
+        that says itself that it failed promises nothing.
+        """
+        promise = point.setting.promise
+        if promise is None or point.refused or self.parted is not None:
+            return None
+        if not point.same_modes:
+            return False
+        error = self.error(point)
+        if error is None or promise < (self.resolution.largest or 0.0):
+            return None
+        return error <= promise
+
+    def missed(self) -> dict[str, tuple[int, int]]:
+        """Return family -> (how many missed what they promised, of how many)."""
+        missed: Counter[str] = Counter()
+        told: Counter[str] = Counter()
+        for point in self.points:
+            kept = self.kept(point)
+            if kept is not None:
+                told[point.setting.family] += 1
+                missed[point.setting.family] += not kept
+        return {family: (missed[family], count) for family, count in told.items()}
+
+    def slopes(self) -> tuple[Slope, ...]:
+        """Fit the orders of the families that have enough points to fit."""
+        least = _RESOLVED * (self.resolution.largest or 0.0)
+        found = []
+        for family in dict.fromkeys(p.setting.family for p in self.points):
+            usable = []
+            for point in self.points:
+                error = self.error(point)
+                work = 1.0 / point.setting.step if point.setting.step else point.evaluations
+                if (
+                    point.setting.family == family in ORDERS
+                    and point.same_modes
+                    and work > 0
+                    and error is not None
+                    and least < error < _COARSEST
+                ):
+                    usable.append((math.log(work), math.log(error)))
+            if len(usable) < _LEAST_POINTS:
+                continue
+            work_error = np.array(usable)
+            # The error is what scatters; both are centred, so that the slope is its own.
+            order = -float(
+                np.polynomial.polynomial.polyfit(work_error[:, 0], work_error[:, 1], 1)[1]
+            )
+            found.append(
+                Slope(family=family, order=order, theory=ORDERS[family], points=len(usable))
+            )
+        return tuple(found)
+
+    def choose(
+        self,
+        *,
+        accuracy: float | None = None,
+        budget: float | None = None,
+        engine: str | None = None,
+        method: str | None = None,
+    ) -> Setting | None:
+        """Return the cheapest setting that was seen to reach an accuracy, or the best in a time.
+
+        Parameters
+        ----------
+        accuracy : float, optional
+            Relative error allowed.
+        budget : float, optional
+            Seconds for the run and a coarser one to compare it with, compiling included.
+        engine, method : str, optional
+            Consider no other.
+
+        Returns
+        -------
+        Setting or None
+            One with a tolerance; None where none was seen to do.
+        """
+        best: tuple[float, Setting] | None = None
+        for point in self.points:
+            setting, error = point.setting, self.error(point)
+            if setting.tolerance is None or not self.comparable(point) or error is None:
+                continue
+            if engine not in (None, setting.engine) or method not in (None, setting.method):
+                continue
+            if accuracy is not None:
+                fits, rank = error <= accuracy, point.seconds
+            else:
+                took = 2.0 * (point.seconds + (point.compiling or 0.0))
+                fits, rank = took <= (budget or 0.0), error
+            if fits and (best is None or rank < best[0]):
+                best = (rank, setting)
+        return None if best is None else best[1]
+
+    def report(self) -> dict[str, Any]:
+        """Return the study as one plain object, with what follows from its points."""
+        shown = self.model_dump(mode="json")
+        front = self.front()
+        for point, plain in zip(self.points, shown["points"], strict=True):
+            plain["label"] = point.setting.label
+            plain["error"] = self.error(point)
+            plain["kept"] = self.kept(point)
+            plain["on_front"] = point in front
+        shown["complete"] = self.complete
+        shown["missed"] = {
+            family: {"missed": missed, "of": count}
+            for family, (missed, count) in self.missed().items()
+        }
+        shown["slopes"] = [slope.model_dump(mode="json") for slope in self.slopes()]
+        return shown
+
+
+def fingerprint(model: Declaration) -> str:
+    """Return what tells a model from any other; what does not move it is left out."""
+    told = model.model_dump(mode="json", exclude={"doc", "ranges", "settings"})
+    text = json.dumps(told, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def ordered(points: Sequence[Point]) -> list[Point]:
+    """Return points family by family, from coarse to fine."""
+    families = list(dict.fromkeys(point.setting.family for point in points))
+    return sorted(points, key=lambda p: (families.index(p.setting.family), -p.setting.fineness))

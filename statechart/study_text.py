@@ -1,0 +1,88 @@
+"""A study as text for people."""
+
+from __future__ import annotations
+
+from statechart.study import Point, Study
+from statechart.summary import table
+
+__all__ = ["text"]
+
+
+def text(study: Study) -> str:
+    """Return a study as a table, with what follows from it below."""
+    kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
+    front = study.front()
+    head = ["error", "state", "events", "outputs", "energy"]
+    if study.parted is not None:
+        head = ["leaves it at", "energy"]
+    rows = [("", "modes", *head, *kinds, "evaluations", "steps", "time", "compiling")]
+    for point in study.points:
+        errors = point.errors
+        if study.parted is None:
+            shown = [study.error(point), errors.state, errors.times, errors.outputs, errors.energy]
+        else:
+            shown = [point.parted, errors.energy]
+        rows.append(
+            (
+                point.setting.label + (" *" if point in front else ""),
+                _modes(point),
+                *(_number(x) for x in shown),
+                *(_number(errors.violations.get(name)) for name in kinds),
+                str(point.evaluations or ""),
+                str(point.steps),
+                _seconds(point.seconds),
+                "" if point.compiling is None else _seconds(point.compiling),
+            )
+        )
+    return "".join(f"{line}\n" for line in _head(study)) + "\n" + table(rows) + _foot(study)
+
+
+def _head(study: Study) -> list[str]:
+    lines = [
+        f"{study.model} to t = {study.until:g}: {len(study.points)} of {study.planned} settings",
+        f"reference: {study.reference}, checked by {study.check}",
+    ]
+    if study.parted is None:
+        told = study.resolution.largest or 0.0
+        lines.append(f"the two differ by {told:.2g}; smaller errors cannot be told")
+    else:
+        lines.append(
+            f"the two leave each other at t = {study.parted:.6g}: chaotic, or on a knife's edge; "
+            "for every setting, when it leaves the reference"
+        )
+    return lines
+
+
+def _foot(study: Study) -> str:
+    lines = []
+    if study.front():
+        lines.append("* nothing else is as accurate and faster")
+    missed = study.missed()
+    if missed:
+        parts = (f"{family} {few} of {many}" for family, (few, many) in missed.items())
+        lines.append("missed what they promised: " + ", ".join(parts))
+    refused = [p.setting.label for p in study.points if p.refused]
+    if refused:
+        lines.append("said that they did not reach it: " + ", ".join(refused))
+    for slope in study.slopes():
+        against = "the step" if slope.family == "impulse" else "1/evaluations"
+        lines.append(
+            f"order of {slope.family}: {slope.order:.2f} (theory {slope.theory}), "
+            f"error against {against}, {slope.points} points"
+        )
+    lines += [f"left out: {label}: {why}" for label, why in study.left_out.items()]
+    return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
+
+
+def _modes(point: Point) -> str:
+    if point.same_modes:
+        return "same"
+    return f"others from t = {point.diverged:.6g}" if point.diverged is not None else "others"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.2g}"
+
+
+def _seconds(value: float) -> str:
+    return f"{value * 1e3:.3g} ms" if value < 1.0 else f"{value:.3g} s"
