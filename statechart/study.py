@@ -20,9 +20,10 @@ ORDERS: Mapping[str, int] = {"RK45": 5, "DOP853": 8, "Radau": 5, "impulse": 1}
 """Order of a family of settings: the error falls with this power of the step, and with it of the
 evaluations. Taylor's method and LSODA change theirs as they go."""
 
-# A slope is fitted to points between these errors: above, a method has not come to its order yet;
-# below, in multiples of what the reference resolves, rounding is in the way.
-_COARSEST, _RESOLVED = 1e-4, 20.0
+# A slope is fitted to points between these errors: above (time stepping comes to its order sooner
+# than the others), a method has not come to its order yet; below, in multiples of what the
+# reference resolves, rounding is in the way.
+_COARSEST, _STEPPING_COARSEST, _RESOLVED = 1e-4, 1e-1, 20.0
 _LEAST_POINTS = 3
 
 _Time = Annotated[float, Field(ge=0)]
@@ -270,6 +271,7 @@ class Study(_Record):
         found = []
         for family in dict.fromkeys(p.setting.family for p in self.points):
             usable = []
+            most = _STEPPING_COARSEST if family == "impulse" else _COARSEST
             for point in self.points:
                 error = self.error(point)
                 work = 1.0 / point.setting.step if point.setting.step else point.evaluations
@@ -278,7 +280,7 @@ class Study(_Record):
                     and point.same_modes
                     and work > 0
                     and error is not None
-                    and least < error < _COARSEST
+                    and least < error < most
                 ):
                     usable.append((math.log(work), math.log(error)))
             if len(usable) < _LEAST_POINTS:

@@ -58,7 +58,15 @@ _ONCE, _TOO_LONG = 2.0, 4.0
 
 
 def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
-    """Return the settings that a model is run at, every family from coarse to fine."""
+    """Return the settings that a model is run at, every family from coarse to fine.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        Of the model.
+    until : float
+        When a run ends, for the steps.
+    """
     settings = [Setting(engine="taylor", tolerance=tolerance) for tolerance in _TAYLOR]
     settings += [
         Setting(engine="scipy", method=method, tolerance=float(f"1e-{power}"))
@@ -66,7 +74,9 @@ def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
         for power in powers
     ]
     if automaton.stepper is not None:
-        settings += [Setting(engine="impulse", step=until * part) for part in _STEPS]
+        settings += [
+            Setting(engine="impulse", step=float(f"{until * part:.3g}")) for part in _STEPS
+        ]
     settings += [Setting(engine="auto", accuracy=accuracy) for accuracy in _ACCURACIES]
     return tuple(settings)
 
@@ -121,7 +131,6 @@ def trade(
     end = runner.end(until=until)
     runner.start()
     bench = _Bench(runner.model, runner.automaton, end, repeats, clock)
-    settings = plan(runner.automaton, end) if settings is None else tuple(settings)
     known = None if folder is None else load(folder)
     mark = fingerprint(runner.model)
     if known is not None and (known.fingerprint, known.until) != (mark, end):
@@ -132,6 +141,8 @@ def trade(
         )
     progress("reference")
     reference, study = _reference(bench, mark)
+    if settings is None:
+        settings = plan(runner.automaton, reference.trace.t_end)
     points = {} if known is None else {p.setting: p for p in known.points if p.setting in settings}
     left_out = {} if known is None else dict(known.left_out)
     study = study.model_copy(update={"planned": len(settings)})

@@ -1,0 +1,197 @@
+"""Accuracy and budgets: what is estimated, what it costs, and how events magnify errors."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from itertools import count
+
+import pytest
+
+from statechart.accuracy import compare, parted
+from statechart.budget import Allowance
+from statechart.cli import main
+from statechart.document import read_text
+from statechart.errors import OutOfBudget
+from statechart.estimate import Once, tighten, within
+from statechart.run import Runner, run
+from statechart.trace import Outcome
+
+THROWN = """\
+kind: chart
+name: thrown
+parameters: {v0: 1, h: 0.4}
+variables: {x: 0, v: v0}
+regions:
+  ball:
+    initial: below
+    states: {below: {flows: {x: v, v: -1}}, above: {flows: {x: v, v: -1}}}
+    transitions:
+      - {name: pass, from: below, to: above, guard: x >= h}
+stop: {time: 1}
+"""
+
+
+def slow(runner: Runner, seconds: Callable[[float], float]) -> tuple[Once, Callable[[], float]]:
+    """Return runs that take `seconds` of their tolerance, and the clock that they move."""
+    now = [0.0]
+
+    def once(tolerance: float) -> tuple[object, object]:
+        now[0] += seconds(tolerance)
+        result = Runner(runner.model, engine="scipy", tolerance=tolerance).run()
+        return result.observer, result.trace
+
+    return once, lambda: now[0]  # type: ignore[return-value]
+
+
+def test_the_condition_of_an_event_is_that_of_its_formula() -> None:
+    # x = v t - t^2/2 reaches h: with sizes X of x and V of v, kappa = X / (T |v|).
+    result = run(read_text(THROWN), accuracy=1e-6)
+    trace = result.trace
+    (kappa,) = result.conditions
+    speed = math.sqrt(1.0 - 2.0 * 0.4)
+    assert kappa == pytest.approx(abs(trace.final[0]) / (1.0 * speed), rel=1e-8)
+
+
+@pytest.mark.parametrize("margin", [1e-2, 1e-4, 1e-6])
+def test_the_condition_grows_as_a_graze_is_approached(margin: float) -> None:
+    # The highest point is 1/2; an error of the state moves the event by 1/sqrt(2 margin) of it.
+    (kappa,) = run(read_text(THROWN), parameters={"h": 0.5 - margin}, accuracy=1e-3).conditions
+    assert kappa == pytest.approx(0.5 / math.sqrt(2.0 * margin), rel=1e-5)
+
+
+def test_the_condition_tells_how_far_an_error_moves_an_event() -> None:
+    trace = run("bouncing_ball_hills", accuracy=1e-9)
+    kappa = trace.conditions[0]
+    assert kappa is not None
+    moved = run("bouncing_ball_hills", parameters={"y0": 1.05 * (1 + 1e-6)})
+    shift = abs(moved.trace.jumps[0].t - trace.trace.jumps[0].t) / trace.trace.t_end
+    assert 0.0 < shift <= 1.01 * kappa * 1e-6
+
+
+def test_jumps_that_nothing_fired_have_no_condition() -> None:
+    result = run("bouncing_ball", accuracy=1e-6)
+    assert len(result.conditions) == len(result.trace.jumps)
+    for jump, kappa in zip(result.trace.jumps, result.conditions, strict=True):
+        assert (kappa is None) == (jump.fired in ((), ("zeno",)))
+
+
+def test_an_accuracy_answers_with_condition_and_cost() -> None:
+    report = run("toppling_stick", accuracy=1e-5).report()
+    asked = report["asked"]
+    assert asked["reached"]
+    assert asked["cost"]["runs"] >= 2
+    assert asked["cost"]["steps"] > report["counts"]["steps"]
+    assert report["condition"] == max(e["condition"] for e in report["events"])
+    plain = run("toppling_stick").report()
+    assert (plain["asked"], plain["condition"]) == (None, None)
+
+
+def test_tightening_starts_where_it_is_told_and_ends_when_two_runs_agree() -> None:
+    tolerances: list[float] = []
+    runner = Runner("toppling_stick")
+
+    def once(tolerance: float) -> tuple[object, object]:
+        tolerances.append(tolerance)
+        result = Runner(runner.model, engine="scipy", tolerance=tolerance).run()
+        return result.observer, result.trace
+
+    answer = tighten(once, 1e-4, first=1e-3, floor=1e-13)  # type: ignore[arg-type]
+    assert answer.estimate is not None
+    assert answer.estimate <= 1e-4
+    assert answer.cost.runs == len(tolerances) > 2
+    assert tolerances == pytest.approx([1e-3 / 20**k for k in range(len(tolerances))])
+
+
+def test_an_accuracy_that_is_not_reached_is_said_and_exits_with_1(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    code = main(["run", "toppling_stick", "--accuracy", "1e-15", "--engine", "scipy", "--json"])
+    said = capsys.readouterr()
+    report = json.loads(said.out)
+    assert code == 1
+    assert report["outcome"] == "STOPPED"
+    assert not report["asked"]["reached"]
+    assert "was not reached" in said.err
+
+
+def test_within_a_budget_runs_tighten_as_long_as_there_is_time() -> None:
+    runner = Runner("toppling_stick")
+    once, clock = slow(runner, lambda tolerance: 1.0)
+    few = within(once, 2.9, floor=1e-13, clock=clock)
+    once, clock = slow(runner, lambda tolerance: 1.0)
+    many = within(once, 4.9, floor=1e-13, clock=clock)
+    # A run is not begun unless half as much again as the last one took is left.
+    assert (few.cost.runs, many.cost.runs) == (2, 4)
+    assert few.cost.seconds <= 2.9
+    assert few.estimate is not None
+    assert many.estimate is not None
+    assert many.estimate < few.estimate / 100
+    assert many.warnings == ()
+
+
+def test_the_tightest_run_ends_a_budget_early() -> None:
+    once, clock = slow(Runner("toppling_stick"), lambda tolerance: 0.0)
+    answer = within(once, 100.0, floor=1e-9, clock=clock)
+    assert answer.trace.tolerance == pytest.approx(1e-9)
+
+
+def test_one_run_in_time_has_no_estimate_and_says_so() -> None:
+    once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
+    answer = within(once, 1.5, floor=1e-13, clock=clock)
+    assert answer.estimate is None
+    assert "one run only" in answer.warnings[0]
+
+
+def test_a_run_that_is_over_time_keeps_what_it_has_and_the_one_before_counts() -> None:
+    ticks = count()
+    allowance = Allowance(10.0, clock=lambda: float(next(ticks)))
+    allowance.begin()
+    for _ in range(10):
+        allowance.check(0.5)
+    with pytest.raises(OutOfBudget, match=r"over at t = 0\.5; allow more time"):
+        allowance.check(0.5)
+
+
+def test_a_budget_that_cannot_be_met_exits_with_1_and_keeps_the_trace(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ticks = count()
+    # The clock is looked at once when the budget begins and before every call for steps.
+    monkeypatch.setattr(
+        "statechart.run.Allowance",
+        lambda seconds: Allowance(seconds, clock=lambda: float(next(ticks))),
+    )
+    code = main(["run", "bouncing_ball", "--budget", "20", "--json"])
+    report = json.loads(capsys.readouterr().out)
+    assert code == 1
+    assert report["outcome"] == "OUT_OF_BUDGET"
+    assert "allow more time" in report["message"]
+    assert 5 < len(report["events"]) < 40
+    assert report["error_estimate"] is None
+    assert not report["asked"]["reached"]
+
+
+def test_a_budget_gives_an_answer_with_its_estimate() -> None:
+    result = run("toppling_stick", budget=120.0)
+    assert result.trace.outcome is Outcome.STOPPED
+    assert result.asked is not None
+    assert result.error_estimate is not None
+    assert result.error_estimate < 1e-9
+
+
+def test_the_parts_of_a_difference_and_when_runs_part() -> None:
+    exact, rough = run("toppling_stick"), run("toppling_stick", tolerance=1e-4)
+    found = compare(exact.trace, rough.trace, exact.outputs, rough.outputs)
+    assert found.diverged is None
+    assert found.largest == max(found.state, found.times, found.outputs)
+    assert parted(exact.trace, rough.trace) is None
+    other = run("toppling_stick", parameters={"mu": 0.25})
+    when = parted(exact.trace, other.trace)
+    assert when is not None
+    assert 3.0 < when < exact.trace.t_end
+    # Bounces at slightly different times are no difference of the states between them.
+    ball, later = run("bouncing_ball"), run("bouncing_ball", parameters={"x0": 1 + 1e-4})
+    first = parted(ball.trace, later.trace)
+    assert first is None or first > 5.0

@@ -1,0 +1,342 @@
+"""Speed against accuracy: studies, their slopes, what is kept of them and what uses them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+from statechart.cli import main
+from statechart.document import read_text
+from statechart.errors import DeclarationError, StatechartError
+from statechart.run import Runner
+from statechart.study import Errors, Point, Setting, Study, fingerprint
+from statechart.study_figure import figure, write
+from statechart.study_file import load, save
+from statechart.study_text import text
+from statechart.trade import plan, trade
+
+# One event in a long smooth motion, so that the integrator decides the error.
+OSCILLATOR = """\
+kind: chart
+name: oscillator
+variables: {x: 2, v: 0, w: 0}
+regions:
+  mass:
+    initial: swing
+    states: {swing: {flows: {x: v, v: -x, w: 1}}}
+    transitions:
+      - {name: kick, from: swing, to: swing, guard: w >= 17 + x, updates: {v: -v/2, w: -50}}
+stop: {time: 50}
+outputs: {t_kick: {value: time, at: first kick}}
+"""
+
+# A ball among four discs that overlap: every hit spreads what was close together.
+CHAOTIC = """\
+kind: scene
+name: billiard
+gravity: 0
+bodies:
+  ball: {mass: 1, start: {x: 0, y: 0.1, dx: 1, dy: 0.33}}
+surfaces:
+  left: {circle: [-2, 0], radius: 1.5}
+  right: {circle: [2, 0], radius: 1.5}
+  top: {circle: [0, 2], radius: 1.5}
+  bottom: {circle: [0, -2], radius: 1.5}
+contacts:
+  CONTACTS
+stop: {time: TIME}
+"""
+
+
+def billiard(end: float) -> str:
+    contacts = "\n  ".join(
+        f"{name}: {{point: {{body: ball}}, surface: {name}, modes: [free, slide], friction: 0, "
+        "restitution: 1}"
+        for name in ("left", "right", "top", "bottom")
+    )
+    return CHAOTIC.replace("CONTACTS", contacts).replace("TIME", f"{end:g}")
+
+
+def ticking() -> Callable[[], float]:
+    """Return a clock that goes on by a thousandth of a second whenever it is looked at."""
+    ticks = count()
+    return lambda: next(ticks) * 1e-3
+
+
+def scipy(method: str, *powers: int) -> list[Setting]:
+    return [Setting(engine="scipy", method=method, tolerance=10.0**-p) for p in powers]
+
+
+def point(tolerance: float, error: float, seconds: float, **changes: object) -> Point:
+    values: dict[str, object] = {
+        "setting": Setting(engine="scipy", method="RK45", tolerance=tolerance),
+        "outcome": "HORIZON",
+        "same_modes": True,
+        "diverged": None,
+        "parted": None,
+        "errors": Errors(state=error, times=0.0, outputs=0.0),
+        "seconds": seconds,
+        "repeats": 3,
+        "compiling": 0.0,
+        "steps": 10,
+        "evaluations": 60,
+    }
+    return Point.model_validate(values | changes)
+
+
+def study(*points: Point, **changes: object) -> Study:
+    values: dict[str, object] = {
+        "model": "m",
+        "fingerprint": "f",
+        "until": 1.0,
+        "reference": "taylor 2.2e-16",
+        "check": "scipy DOP853 2.3e-14",
+        "resolution": Errors(state=1e-13),
+        "parted": None,
+        "planned": len(points),
+        "points": points,
+    }
+    return Study.model_validate(values | changes)
+
+
+def test_slopes_are_those_of_theory() -> None:
+    settings = [*scipy("RK45", *range(5, 11)), *scipy("DOP853", *range(5, 14))]
+    found = trade(Runner(read_text(OSCILLATOR)), settings=settings, repeats=1, clock=ticking())
+    assert found.complete
+    slopes = {slope.family: slope for slope in found.slopes()}
+    assert set(slopes) == {"RK45", "DOP853"}
+    for slope in slopes.values():
+        assert slope.points >= 5
+        # Evaluations grow as the error to the power -1/order.
+        assert slope.order == pytest.approx(slope.theory, rel=0.15)
+    assert "order of RK45" in text(found)
+
+
+def test_the_error_of_time_stepping_falls_with_the_step() -> None:
+    # How an event lies between two steps makes single errors irregular: many steps are fitted.
+    steps = [Setting(engine="impulse", step=0.1 * 0.7**k) for k in range(16)]
+    found = trade(Runner("stick_slip_block"), settings=steps, repeats=1, clock=ticking())
+    (slope,) = found.slopes()
+    assert slope.points >= 10
+    assert slope.order == pytest.approx(slope.theory, rel=0.15)
+    assert found.points[0].setting.promise is None
+    assert found.kept(found.points[0]) is None
+
+
+def test_the_pareto_front_has_what_nothing_beats() -> None:
+    slow, good, bad = point(1e-6, 1e-6, 2.0), point(1e-5, 1e-7, 1.0), point(1e-3, 1e-3, 0.5)
+    other = point(1e-4, 1e-12, 0.1, same_modes=False, diverged=0.5)
+    assert study(slow, good, bad, other).front() == (bad, good)
+
+
+def test_a_promise_missed_is_counted_and_other_modes_are_a_miss() -> None:
+    kept, missed = point(1e-3, 1e-4, 1.0), point(1e-6, 1e-5, 1.0)
+    other = point(1e-7, 1e-9, 1.0, same_modes=False, diverged=0.5)
+    unresolved = point(1e-14, 1e-15, 1.0)
+    refused = point(1e-8, 1.0, 1.0, refused="the accuracy was not reached")
+    found = study(kept, missed, other, unresolved, refused)
+    assert [found.kept(p) for p in found.points] == [True, False, False, None, None]
+    assert found.missed() == {"RK45": (2, 3)}
+    # What the reference cannot resolve is no digit of a run.
+    assert found.error(unresolved) == 1e-13
+
+
+def test_the_cheapest_setting_that_reached_an_accuracy_is_chosen() -> None:
+    points = (
+        point(1e-3, 1e-4, 0.1),
+        point(1e-6, 1e-7, 0.4),
+        point(1e-7, 1e-8, 0.3),
+        point(1e-9, 1e-9, 0.2, same_modes=False),
+    )
+    found = study(*points)
+    assert found.choose(accuracy=1e-5) == points[2].setting
+    assert found.choose(accuracy=1e-3) == points[0].setting
+    assert found.choose(accuracy=1e-12) is None
+    assert found.choose(accuracy=1e-3, engine="taylor") is None
+    assert found.choose(accuracy=1e-3, method="RK45") == points[0].setting
+    assert found.choose(budget=0.7) == points[2].setting
+    assert found.choose(budget=0.01) is None
+
+
+def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: Path) -> None:
+    runner = Runner(read_text(billiard(40.0)))
+    settings = [*scipy("DOP853", 4, 12), Setting(engine="auto", accuracy=1e-6)]
+    found = trade(runner, settings=settings, repeats=1, clock=ticking())
+    assert found.parted is not None
+    assert 1.0 < found.parted < 40.0
+    for p in found.points:
+        assert found.error(p) is None
+        assert found.kept(p) is None
+    coarse, fine, refused = found.points
+    assert coarse.parted is not None
+    assert fine.parted is not None
+    assert coarse.parted < fine.parted
+    assert "undefined" in refused.refused
+    assert "leaves it at" in text(found)
+    assert found.front() == ()
+    write(tmp_path, found)
+    report = found.report()
+    assert report["points"][0]["error"] is None
+    json.dumps(report, allow_nan=False)
+
+
+def test_before_it_becomes_chaotic_the_same_motion_has_an_accuracy() -> None:
+    found = trade(
+        Runner(read_text(billiard(2.0))), settings=scipy("DOP853", 8), repeats=1, clock=ticking()
+    )
+    assert found.parted is None
+    assert found.error(found.points[0]) is not None
+
+
+def test_a_study_is_written_point_by_point_and_gone_on_with(tmp_path: Path) -> None:
+    settings = scipy("DOP853", 4, 6, 8)
+    seen: list[int] = []
+
+    def interrupting(line: str) -> None:
+        done = load(tmp_path)
+        seen.append(0 if done is None else len(done.points))
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    def run(progress: Callable[[str], None]) -> Study:
+        return trade(
+            Runner(read_text(OSCILLATOR)), folder=tmp_path, settings=settings, repeats=1,
+            clock=ticking(), progress=progress,
+        )  # fmt: skip
+
+    with pytest.raises(KeyboardInterrupt):
+        run(interrupting)
+    assert seen == [0, 1, 2]
+    before = load(tmp_path)
+    assert before is not None
+    assert not before.complete
+    lines: list[str] = []
+    after = run(lines.append)
+    assert after.complete
+    assert after.points[:2] == before.points
+    assert [line for line in lines if "1e-08" in line] == lines[1:]
+    assert load(tmp_path) == after
+
+
+def test_a_folder_with_the_study_of_another_model_is_refused(tmp_path: Path) -> None:
+    save(tmp_path, study(point(1e-3, 1e-4, 1.0)))
+    with pytest.raises(DeclarationError, match="another model"):
+        trade(Runner(read_text(OSCILLATOR)), folder=tmp_path, settings=scipy("RK45", 3))
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"[1]", b"\xff\xfe", b'{"format": "other"}'])
+def test_a_file_that_is_no_study_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "trade.json").write_bytes(content)
+    with pytest.raises(DeclarationError, match="is not a study"):
+        load(tmp_path)
+
+
+def test_what_is_not_finite_survives_the_file(tmp_path: Path) -> None:
+    kept = study(point(1e-3, math.inf, 1.0))
+    save(tmp_path, kept)
+    assert load(tmp_path) == kept
+    assert kept.error(kept.points[0]) is None
+    assert load(tmp_path / "nothing") is None
+
+
+def test_what_does_not_move_a_model_does_not_change_its_fingerprint() -> None:
+    one = Runner(read_text(OSCILLATOR)).model
+    same = Runner(read_text(OSCILLATOR + "doc: words\nsettings: {engine: scipy}\n")).model
+    other = Runner(read_text(OSCILLATOR.replace("x: 2", "x: 2.5"))).model
+    assert fingerprint(one) == fingerprint(same) != fingerprint(other)
+
+
+def test_a_model_that_no_engine_takes_to_its_end_has_no_reference() -> None:
+    blows_up = OSCILLATOR.replace("v: -x,", "v: x**3,")
+    with pytest.raises(StatechartError, match="no reference"):
+        trade(Runner(read_text(blows_up)), settings=scipy("RK45", 3))
+
+
+def test_a_flow_without_a_taylor_series_is_studied_without_it() -> None:
+    text = OSCILLATOR.replace("v: -x,", "v: -x - abs(v)/10,").replace("time: 50", "time: 5")
+    settings = [Setting(engine="taylor", tolerance=1e-6), *scipy("DOP853", 6)]
+    found = trade(Runner(read_text(text)), settings=settings, repeats=1, clock=ticking())
+    assert found.reference == "scipy DOP853 2.3e-14"
+    assert found.check == "scipy LSODA 1e-13"
+    assert list(found.left_out) == ["taylor 1e-06"]
+    assert found.complete
+
+
+def test_the_plan_has_every_engine_and_time_stepping_for_scenes_only() -> None:
+    chart = plan(Runner(read_text(OSCILLATOR)).automaton, 1.0)
+    scene = plan(Runner("bouncing_ball").automaton, 2.0)
+    families = {setting.family for setting in chart}
+    assert families == {"taylor", "RK45", "DOP853", "Radau", "LSODA", "accuracy"}
+    assert {setting.family for setting in scene} == families | {"impulse"}
+    assert max(s.step for s in scene if s.step is not None) == pytest.approx(0.02)
+
+
+def test_unequal_modes_are_shown_as_such(tmp_path: Path) -> None:
+    found = study(point(1e-3, 1e-2, 1.0, same_modes=False, diverged=0.25), point(1e-6, 1e-6, 2.0))
+    assert "others from t = 0.25" in text(found)
+    labels = [t.get_text() for t in figure(found).legends[0].get_texts()]
+    assert "RK45, other modes" in labels
+    write(tmp_path, found)
+    rows = (tmp_path / "trade.csv").read_text().splitlines()
+    assert len(rows) == 3
+    assert {p.name for p in tmp_path.iterdir()} == {"trade.svg", "trade.png", "trade.csv"}
+
+
+def test_the_command_measures_and_a_run_uses_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("ball.yaml").write_text(OSCILLATOR.replace("time: 50", "time: 20"))
+    monkeypatch.setattr("statechart.trade.plan", lambda *_: tuple(scipy("DOP853", 4, 6, 8)))
+    assert main(["trade", "ball.yaml", "-o", "out", "--json"]) == 0
+    said = capsys.readouterr()
+    report = json.loads(said.out)
+    assert report["complete"]
+    assert len(report["points"]) == 3
+    assert "(3 of 3)" in said.err
+    assert {p.name for p in Path("out").iterdir()} == {
+        "trade.json", "trade.csv", "trade.svg", "trade.png",
+    }  # fmt: skip
+    assert main(["trade", "ball.yaml", "-o", "out"]) == 0
+    assert "reference: taylor 2.2e-16, checked by scipy DOP853 2.3e-14" in capsys.readouterr().out
+    arguments = ["run", "ball.yaml", "--accuracy", "1e-5", "--output", "out", "--json"]
+    assert main(arguments) == 0
+    asked = json.loads(capsys.readouterr().out)["asked"]
+    assert asked["basis"].startswith("measured: scipy DOP853")
+    assert asked["reached"]
+    Path("ball.yaml").write_text(OSCILLATOR.replace("time: 50", "time: 10"))
+    assert main(arguments) == 0
+    asked = json.loads(capsys.readouterr().out)["asked"]
+    assert asked["basis"] == "estimated: the study given is of another model"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["trade", "no_such_model"], "no_such_model"),
+        (["trade", "toppling_stick", "-o", "file"], "this is a file"),
+        (["run", "toppling_stick", "--budget", "0"], "budget"),
+        (["run", "toppling_stick", "--budget", "inf"], "budget"),
+        (["run", "toppling_stick", "--budget", "1", "--accuracy", "1e-3"], "not allowed with"),
+        (
+            ["run", "toppling_stick", "--budget", "1", "--engine", "impulse", "--step", "1e-3"],
+            "impulse has no budget",
+        ),
+    ],
+)
+def test_wrong_input_is_refused(
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("")
+    assert main(arguments) == 2
+    assert words in capsys.readouterr().err
