@@ -30,8 +30,8 @@ _FIRST, _STRIDE = 1e-4, TIGHTER**2
 # The next run is expected to take at least so many times the time of the last one.
 _LONGER = 1.5
 
-Once = Callable[[float], tuple[Observer, Trace]]
-"""Runs a model once, at a tolerance."""
+Once = Callable[[float, bool], tuple[Observer, Trace]]
+"""Runs a model once, at a tolerance; True: from a start that is off by rounding."""
 
 
 @dataclass(frozen=True)
@@ -76,35 +76,57 @@ class Answer:
     warnings: tuple[str, ...] = ()
 
 
+_Made = tuple[Trace, Mapping[str, Output]]
+
+
 class _Runs:
     """Runs that are made one after the other; what they took, and how the last two differ."""
 
     def __init__(self, once: Once, clock: Callable[[], float]) -> None:
         self._once, self._clock, self._began = once, clock, clock()
-        self._last: tuple[Trace, Mapping[str, Output]] | None = None
+        self._last: _Made | None = None
         self.runs = self.steps = self.evaluations = 0
         self.estimate: float | None = None
         self.diverged = ""
 
-    def make(self, tolerance: float) -> tuple[Observer, Trace]:
-        observer, trace = self._once(tolerance)
+    def make(self, tolerance: float, *, nudged: bool = False) -> tuple[Observer, Trace]:
+        observer, trace = self._once(tolerance, nudged)
         self.runs += 1
         self.steps += trace.counts.get("steps", 0)
         self.evaluations += trace.counts.get("evaluations", 0)
         return observer, trace
 
     def compare(self, observer: Observer, trace: Trace) -> None:
+        """Estimate the error of a run by its difference from the last one.
+
+        Where flows are polynomials the tolerance has no influence, and two runs are equal to the
+        last digit however much their rounding is magnified: if they differ by less than the
+        tolerance, a run from a start that is off by rounding shows that.
+        """
         now = trace, Outputs(observer).of(trace)
         if self._last is not None:
             before = self._last[0]
-            self.estimate, diverged = difference(before, trace, self._last[1], now[1])
-            self.diverged = (
-                ""
-                if diverged is None
-                else f"runs at tolerances {before.tolerance:.2g} and {trace.tolerance:.2g} take "
-                f"different modes: accuracy is undefined from t = {diverged:.17g} on"
+            estimate = self._difference(
+                self._last, now, f"at the tolerances {before.tolerance:.2g} and"
             )
+            if estimate < trace.tolerance:
+                observer, other = self.make(trace.tolerance, nudged=True)
+                if other.outcome not in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
+                    found = other, Outputs(observer).of(other)
+                    how = "from starts that differ by rounding, at"
+                    estimate = max(estimate, self._difference(found, now, how))
+            self.estimate = estimate
         self._last = now
+
+    def _difference(self, one: _Made, other: _Made, how: str) -> float:
+        found, diverged = difference(one[0], other[0], one[1], other[1])
+        self.diverged = (
+            ""
+            if diverged is None
+            else f"runs {how} {other[0].tolerance:.2g} take different modes: accuracy is "
+            f"undefined from t = {diverged:.17g} on"
+        )
+        return found
 
     @property
     def seconds(self) -> float:

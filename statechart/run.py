@@ -25,6 +25,7 @@ from statechart.errors import (
 from statechart.estimate import BELOW, TIGHTER, Answer, Cost, tighten, within
 from statechart.formula import close_matches, parse
 from statechart.kinds import kind
+from statechart.nudge import nudged
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.outputs import Result as Output
@@ -206,7 +207,7 @@ class Runner:
         if self.step is None:
             self._settle(engine, method, tolerance, accuracy, budget)
             self._learn(study)
-        self._observers: dict[float, Observer] = {}
+        self._observers: dict[tuple[float, bool], Observer] = {}
 
     def run(
         self,
@@ -463,9 +464,9 @@ class Runner:
             raise self._formula(error, ("parameters", error.name)) from None
 
     def _once(
-        self, tolerance: float, overrides: Mapping[str, float], end: float
+        self, tolerance: float, overrides: Mapping[str, float], end: float, *, off: bool = False
     ) -> tuple[Observer, Trace]:
-        observer = self._observer(tolerance)
+        observer = self._observer(tolerance, off)
         limit = self.model.settings.max_jumps
         try:
             trace = observer.simulator.run(overrides, until=end, max_jumps=limit, throw=False)
@@ -478,24 +479,26 @@ class Runner:
                 raise
             if self._first is None and self._allowance is None:
                 tolerance = self._engine.tolerance
-            return self._once(tolerance, overrides, end)
+            return self._once(tolerance, overrides, end, off=off)
         return observer, trace
 
-    def _observer(self, tolerance: float) -> Observer:
+    def _observer(self, tolerance: float, off: bool) -> Observer:
+        """Return what makes the runs at a tolerance; `off`: from a start off by rounding."""
         if self.step is not None:
             return self._stepped(self.step)
-        found = self._observers.get(tolerance)
+        found = self._observers.get((tolerance, off))
         if found is None:
             engine = self._choose(tolerance)[0]
-            simulator = Simulator(self.automaton, engine, progress=self._progress)
-            found = self._observers[tolerance] = Observer(simulator)
+            automaton = nudged(self.automaton) if off else self.automaton
+            simulator = Simulator(automaton, engine, progress=self._progress)
+            found = self._observers[tolerance, off] = Observer(simulator)
         return found
 
     def _stepped(self, step: float) -> Observer:
-        found = self._observers.get(step)
+        found = self._observers.get((step, False))
         if found is None:
             simulator = SteppingSimulator(self.automaton, step, progress=self._progress)
-            found = self._observers[step] = Observer(simulator)
+            found = self._observers[step, False] = Observer(simulator)
         return found
 
     def _fall_back(self, error: StatechartError) -> bool:
@@ -514,11 +517,11 @@ class Runner:
         return True
 
     def _answer(self, overrides: Mapping[str, float], end: float) -> Answer:
-        def once(tolerance: float) -> tuple[Observer, Trace]:
-            return self._once(tolerance, overrides, end)
+        def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
+            return self._once(tolerance, overrides, end, off=off)
 
         if self.step is not None:
-            observer, trace = once(math.nan)
+            observer, trace = once(math.nan, False)
             return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
         floor = self._choose(math.ulp(0.0))[0].tolerance
         if self.accuracy is not None and self._first is not None:
@@ -526,7 +529,7 @@ class Runner:
         if self._allowance is not None:
             self._allowance.begin()
             return within(once, self._allowance.seconds, first=self._first, floor=floor)
-        observer, trace = once(self._engine.tolerance)
+        observer, trace = once(self._engine.tolerance, False)
         return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
 
     def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:

@@ -20,6 +20,7 @@ from statechart.engines import choose
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.estimate import BELOW, Answer, Cost, tighten
 from statechart.kinds import kind
+from statechart.nudge import nudged
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.outputs import Result as Output
@@ -213,11 +214,15 @@ class _Bench:
     def engine(self, setting: Setting, tolerance: float) -> Engine:
         return choose(engine=setting.engine, method=setting.method, tolerance=tolerance)[0]
 
-    def observer(self, setting: Setting, fineness: float) -> Observer:
-        """Return the observer of a setting's simulator, at a tolerance or a step."""
+    def observer(self, setting: Setting, fineness: float, *, off: bool = False) -> Observer:
+        """Return the observer of a setting's simulator, at a tolerance or a step.
+
+        `off`: its runs start off by rounding.
+        """
         if setting.step is not None:
             return Observer(SteppingSimulator(self.automaton, fineness))
-        return Observer(Simulator(self.automaton, self.engine(setting, fineness)))
+        automaton = nudged(self.automaton) if off else self.automaton
+        return Observer(Simulator(automaton, self.engine(setting, fineness)))
 
     def once(self, observer: Observer) -> Trace:
         return observer.simulator.run(
@@ -226,18 +231,19 @@ class _Bench:
 
     def answerer(self, setting: Setting) -> Callable[[], Answer]:
         """Return what makes the run of a setting; what it compiles is kept for the next time."""
-        observers: dict[float, Observer] = {}
+        observers: dict[tuple[float, bool], Observer] = {}
 
-        def once(tolerance: float) -> tuple[Observer, Trace]:
-            if tolerance not in observers:
-                observers[tolerance] = self.observer(setting, tolerance)
-            return observers[tolerance], self.once(observers[tolerance])
+        def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
+            observer = observers.get((tolerance, off))
+            if observer is None:
+                observer = observers[tolerance, off] = self.observer(setting, tolerance, off=off)
+            return observer, self.once(observer)
 
         def answer() -> Answer:
             if setting.accuracy is not None:
                 floor = self.engine(setting, math.ulp(0.0)).tolerance
                 return tighten(once, setting.accuracy, first=setting.accuracy * BELOW, floor=floor)
-            observer, trace = once(setting.fineness)
+            observer, trace = once(setting.fineness, False)
             counts = trace.counts
             cost = Cost(1, counts.get("steps", 0), counts.get("evaluations", 0), 0.0)
             return Answer(observer, trace, None, cost)

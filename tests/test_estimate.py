@@ -37,7 +37,7 @@ def slow(runner: Runner, seconds: Callable[[float], float]) -> tuple[Once, Calla
     """Return runs that take `seconds` of their tolerance, and the clock that they move."""
     now = [0.0]
 
-    def once(tolerance: float) -> tuple[object, object]:
+    def once(tolerance: float, off: bool) -> tuple[object, object]:
         now[0] += seconds(tolerance)
         result = Runner(runner.model, engine="scipy", tolerance=tolerance).run()
         return result.observer, result.trace
@@ -92,7 +92,7 @@ def test_tightening_starts_where_it_is_told_and_ends_when_two_runs_agree() -> No
     tolerances: list[float] = []
     runner = Runner("toppling_stick")
 
-    def once(tolerance: float) -> tuple[object, object]:
+    def once(tolerance: float, off: bool) -> tuple[object, object]:
         tolerances.append(tolerance)
         result = Runner(runner.model, engine="scipy", tolerance=tolerance).run()
         return result.observer, result.trace
