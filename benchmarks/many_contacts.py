@@ -1,4 +1,4 @@
-"""What declaring many contacts costs: time and memory of a run that visits three modes.
+"""What declaring many contacts costs: time and memory of a run that visits three or four modes.
 
 A bar with N points that may touch the ground falls on one end: on a flat floor, where the end
 slides back and then forth, and on hills. The product has 4**N modes. Every run is a process of its
@@ -22,7 +22,7 @@ import tempfile
 import time
 from pathlib import Path
 
-GROUNDS = {"floor": ("0", 0.3), "hills": ("0.1*sin(3*x)", 0.33)}
+GROUNDS = {"floor": ("0", 0.33), "hills": ("0.1*sin(3*x)", 0.33)}
 
 
 def scene(count: int, ground: str) -> str:
