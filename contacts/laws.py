@@ -20,7 +20,7 @@ from contacts.painleve import Paradox, paradoxes
 from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.simultaneous import Impacts, impacts, without_collision
-from contacts.snapshot import Snapshot, SnapshotTape
+from contacts.snapshot import PerContact, Snapshot, SnapshotTape
 from statechart.automaton import Flow, Margin, Projector, Setup, plain
 from statechart.errors import DeclarationProblem, NoConsistentMode
 from statechart.parameters import Parameters
@@ -32,6 +32,14 @@ Array = NDArray[np.float64]
 
 # A start may be inside a surface by so much of the scene's length (and is projected out).
 _START_DEPTH = 1e-9
+
+
+def _closed(law: ContactLaw, contact: PerContact, still_below: float) -> str:
+    """Return the state in which an impact without rebound leaves a contact."""
+    sliding = [name for name in law.states if name.startswith("slide")]
+    if "pin" in law.states and (abs(contact.slip) <= still_below or not sliding):
+        return "pin"
+    return sliding[0] if len(sliding) == 1 or contact.slip > 0.0 else sliding[-1]
 
 
 def _alike(one: Jump, other: Jump) -> bool:
@@ -320,6 +328,17 @@ class SceneLaws:
             after = landed(plain(moving), following, after, setup.tolerances)
             # Where bounces are skipped the contact is still free, and moves as if closed.
             target = tuple("free" if i in rests else name for i, name in enumerate(plain(moving)))
+        if jam is None and not rests:
+            # What is hit without rebound and thrown off by the turning of its body closes first.
+            ended = tuple(
+                _closed(law, contact, 2.0 * slow)
+                if i in hitting and touching[i] and target[i] == "free" and law.restitution == 0.0
+                else target[i]
+                for i, (law, contact) in enumerate(zip(laws, following.contacts, strict=True))
+            )
+            if ended != target:
+                target = moving = ended
+                settled = False
         before, left = snapshot.energy, self._energy(setup, after, clock.high)
         rest = max(rests.values(), default=None)
         jump = Jump(
