@@ -275,7 +275,9 @@ class _Run:
         if reached.graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.17g}"] = None
-        if margin in self.simulator.automaton.stops.values():
+        # They stand last; zeros and controls have been replaced in their formulas.
+        stops = len(self.simulator.automaton.stops)
+        if reached.crossing.guard >= len(compiled.mode.margins) - stops:
             self._stop(margin.name)
         return (margin.name,)
 

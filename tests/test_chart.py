@@ -486,3 +486,18 @@ def test_events_that_cannot_happen_are_refused(on: str, words: str) -> None:
                 "two": region({"a": {}, "b": {}}, go("a", "b", "t >= 1")),
             },
         )
+
+
+def test_a_stop_condition_may_use_a_parameter_that_is_zero() -> None:
+    chart = Chart.model_validate(
+        {
+            "name": "test",
+            "parameters": {"c": 0},
+            "variables": {"x": 0},
+            "regions": {"only": region({"on": {"x": "1 + c"}})},
+            "stop": {"conditions": {"there": "x + c >= 0.5"}},
+        }
+    )
+    trace = run(automaton(chart), TAYLOR, 2.0)
+    assert trace.outcome is Outcome.STOPPED
+    assert trace.t_end == 0.5

@@ -466,6 +466,15 @@ def test_every_property_of_runs_holds_with_controllers(text: str) -> None:
 
 
 @both
+def test_a_stop_condition_on_a_control_ends_the_run_at_the_jump(name: str) -> None:
+    text = STEP + "stop: {conditions: {pushed: push >= 5}}\n"
+    trace = ran(text, name, 3.0, F=7.0)
+    assert trace.outcome.name == "STOPPED"
+    assert trace.t_end == pytest.approx(0.7, abs=1e-15)
+    assert jumps(trace) == [("pusher", "start"), ("wheel", "slip"), ("", "stop")]
+
+
+@both
 def test_a_state_can_switch_a_contact_off(name: str) -> None:
     # A trapdoor opens under a resting ball, and closes above it; a spring brings the ball back.
     text = (
