@@ -254,7 +254,8 @@ class ControlledLaws:
     ) -> Flow:
         """Return the flow of the contacts and controllers; whether it holds is to be asked."""
         guarded = self._guards(states)
-        rows = guarded.rows(setup, clock.high, state)
+        # The size of a guard's terms is asked for, not its value: forces of the scene's size do.
+        rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, _relative(setup))
         return replace(
             flow,
@@ -301,20 +302,19 @@ class _Guards:
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
 
+    def typical(self, setup: SceneSetup) -> Array:
+        """Return the size of accelerations and forces."""
+        scales = setup.scales
+        rates = scales.sizes[len(scales.sizes) // 2 :]
+        forces = np.full(len(self._unsolved) - len(rates), scales.force)
+        return np.concatenate([rates * (scales.speed / scales.length), forces])
+
     def rows(
         self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
     ) -> Array:
         """Return what `Watch.at` does; `solved` are accelerations and forces."""
-        scales, n = setup.scales, len(state) // 2
         found = self._unsolved if solved is None else solved
-        sizes = np.concatenate(
-            [
-                scales.sizes,
-                scales.sizes[n:] * (scales.speed / scales.length),
-                np.full(len(self._unsolved) - n, scales.force),
-                [0.0],
-            ]
-        )
+        sizes = np.concatenate([setup.scales.sizes, self.typical(setup), [0.0]])
         return self.watch.at(setup, np.concatenate([state, found, [np.nan]]), sizes, time)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.special
 from runs import ENGINES, engine, outputs, run
 
 from contacts.scene import Scene
@@ -530,6 +531,49 @@ def test_the_figure_shows_controls_and_the_cone_of_every_state() -> None:
     weight = 20 * math.cos(0.3)
     for at, mu in ((0.5, 0.5), (1.2, 0.1), (2.5, 0.5)):
         assert np.interp(at, times, values) == pytest.approx(mu * weight, abs=1e-9)
+
+
+PENDULUM = """\
+kind: scene
+name: pendulum
+parameters: {g: 10, lean: 1, hard: 0}
+gravity: g
+bodies:
+  rod: {mass: 2, inertia: 0.5, start: {x: sin(lean), y: -cos(lean), angle: lean}}
+joints:
+  pivot: {point: {body: rod, at: [0, 1]}, to: [0, 0]}
+regions:
+  swing:
+    initial: there
+    states: {there: {}, back: {}}
+    transitions:
+      - {name: turn, from: there, to: back, guard: rod.dangle >= 0}
+      - {name: turn, from: back, to: there, guard: rod.dangle <= 0}
+  load:
+    initial: light
+    states: {light: {}, heavy: {}}
+    transitions:
+      - {name: grow, from: light, to: heavy, guard: pivot.Y >= hard}
+      - {name: drop, from: heavy, to: light, guard: pivot.Y <= hard}
+"""
+
+
+@both
+def test_guards_of_jointed_bodies_fire_where_closed_forms_say(name: str) -> None:
+    rate = math.sqrt(2 * 10 / 2.5)
+    half = 2 * scipy.special.ellipk(math.sin(0.5) ** 2) / rate
+
+    def force(angle: float) -> float:
+        spin = 2 * rate**2 * (math.cos(angle) - math.cos(1))
+        return 2 * (10 + math.cos(angle) * spin - (rate * math.sin(angle)) ** 2)
+
+    trace = ran(PENDULUM, name, 2.2 * half, hard=force(0.3))
+    turns = [jump.t for jump in trace.jumps if jump.cause == "turn"]
+    # At rest at the start it is about to swing there, so that it does not turn back at once.
+    assert turns == pytest.approx([half, 2 * half], abs=1e-9)
+    loads = [(jump.cause, jump.after[2]) for jump in trace.jumps if jump.region == "load"]
+    assert [cause for cause, _ in loads] == ["grow", "drop"] * 2
+    assert [angle for _, angle in loads] == pytest.approx([0.3, -0.3, -0.3, 0.3], abs=1e-9)
 
 
 STAIRS = (
