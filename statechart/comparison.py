@@ -79,7 +79,6 @@ class _Story:
     mode: Key
     end: Array
     sizes: Array
-    sums: tuple[_Event, ...] = ()
 
 
 def assert_same(
@@ -120,11 +119,7 @@ def assert_same(
     floor = np.zeros(len(first.end))
     traces = (reference,) if reading else (reference, other)
     floor[1:] = sum(t.tolerances.get(kind, 0.0) for t in traces for kind in ("gap", "speed"))
-    ended = [(e.t + e.skipped, e.skipped / e.t) for story in (first, second) for e in story.sums]
-    base = error
     for i, (mine, its) in enumerate(zip(first.events, second.events, strict=False)):
-        # The last bounces before a sum are located to rounding over their small speed.
-        error = base + sum(part for end, part in ended if end <= mine.t * (1.0 + part))
         if mine.what != its.what:
             _part(first, second, near, i, error, (reference, other))
         shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
@@ -141,7 +136,6 @@ def assert_same(
     if first.mode != second.mode:
         raise AssertionError(f"{first.mode} at the end of one run, {second.mode} of the other")
     last = _Event(("", "end", (), ()), first.end, 0.0)
-    error = base + sum(part for end, part in ended if end <= last.t * (1.0 + part))
     allowed = _allowed(last, [story.end for story in near], first, error, floor)
     _close(first.end, second.end, allowed, first, reference, "the end")
 
@@ -184,7 +178,7 @@ def _without_skipped(stories: list[_Story]) -> list[_Story]:
         for same in zip(*sums, strict=True)
     ]
     return [
-        replace(story, events=tuple(_summed(story.events, own, windows)), sums=tuple(own))
+        replace(story, events=tuple(_summed(story.events, own, windows)))
         for story, own in zip(stories, sums, strict=True)
     ]
 
