@@ -226,13 +226,11 @@ def _forces(scene: Scene, subject: Subject, trace: Trace) -> Iterator[tuple[Arc,
     ]
     for arc, tau, times in _points(trace):
         mode = subject.mode(trace, arc)
-        if mode is not None:
-            yield arc, times, subject.values(trace, expressions, arc.states(tau), times, mode)
+        yield arc, times, subject.values(trace, expressions, arc.states(tau), times, mode)
 
 
 def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
     """Yield every contact with its mode."""
-    assert arc.flow is not None
     return zip(scene.contacts, arc.flow, strict=False)  # controllers follow
 
 

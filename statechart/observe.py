@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.automaton import Automaton, Setup
 from statechart.compose import Mode, build_mode
 from statechart.enclosure import integrals
-from statechart.errors import StatechartError
 from statechart.formula import parse
 from statechart.linear import Singular
 from statechart.sampling import Points, Samples, along, at_times, extremes, subdivided
@@ -57,9 +56,8 @@ class Observer:
 
     Notes
     -----
-    A formula over what a mode solves for has no value (not a number) where the state is held
-    while the rest of a Zeno sequence is skipped, and in a mode of zero duration whose equations
-    are singular.
+    A formula over what a mode solves for has no value (not a number) in a mode of zero duration
+    whose equations are singular.
     """
 
     def __init__(self, simulator: Simulator | SteppingSimulator) -> None:
@@ -230,7 +228,7 @@ class Observer:
             return self._stepped_margins(trace, jumps)
         values, modes = _parameters(trace), self._modes(trace)
         found: list[dict[str, float]] = [{} for _ in jumps]
-        flows: dict[Key | None, list[int]] = {}
+        flows: dict[Key, list[int]] = {}
         for place, jump in enumerate(jumps):
             flow = self._flow(trace, jump.j, jump.source, ends=True)
             flows.setdefault(flow, []).append(place)
@@ -302,12 +300,6 @@ class Observer:
             elif active.needed:
                 modes = modes or self._modes(trace)
                 mode = modes(arc.flow)
-                if mode is None:
-                    raise StatechartError(
-                        f"nothing is solved for while the state is held, "
-                        f"t = {arc.start.high:.17g} to {arc.end.high:.17g}: "
-                        "integrate what depends on the state alone"
-                    )
             total[active.places] += integrals(
                 tape or self._tape(active.expressions, mode),
                 arc.times,
@@ -356,7 +348,7 @@ class Observer:
         self._actives[key, where, expressions] = active
         return active
 
-    def _flow(self, trace: Trace, j: int, mode: Key, *, ends: bool) -> Key | None:
+    def _flow(self, trace: Trace, j: int, mode: Key, *, ends: bool) -> Key:
         """Return the mode whose equations hold after `j` jumps, in the mode shown as `mode`.
 
         `ends`: at the end of that time, else at its start.
@@ -379,7 +371,7 @@ class Observer:
             rows = np.hstack([points.states, points.unknowns])
             return self._tape(expressions, None, known=True).table(rows, values, points.times)
         result = np.full((len(points.times), len(expressions)), np.nan)
-        owners: dict[Key | None, list[NDArray[np.intp]]] = {}
+        owners: dict[Key, list[NDArray[np.intp]]] = {}
         start = 0
         for flow, end in zip(points.flows, points.ends, strict=True):
             owners.setdefault(flow, []).append(np.arange(start, end))
@@ -446,17 +438,15 @@ class Observer:
             )
         return tape
 
-    def _modes(self, trace: Trace) -> Callable[[Key | None], Mode | None]:
-        """Return the look-up flow -> solved mode; None where there is nothing to solve."""
+    def _modes(self, trace: Trace) -> Callable[[Key], Mode | None]:
+        """Return the look-up flow -> solved mode; None where its equations have no solution."""
         values = _parameters(trace)
         setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
         flowed = {arc.flow for arc in trace.arcs}
         simulator = self.simulator
         assert isinstance(simulator, Simulator)
 
-        def look_up(flow: Key | None) -> Mode | None:
-            if flow is None:
-                return None
+        def look_up(flow: Key) -> Mode | None:
             if flow in flowed:
                 return simulator.compiled(flow, setup).mode
             # Passed through in no time: no integrator is compiled for it.

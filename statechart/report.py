@@ -119,8 +119,6 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
     setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
     least: dict[str, float] = {}
     for arc in trace.arcs:
-        if arc.flow is None:
-            continue
         compiled = simulator.compiled(arc.flow, setup)
         found = lowest(compiled.guards, arc.times, arc.coefficients, values, arc.start.high)
         for margin, value in zip(compiled.mode.margins, found.tolist(), strict=True):

@@ -58,7 +58,7 @@ class Points:
 
     times: Array
     states: Array
-    flows: Sequence[Key | None]
+    flows: Sequence[Key]
     ends: Sequence[int]
     unknowns: Array | None = None
 

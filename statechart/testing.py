@@ -146,10 +146,8 @@ class Subject:
             raise DeclarationError("the run has no end", advice="write stop: {time: 10}")
         return parse(self.model.stop.time).value(self.model.values(parameters))
 
-    def mode(self, trace: Trace, arc: Arc) -> Mode | None:
-        """Return the equations that moved an arc; None where the state was held."""
-        if arc.flow is None:
-            return None
+    def mode(self, trace: Trace, arc: Arc) -> Mode:
+        """Return the equations that moved an arc."""
         values = np.fromiter(trace.parameters.values(), float, len(trace.parameters))
         setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
         simulator = self.simulators[trace.engine.split()[0]]
@@ -454,7 +452,7 @@ def assert_margins(subject: Subject, trace: Trace) -> None:
     """Check that no guard's margin is negative between events, on a grid of its own."""
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
-        if mode is not None and mode.margins:
+        if mode.margins:
             _assert_margins(subject, trace, arc, tau, mode.margins, mode)
 
 

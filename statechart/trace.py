@@ -76,10 +76,10 @@ class Arc:
     ----------
     mode : Key
         The mode that the trace shows.
-    flow : Key or None
-        The mode whose equations moved the state. It differs from `mode` only while the bounces
-        of a Zeno sequence are skipped: the contact still is `free`, and moves as if closed; None
-        where the state is held meanwhile.
+    flow : Key
+        The mode whose equations moved the state. It differs from `mode` while the rest of a Zeno
+        sequence is skipped: a contact still is `free`, and moves as if closed; in the place of a
+        region that holds its variables meanwhile stands `statechart.automaton.HELD`.
     start : Clock
         When the arc starts.
     j : int
@@ -94,7 +94,7 @@ class Arc:
     """
 
     mode: Key
-    flow: Key | None
+    flow: Key
     start: Clock
     j: int
     times: NDArray[np.float64]

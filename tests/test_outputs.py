@@ -10,7 +10,7 @@ from contacts.kind import automaton
 from contacts.scene import Scene
 from statechart.document import load
 from statechart.engines.taylor import Taylor
-from statechart.errors import FormulaError, StatechartError
+from statechart.errors import FormulaError
 from statechart.observe import Observer
 from statechart.outputs import Outputs, outputs
 from statechart.report import report
@@ -176,19 +176,6 @@ def test_a_mode_of_no_duration_has_its_forces_without_being_compiled(stick: Obse
     changed = replace(trace, jumps=(passed, *trace.jumps[1:]))
     assert stick.at(changed, ["tip.V", "stick.y"], [passed])[0].tolist() == [0.0, passed.after[1]]
     assert stick.simulator.modes_built == built
-
-
-def test_while_the_state_is_held_forces_are_undefined(stick: Observer) -> None:
-    trace = run(stick)
-    held = replace(trace, arcs=(replace(trace.arcs[0], flow=None), *trace.arcs[1:]))
-    samples = stick.sample(held, ["tip.V", "stick.y"])
-    first = samples.j == 0
-    assert np.isnan(samples.columns["tip.V"][first]).all()
-    assert np.isfinite(samples.columns["tip.V"][~first]).all()
-    assert np.isfinite(samples.columns["stick.y"]).all()
-    assert stick.extremes(held, "tip.V")[1] == samples.columns["tip.V"][~first].max()
-    with pytest.raises(StatechartError, match="held"):
-        stick.integrals(held, ["tip.V"])
 
 
 def test_an_unknown_name_is_an_error_that_suggests(stick: Observer) -> None:
