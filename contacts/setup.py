@@ -37,6 +37,8 @@ _FORCE_BAND = 1e-12
 # A moment of inertia below this part of mass times arm squared cannot be told from zero: the
 # forces that turn the body are then differences of terms that many times larger.
 _POINT_MASS = 1e-12
+# Sequences of impacts are looked at from here on; how high the contacts still fly decides.
+_SHORT = 0.1
 # Positions and speeds carry rounding of this size relative to the scene.
 _ROUNDING = 1e-13
 # How far the first flow looks ahead, in the scene's own unit of time.
@@ -227,6 +229,7 @@ class SceneNumbers:
             initial=initial,
             tolerances=tolerances,
             relative=relative,
+            short=_SHORT,
             warnings=(*warnings, *implied),
             sizes=scales.sizes,
             horizon=_LOOK_AHEAD * scales.length / scales.speed,

@@ -171,6 +171,9 @@ class Setup:
         Kind of margin -> absolute tolerance, in the scene's own units.
     relative : float
         The relative tolerance that they follow from.
+    short : float
+        The laws are asked to skip the rest of a sequence of jumps that accumulate once it takes
+        less than this part of the sequence's longest interval.
     warnings : tuple of str
         What a reader must know of these numbers.
     sizes : (n,) array or None
@@ -183,6 +186,7 @@ class Setup:
     initial: NDArray[np.float64]
     tolerances: Mapping[str, float]
     relative: float
+    short: float = 0.0
     warnings: tuple[str, ...] = ()
     sizes: NDArray[np.float64] | None = None
     horizon: float = float("inf")

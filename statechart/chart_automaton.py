@@ -7,6 +7,7 @@ changes nothing would fire for ever; it is the limit of shrinking jumps, and the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -177,7 +178,7 @@ class ChartLaws:
                 raise DeclarationProblem(
                     f"the initial value of {name!r} is not finite", loc=("variables", name)
                 )
-        return Setup(values, initial, {"plain": 0.0}, relative)
+        return Setup(values, initial, {"plain": 0.0}, relative, math.sqrt(relative))
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the initial states; guards that are true there fire at once."""

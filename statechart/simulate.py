@@ -350,7 +350,7 @@ class _Run:
 
     def _skip(self, jump: Jump) -> None:
         """Skip the rest of a sequence of jumps that accumulate, where the laws can."""
-        rest = self._accumulation.watch(jump, self.clock, self.setup.relative)
+        rest = self._accumulation.watch(jump, self.clock, self.setup.short)
         if rest is None:
             return
         assert self.flow is not None

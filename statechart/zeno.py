@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from statechart.trace import Clock, Jump
@@ -41,21 +42,47 @@ class _Series:
         self.intervals = [*self.intervals[-_INTERVALS:], interval]
 
 
+def _remaining(intervals: Sequence[float]) -> float:
+    """Return what further intervals sum to, by Wynn's epsilon algorithm.
+
+    It is exact for ratios that are constant, and for those that tend to a constant by a second
+    geometric sequence: a block rocks the faster, the less it tilts.
+    """
+    sums = [-math.fsum(intervals[n:]) for n in range(0, len(intervals) + 1, _INTERVALS // 4)]
+    ratio = intervals[-1] / intervals[-2]
+    best = intervals[-1] * ratio / (1.0 - ratio)
+    before, now = [0.0] * len(sums), sums
+    for k in range(1, len(sums)):
+        differences = [b - a for a, b in itertools.pairwise(now)]
+        if 0.0 in differences:
+            break
+        before, now = now, [c + 1.0 / d for c, d in zip(before[1:], differences, strict=False)]
+        if k % 2 == 0:
+            best = now[-1]
+    return best
+
+
 class Accumulation:
     """Watches the jumps of every region and predicts where repeated ones accumulate.
 
-    Regions are watched apart, as two of them can bounce in turn. The rest of a sequence is
-    skipped only when it is too short to matter: its length is below ``sqrt(relative tolerance)``
-    of the longest interval seen. Its sum ``dt r / (1 - r)`` (equation 5, with its erratum) is
-    then far below the tolerance in error. A ratio so small that the intervals vanish before it
-    is known needs no sum: the jumps have accumulated where the time no longer tells them apart.
+    Regions are watched apart, as two of them can bounce in turn. The rest of a sequence sums to
+    ``dt r / (1 - r)`` (equation 5, with its erratum) where the ratio r is constant; it may be
+    skipped only when it is too short to matter, against the longest interval seen. A ratio so
+    small that the intervals vanish before it is known needs no sum: the jumps have accumulated
+    where the time no longer tells them apart.
     """
 
     def __init__(self) -> None:
         self._series: dict[tuple[str, str], _Series] = {}
 
-    def watch(self, jump: Jump, clock: Clock, relative: float) -> float | None:
-        """Return the time from `jump` to the accumulation, once it is imminent; else None."""
+    def watch(self, jump: Jump, clock: Clock, short: float) -> float | None:
+        """Return the time from `jump` to the accumulation, once it is imminent; else None.
+
+        Parameters
+        ----------
+        short : float
+            Imminent is what takes less than this part of the longest interval.
+        """
         series = self._series.get((jump.region, jump.cause))
         if series is None:
             self._series[jump.region, jump.cause] = _Series(clock)
@@ -71,5 +98,5 @@ class Accumulation:
         ratio = math.exp(math.fsum(map(math.log, ratios)) / len(ratios))
         if ratio >= 1.0 or max(ratios) - min(ratios) > _SPREAD * ratio:
             return None
-        rest = intervals[-1] * ratio / (1.0 - ratio)
-        return rest if rest < math.sqrt(relative) * series.longest else None
+        rest = _remaining(intervals)
+        return rest if rest < short * series.longest else None
