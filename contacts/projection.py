@@ -9,7 +9,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from contacts.joints import well_posed
+from contacts.joints import JointNumbers, well_posed
 from contacts.mechanics import Mechanics
 from contacts.modes import OPEN
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 # Constraints are projected once they are off by this part of their tolerance.
 _DRIFT = 0.05
+_EPS = float(np.finfo(float).eps)
+# A distance that projection cannot reduce is rounding up to so many of those of its terms.
+_ROUNDINGS = 64.0
 
 
 class Projection:
@@ -93,29 +96,37 @@ class Projection:
         near, slow = tolerances["gap"], tolerances["speed"]
         held = 5 * len(flow)
 
-        def apart(now: list[float]) -> float:
-            gaps, rates = now[held::2], now[held + 1 :: 2]
-            return max(max(map(abs, gaps)) / near, max(map(abs, rates)) / slow)
-
-        def project(state: Array, local: float) -> tuple[Array, float]:
-            now = self._tape.at(state, values, start + local).tolist()
-            off = apart(now) if self._joints else 0.0
+        def distance(now: list[float]) -> float:
+            off = 0.0
+            if self._joints:
+                gaps, rates = now[held::2], now[held + 1 :: 2]
+                off = max(max(map(abs, gaps)) / near, max(map(abs, rates)) / slow)
             for i, pinned in closed:
                 gap, gap_rate, slip, x, y = now[5 * i : 5 * i + 5]
                 off = max(off, abs(gap) / near, abs(gap_rate) / slow)
                 if pinned:
                     moved = math.hypot(x - then[5 * i + 3], y - then[5 * i + 4])
                     off = max(off, moved / near, abs(slip) / slow)
+            return off
+
+        def project(state: Array, local: float) -> tuple[Array, float]:
+            off = distance(self._tape.at(state, values, start + local).tolist())
             # What is not finite is left to the guards to report.
             if off <= _DRIFT or not math.isfinite(off):
                 return state, 0.0
-            snapshot = self._snapshots.at(values, state, start + local)
-            pins = self._snapshots.at(values, anchor, start)
-            projected = on_constraints(flow, snapshot, state, held=pins)
-            if self._joints:
+            snapshot, joints = self._snapshots.whole(values, state, start + local)
+            pins = self._snapshots.whole(values, anchor, start)[0] if then else None
+            projected = _brought(flow, snapshot, joints, state, pins, ())
+            if joints is not None:
                 now = self._tape.at(projected, values, start + local).tolist()
-                if apart(now) > max(1.0, 0.5 * off):
-                    raise self._broken(now[held::2], start + local)
+                left = distance(now)
+                if left > 0.5 * off:
+                    # An angle of many turns is rounded to more than the tolerances.
+                    terms = np.abs(joints.jacobian) @ np.abs(state[: len(state) // 2])
+                    if left * near <= _ROUNDINGS * _EPS * float(terms.max()):
+                        return state, 0.0
+                    if left > 1.0:
+                        raise self._broken(now[held::2], start + local)
             return projected, off
 
         return project
@@ -177,11 +188,21 @@ def on_constraints(
     inside : sequence of bool
         Free contacts whose gap is to be closed too (a start just inside a surface).
     """
-    whole = snapshot.whole
+    joints = None if snapshot.held is None else snapshot.held.joints
+    return _brought(key, snapshot.whole, joints, state, held, inside)
+
+
+def _brought(
+    key: Key,
+    whole: Snapshot,
+    joints: JointNumbers | None,
+    state: Array,
+    held: Snapshot | None,
+    inside: Sequence[bool],
+) -> Array:
     rows: list[Array] = []
     off: list[tuple[float, float]] = []
-    if snapshot.held is not None:
-        joints = snapshot.held.joints
+    if joints is not None:
         for i in np.flatnonzero(~joints.redundant).tolist():
             rows.append(joints.jacobian[i])
             off.append((-joints.gaps[i], -joints.rates[i]))

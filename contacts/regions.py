@@ -11,6 +11,8 @@ from statechart.automaton import Edge, Margin, Region, State
 
 __all__ = ["edges", "region", "states"]
 
+# Longer conditions would drown the diagram: every state has an edge with them.
+_LONGEST_GATE = 40
 _DIRECTIONS = {"slide+": 1, "slide-": -1, "slide": 0}
 
 
@@ -101,6 +103,7 @@ def edges(contact: Contact, *, jams: bool, gate: str) -> tuple[Edge, ...]:
         result.append(Edge("reverse", "slide+", "slide-", "slip = 0, H > mu V"))
         result.append(Edge("reverse", "slide-", "slide+", "slip = 0, H < -mu V"))
     if gate:
+        gate = gate if len(gate) <= _LONGEST_GATE else "enabled"
         result += [Edge("disable", state, OFF, f"not ({gate})") for state in present]
         result.append(Edge("enable", OFF, "free", f"{gate}, gap >= 0"))
     return tuple(result)

@@ -202,7 +202,14 @@ class SnapshotTape:
         )
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
-        """Return the numbers at `state` (2 n,)."""
+        """Return the numbers at `state` (2 n,), of the motions that joints allow."""
+        whole, joints = self.whole(values, state, time)
+        return whole if joints is None else _held(whole, joints, self._blocks)
+
+    def whole(
+        self, values: Array, state: Array, time: float
+    ) -> tuple[Snapshot, JointNumbers | None]:
+        """Return the numbers as if there were no joints, and those of the joints."""
         n = self.size
         numbers = self.tape.at(state, values, time)
         count, at = self.count, n * n + n + 1
@@ -230,10 +237,10 @@ class SnapshotTape:
             numbers[end : end + 2 * count].reshape(count, 2),
         )
         if not self.joints:
-            return whole
+            return whole, None
         gaps, rates, bias, redundant = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
         rows = numbers[last + 4 * self.joints :].reshape(self.joints, n)
-        return _held(whole, JointNumbers(gaps, rates, bias, rows, redundant != 0.0), self._blocks)
+        return whole, JointNumbers(gaps, rates, bias, rows, redundant != 0.0)
 
 
 def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[Block]) -> Snapshot:

@@ -206,8 +206,8 @@ def advance(
                 begin = Begin.MOVED if finished else Begin.ON
                 count = min(count + count // 2, _LONGEST_CHUNK)
             else:
+                # Chunks as long as this one stay near enough to be brought back.
                 begin = Begin.MOVED
-                count = max(1, count // 2)
             if begin is not Begin.ON:
                 end = min(reached + horizon, duration)
     except (SimulationError, KeyboardInterrupt) as error:

@@ -435,3 +435,21 @@ def test_a_parallel_crank_more_than_needed(name: str) -> None:
     inertia = 2 * (1 + 3 / 4) + 3 * 0.3
     fallen = 2 * 9.81 * 2.5 * (math.cos(a) - math.cos(th))
     assert 0.5 * inertia * w**2 == pytest.approx(fallen, abs=1e-8)
+
+
+@pytest.mark.parametrize(("name", "steps"), [("taylor", 4000), ("scipy", 4000)])
+def test_a_pinned_rod_stays_on_its_pivot(name: str, steps: int) -> None:
+    lean = 2.5
+    scene = _pendulum(lean)
+    trace = _run(scene, name, 2500.0 if name == "taylor" else 160.0)
+    assert trace.counts["steps"] > steps
+    assert _distance(scene, trace) < (1e-13 if name == "taylor" else 1e-11)
+
+
+def test_an_angle_of_many_turns_is_rounding_and_no_broken_joint() -> None:
+    start = _body(0, 1, 0, dx=-8, dangle=8)
+    pivot = Joint(point=Point(body="rod", at=(0, -1)), to=(0, 0))
+    scene = Scene(name="p", gravity=9.81, bodies={"rod": start}, joints={"pivot": pivot})
+    trace = _run(scene, until=300.0)
+    assert trace.final[2] > 2000.0
+    assert _distance(scene, trace) < 64 * 2.2e-16 * 2500.0
