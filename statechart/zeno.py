@@ -15,6 +15,8 @@ __all__ = ["Accumulation", "between"]
 _INTERVALS = 8
 # Relative spread of those ratios; a decaying but not geometric sequence has more.
 _SPREAD = 1e-3
+# That spread corrects the sum by no more than this part of it.
+_CORRECTION = 0.1
 # So many flows in turn that the time cannot tell apart have come to their end.
 _UNRESOLVED = 3
 
@@ -42,15 +44,15 @@ class _Series:
         self.intervals = [*self.intervals[-_INTERVALS:], interval]
 
 
-def _remaining(intervals: Sequence[float]) -> float:
+def _remaining(intervals: Sequence[float], geometric: float) -> float:
     """Return what further intervals sum to, by Wynn's epsilon algorithm.
 
     It is exact for ratios that are constant, and for those that tend to a constant by a second
-    geometric sequence: a block rocks the faster, the less it tilts.
+    geometric sequence: a block rocks the faster, the less it tilts. Where rounding leaves it
+    nothing to work with, the sum `geometric` for a constant ratio is the better one.
     """
     sums = [-math.fsum(intervals[n:]) for n in range(0, len(intervals) + 1, _INTERVALS // 4)]
-    ratio = intervals[-1] / intervals[-2]
-    best = intervals[-1] * ratio / (1.0 - ratio)
+    best = geometric
     before, now = [0.0] * len(sums), sums
     for k in range(1, len(sums)):
         differences = [b - a for a, b in itertools.pairwise(now)]
@@ -59,7 +61,7 @@ def _remaining(intervals: Sequence[float]) -> float:
         before, now = now, [c + 1.0 / d for c, d in zip(before[1:], differences, strict=False)]
         if k % 2 == 0:
             best = now[-1]
-    return best
+    return best if abs(best - geometric) < _CORRECTION * geometric else geometric
 
 
 class Accumulation:
@@ -98,5 +100,5 @@ class Accumulation:
         ratio = math.exp(math.fsum(map(math.log, ratios)) / len(ratios))
         if ratio >= 1.0 or max(ratios) - min(ratios) > _SPREAD * ratio:
             return None
-        rest = _remaining(intervals)
-        return rest if rest < short * series.longest else None
+        rest = intervals[-1] * ratio / (1.0 - ratio)
+        return _remaining(intervals, rest) if rest < short * series.longest else None
