@@ -35,6 +35,7 @@ from contacts.kernels import (
     SLIDE_MINUS,
     SLIDE_PLUS,
     SOLVED,
+    UNDETERMINED,
     solve_modes,
 )
 from contacts.modes import OFF
@@ -43,6 +44,7 @@ from contacts.sharing import Share, share
 from contacts.snapshot import Snapshot
 
 __all__ = [
+    "OPEN_LOAD",
     "Candidate",
     "ContactLaw",
     "Undetermined",
@@ -69,7 +71,12 @@ _WORDS = {
     AGAINST: "slip would accelerate at {:.3g} against it",
 }
 _SINGULAR = "its equations do not determine the motion"
-_CONTRADICTS = "its contacts cannot move like that together"
+OPEN_LOAD = "how the contacts share the load changes the motion"
+"""Why a mode is undetermined that more than geometry leaves open: feet of different friction."""
+_UNSOLVED = {
+    CONTRADICTORY: "its contacts cannot move like that together",
+    UNDETERMINED: OPEN_LOAD,
+}
 _UNEXPLAINED = "no forces within the cones explain its motion"
 _LESS = "moves like a mode that keeps more contacts closed or pinned"
 # Besides what `contacts.kernels` numbers: forces in no cone.
@@ -219,7 +226,7 @@ def _solved(
             broken = (laws[int(contact)].name if laws else "", int(which), number)
             found.append(Candidate(states, acceleration, force, violation, broken))
         else:
-            found.append((states, _CONTRADICTS if solved == CONTRADICTORY else _SINGULAR))
+            found.append((states, _UNSOLVED.get(solved, _SINGULAR)))
     if REDUNDANT in outcomes:
         redundant = [k for k, solved in enumerate(outcomes) if solved == REDUNDANT]
         _explain(snapshot, cones, codes, found, redundant, scales, tie)

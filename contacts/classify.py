@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 from contacts.candidates import (
+    OPEN_LOAD,
     Candidate,
     ContactLaw,
     Undetermined,
@@ -155,8 +156,21 @@ def choose(
         # Painleve's indeterminate case: contact could also hold, at a force without cause.
         taken = min(opened, key=openness)
         warning = f"indeterminate: {labels} all agree with the state; {_label(laws, taken)} taken"
+    if not warning and any(_opens(taken, one, closed) for one in tried):
+        warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken)} taken"
     notes = (*((_UNCHECKED,) if many else ()), *_indeterminate(laws, taken))
     return Choice(taken, Considered(laws, tried, taken, tie), warning, notes)
+
+
+def _opens(taken: Candidate, other: Candidate | Undetermined, closed: Sequence[bool]) -> bool:
+    """Whether the mode taken is one of several that leave out contacts of a mode left open."""
+    if isinstance(other, Candidate) or other[1] != OPEN_LOAD:
+        return False
+    pairs = zip(taken.states, other[0], closed, strict=True)
+    # What it leaves out must not move away.
+    return taken.violation >= 0.0 and all(
+        mine == theirs or (shut and mine == "free") for mine, theirs, shut in pairs
+    )
 
 
 def _consistent(tried: Sequence[Candidate | Undetermined], tie: float) -> list[Candidate]:

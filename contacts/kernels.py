@@ -23,6 +23,7 @@ __all__ = [
     "SLIDE_MINUS",
     "SLIDE_PLUS",
     "SOLVED",
+    "UNDETERMINED",
     "independent",
     "saddle",
     "solve_modes",
@@ -31,7 +32,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS = range(5)
-SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY = range(5)
+SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY, UNDETERMINED = range(6)
 INTO, PULLS, OUTSIDE, AGAINST = range(4)
 
 # What only kernels call needs nothing to be called by from Python, and compiles sooner without.
@@ -363,7 +364,7 @@ def solve_modes(
             rank, first, _ = independent(held)
             reach, order, _ = independent(pushing)
             if rank != reach:
-                status[k] = SINGULAR
+                status[k] = UNDETERMINED if reach > rank else SINGULAR
                 continue
             if rank < m:
                 bearing = order

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import sympy as sp
 from pydantic import Field
 
-from statechart.automaton import Margin, State
+from statechart.automaton import Loads, Margin, State
 from statechart.declaration import Part
 
 __all__ = [
@@ -127,12 +127,13 @@ def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, pa
     Parameters
     ----------
     part : str
-        ``zone|rows|coordinates|joints``: where the contact is on its cone, which of its
-        constraints the others do not imply, the coordinates whose displacements determine the
-        forces, and the rows of the joints that these displacements keep (named once in a mode).
+        ``zone|rows|bearing|coordinates|joints``: where the contact is on its cone, which of its
+        constraints the others do not imply, which of its forces may carry the load in the
+        equations of motion, the coordinates whose displacements determine the forces, and the
+        rows of the joints that these displacements keep (named once in a mode).
     """
     own = mode.state(contact, direction)
-    zone, rows, coordinates, joints = part.split("|")
+    zone, rows, bearing, coordinates, joints = part.split("|")
     constraints = {"n": contact.normal_acceleration, "t": contact.tangential_acceleration}
     kept = tuple(constraints[row] for row in rows)
     if zone == "own":
@@ -162,13 +163,33 @@ def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, pa
         if pinned:
             away = across if zone == "upper" else -across
             margins += (Margin(f"{name}.on edge", away, "force"),)
-    kept += tuple(
-        sp.Add(*(contact.joints[int(joint)][i] * y[i] for i in places))
-        for joint in joints.split(",")
-        if joint
+    # In the equations of motion: by its normal and tangential force, or along the edge.
+    carriers = {f: sp.Symbol(f"{f}_{contact.V}", real=True) for f in bearing}
+    edge = carriers.get("e", sp.S.Zero)
+    by = (carriers.get("n", n * edge), carriers.get("t", t * edge))
+    left = (contact.V - by[0], contact.H - by[1])
+    balances = {
+        y[i]: sp.Add(*(row[i] * force for row, force in zip(contact.jacobian, left, strict=True)))
+        for i in places
+    }
+    held = [int(joint) for joint in joints.split(",") if joint]
+    reactions = [sp.Symbol(f"x{joint}", real=True) for joint in held]
+    for joint, reaction in zip(held, reactions, strict=True):
+        for i in places:
+            balances[y[i]] += contact.joints[joint][i] * reaction
+    laws = (
+        contact.V - force[0],
+        contact.H - force[1],
+        *(sp.Add(*(contact.joints[joint][i] * y[i] for i in places)) for joint in held),
     )
-    laws = (contact.V - force[0], contact.H - force[1])
-    return State((*kept, *laws), margins, unknowns=tuple(y.values()))
+    loads = Loads(
+        {contact.V: by[0], contact.H: by[1]},
+        tuple(carriers.values()),
+        laws,
+        (*y.values(), *reactions),
+        balances,
+    )
+    return State(kept, margins, loads=loads)
 
 
 ContactMode = Annotated[Free | Slide | Pin, Field(discriminator="mode")]

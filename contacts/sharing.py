@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 OWN = "own"
 """The zone of a contact that does not share its load."""
 _ZONES = {INSIDE: "inside", UPPER: "upper", LOWER: "lower", APEX: "apex"}
+_LETTERS = {FREE: "", PIN: "nt"}
 _SLIDING = {PIN: 0.0, SLIDE_PLUS: 1.0, SLIDE_MINUS: -1.0}
 
 # Parts of a unit of forces that no motion shows, below which a contact has none.
@@ -47,6 +48,9 @@ class Share:
         Per contact; OWN where the motion determines its force.
     rows : tuple of str
         Which of the contact's constraints ("nt", "n", "t", "") are among the independent ones.
+    bearing : tuple of str
+        Which of the contact's forces, along normal and tangent ("n", "t") or along its edge
+        ("e"), are enough to move the bodies like that.
     coordinates, joints : tuple of int
         Those whose displacements y are enough, and the rows of the joints that hold for them.
     violation : float
@@ -56,6 +60,7 @@ class Share:
     forces: Array
     zones: tuple[str, ...]
     rows: tuple[str, ...]
+    bearing: tuple[str, ...]
     coordinates: tuple[int, ...]
     joints: tuple[int, ...]
     violation: float
@@ -66,12 +71,13 @@ class Share:
         coordinates = ",".join(map(str, self.coordinates))
         first = next(k for k, zone in enumerate(self.zones) if zone != OWN)
         result = []
-        for k, (state, zone, rows) in enumerate(zip(states, self.zones, self.rows, strict=True)):
+        parts = zip(states, self.zones, self.rows, self.bearing, strict=True)
+        for k, (state, zone, rows, bearing) in enumerate(parts):
             if zone != OWN:
                 joints = ",".join(map(str, self.joints)) if k == first else ""
-                state = f"{state}|{zone}|{rows}|{coordinates}|{joints}"
+                state = f"{state}|{zone}|{rows}|{bearing}|{coordinates}|{joints}"
             elif rows != whole.get(state, "n"):
-                state = f"{state}|{zone}|{rows}||"
+                state = f"{state}|{zone}|{rows}|||"
             result.append(state)
         return tuple(result)
 
@@ -96,11 +102,12 @@ def share(
     columns = mode_columns(code, jacobians, cones)
     owners = np.array([k for k, several in enumerate(columns) for _ in several], dtype=np.int64)
     flat = np.array([column for several in columns for column in several])
-    hidden = unseen(flat.T, independent(flat)[0])
+    count, order, _ = independent(flat)
+    hidden = unseen(flat.T, count)
     shared = np.unique(owners[np.abs(hidden).max(axis=1) > _DEPENDENT])
     load = np.einsum("gdn,gd->n", jacobians[shared], forces[shared])
-    reach, order, _ = independent(np.ascontiguousarray(flat[np.isin(owners, shared)].T))
-    coordinates = np.sort(order[:reach])
+    reach, chosen, _ = independent(np.ascontiguousarray(flat[np.isin(owners, shared)].T))
+    coordinates = np.sort(chosen[:reach])
     # A slide without friction is one along the edge (1, 0).
     smooth = code[shared] == SLIDE
     explained, borne, places, violation = springs(
@@ -118,12 +125,24 @@ def share(
         zones[k] = _ZONES[place]
     for k in np.nonzero((code != FREE) & ~np.isin(np.arange(len(code)), shared))[0]:
         violation = max(violation, _outside(code[k], cones[k], forces[k]))
+    kept = set(order[:count].tolist())
+    letters = [letter for mode in code.tolist() for letter in _LETTERS.get(mode, "e")]
+    bearing = tuple(
+        "".join(letters[i] for i in np.nonzero(owners == k)[0].tolist() if i in kept)
+        for k in range(len(code))
+    )
     rows, joints = _rows(code, jacobians), np.zeros(0, dtype=np.int64)
     if snapshot.held is not None:
         joints = np.nonzero(~snapshot.held.joints.redundant)[0]
         coordinates = _displaced(snapshot.held.basis, flat[np.isin(owners, shared)], reach)
     return Share(
-        given, tuple(zones), rows, tuple(coordinates.tolist()), tuple(joints.tolist()), violation
+        given,
+        tuple(zones),
+        rows,
+        bearing,
+        tuple(coordinates.tolist()),
+        tuple(joints.tolist()),
+        violation,
     )
 
 

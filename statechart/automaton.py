@@ -29,6 +29,7 @@ __all__ = [
     "Edge",
     "Flow",
     "Laws",
+    "Loads",
     "Margin",
     "Projector",
     "Region",
@@ -53,7 +54,7 @@ def plain(flow: Key) -> Key:
     """Return the mode of a flow: its states without what chooses among equivalent equations.
 
     Where a mode's equations leave quantities open that do not change the motion, a flow says after
-    the state's name, separated by ``|``, what determines them (``pin|inside|nt|0,1,2|``).
+    the state's name, separated by ``|``, what determines them (``pin|inside|nt|nt|0,1,2|``).
     """
     return tuple(state.partition("|")[0] for state in flow)
 
@@ -80,28 +81,55 @@ class Margin:
 
 
 @dataclass(frozen=True)
+class Loads:
+    """Unknowns that the motion leaves open: something carries them in the equations of motion.
+
+    They are solved for when the motion is known, by equations of their own.
+
+    Attributes
+    ----------
+    carried : mapping
+        Unknown of the automaton -> what stands for it in the equations of motion.
+    carriers : tuple of Symbol
+        The unknowns of that.
+    equations : tuple of Expr
+        Each = 0, linear in what is carried and in `unknowns`.
+    unknowns : tuple of Symbol
+        Further ones, which states share.
+    balances : mapping
+        Unknown -> what this state adds to a sum over all states that is zero.
+    """
+
+    carried: Mapping[sp.Symbol, sp.Expr]
+    carriers: tuple[sp.Symbol, ...]
+    equations: tuple[sp.Expr, ...]
+    unknowns: tuple[sp.Symbol, ...]
+    balances: Mapping[sp.Symbol, sp.Expr]
+
+
+@dataclass(frozen=True)
 class State:
     """What one state of a region contributes to a mode.
 
     Attributes
     ----------
     equations : tuple of Expr
-        Each = 0, linear in the automaton's unknowns and its own.
+        Each = 0, linear in the automaton's unknowns and its carriers.
     margins : tuple of Margin
         What an event of the state is the fall of.
     invariants : tuple of Margin
         What its declaration asserts besides; for checks of a trace, no run looks at them.
     values : mapping
         What the state sets: some of the automaton's controls -> expressions without unknowns.
-    unknowns : tuple of Symbol
-        Further ones that its equations need; states may share them.
+    loads : Loads or None
+        What it adds where the mode's motion leaves some of its unknowns open.
     """
 
     equations: tuple[sp.Expr, ...] = ()
     margins: tuple[Margin, ...] = ()
     invariants: tuple[Margin, ...] = ()
     values: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
-    unknowns: tuple[sp.Symbol, ...] = ()
+    loads: Loads | None = None
 
 
 @dataclass(frozen=True)

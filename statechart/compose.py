@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
 
 import sympy as sp
 
-from statechart.automaton import Automaton, Margin
+from statechart.automaton import Automaton, Loads, Margin
 from statechart.linear import Definition, solve_linear
 from statechart.trace import Key
 
@@ -69,24 +69,44 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
         if value.is_Atom:
             # What is zero, or the same as something else, must show before solving.
             substitution[control] = value
+    loads = [state.loads for state in states if state.loads is not None]
+    carried = {unknown: by for load in loads for unknown, by in load.carried.items()}
+    moving = (e.xreplace(carried) if carried else e for e in automaton.equations)
     equations = [
         equation.xreplace(substitution)
-        for equation in (*automaton.equations, *(e for s in states for e in s.equations))
+        for equation in (*moving, *(e for s in states for e in s.equations))
     ]
     if automaton.idle:
         used = set().union(*(e.free_symbols for e in equations)) if equations else set()
         equations += [unknown for unknown in automaton.unknowns if unknown not in used]
     margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
-    further = dict.fromkeys(unknown for state in states for unknown in state.unknowns)
+    unknowns = [unknown for unknown in automaton.unknowns if unknown not in carried]
+    unknowns += [carrier for load in loads for carrier in load.carriers]
     return Mode(
         key,
         (
             *controls,
-            *solve_linear(equations, (*automaton.unknowns, *further), len(automaton.equations)),
+            *solve_linear(equations, unknowns, len(automaton.equations)),
+            *_shared(loads, substitution),
         ),
         tuple(rate.xreplace(substitution) for rate in automaton.rates),
         tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins),
     )
+
+
+def _shared(
+    loads: Sequence[Loads], substitution: Mapping[sp.Symbol, sp.Expr]
+) -> tuple[Definition, ...]:
+    """Solve for what the motion leaves open."""
+    sums: dict[sp.Symbol, list[sp.Expr]] = {}
+    for load in loads:
+        for unknown, term in load.balances.items():
+            sums.setdefault(unknown, []).append(term)
+    equations = [*(e for load in loads for e in load.equations)]
+    equations += [sp.Add(*terms) for terms in sums.values()]
+    unknowns = [unknown for load in loads for unknown in load.carried]
+    unknowns += dict.fromkeys(unknown for load in loads for unknown in load.unknowns)
+    return solve_linear([e.xreplace(substitution) for e in equations], unknowns)
 
 
 def product_modes(automaton: Automaton) -> Iterable[Key]:
