@@ -14,10 +14,14 @@ from contacts.mechanics import Mechanics
 from contacts.parts import Body, Contact, Coordinate, Joint, Path, Point, Surface
 from contacts.scene import Scene
 from contacts.setup import cones, scene_parameters
+from contacts.symmetry import mirrored, rescaled
 from contacts.testing import assert_energy
+from statechart.comparison import assert_same
 from statechart.document import dump, read_text, validate
 from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationError, DeclarationProblem, NoConsistentMode
+from statechart.observe import Observer
+from statechart.outputs import Outputs
 from statechart.simulate import Simulator
 from statechart.testing import Subject
 from statechart.trace import Outcome, Trace
@@ -114,9 +118,6 @@ def test_the_force_in_a_pivot_is_weight_and_centripetal_force() -> None:
             "rate": {"value": "rod.dangle", "at": "end"},
         },
     )
-    from statechart.observe import Observer
-    from statechart.outputs import Outputs
-
     simulator = Simulator(automaton(scene), Taylor(1e-15))
     found = Outputs(Observer(simulator)).of(simulator.run(until=1.3))
     th, w, m, inertia = found["angle"], found["rate"], 2.0, 0.3
@@ -275,9 +276,6 @@ def test_a_jointed_body_lands_as_the_same_body_in_its_angles(name: str) -> None:
 
 @pytest.mark.parametrize("name", ENGINES)
 def test_mirrored_and_in_other_units_linkages_move_alike(name: str) -> None:
-    from contacts.symmetry import mirrored, rescaled
-    from statechart.comparison import assert_same
-
     scene = _four_bar(stop={"time": 2})
     subject = Subject(scene)
     case = subject.case({})
@@ -453,3 +451,37 @@ def test_an_angle_of_many_turns_is_rounding_and_no_broken_joint() -> None:
     trace = _run(scene, until=300.0)
     assert trace.final[2] > 2000.0
     assert _distance(scene, trace) < 64 * 2.2e-16 * 2500.0
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_hinged_table_on_more_feet_than_needed_lands_flat_and_rests(name: str) -> None:
+    # Four feet for three motions of the two boards: the sums of forces are determined.
+    feet = {
+        f"{board}_{side}": Contact(
+            point=Point(body=board, at=(x, -0.1)), surface="floor", friction=0.5, restitution=0.5
+        )
+        for board in ("left", "right")
+        for side, x in (("outer", -0.8), ("inner", 0.8))
+    }
+    hinge = Joint(point=Point(body="left", at=(1, 0)), to=Point(body="right", at=(-1, 0)))
+    scene = Scene(
+        name="table",
+        gravity=9.81,
+        bodies={"left": _body(-1, 0.4), "right": _body(1, 0.4)},
+        surfaces={"floor": Surface(height=0)},
+        contacts=feet,
+        joints={"hinge": hinge},
+        outputs={
+            "weight": {"value": " + ".join(f"{foot}.V" for foot in feet), "at": "end"},
+            "left": {"value": "left_outer.V + left_inner.V + hinge.Y", "at": "end"},
+            "hinge": {"value": "hinge.X", "at": "end"},
+        },
+    )
+    simulator = Simulator(automaton(scene), engine(name))
+    trace = simulator.run(until=3.0)
+    assert trace.final_mode == ("pin",) * 4
+    assert trace.final == pytest.approx([-1, 0.1, 0, 1, 0.1, 0] + [0] * 6, abs=1e-10)
+    found = Outputs(Observer(simulator)).of(trace)
+    assert found["weight"] == pytest.approx(2 * 2 * 9.81, abs=1e-9)
+    assert found["left"] == pytest.approx(2 * 9.81, abs=1e-9)
+    assert found["hinge"] == pytest.approx(0.0, abs=1e-9)
