@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 # Constraints are projected once they are off by this part of their tolerance.
 _DRIFT = 0.05
+# A velocity left over where a flow begins moves the point as long as the flow lasts.
+_CREEP = 5e-4
 _EPS = float(np.finfo(float).eps)
 # A distance that projection cannot reduce is rounding up to so many of those of its terms.
 _ROUNDINGS = 64.0
@@ -153,7 +155,7 @@ def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, 
     tolerances : mapping
         Of `gap` and `speed`.
     """
-    near, slow = _DRIFT * tolerances["gap"], _DRIFT * tolerances["speed"]
+    near, slow = _DRIFT * tolerances["gap"], _CREEP * tolerances["speed"]
     if snapshot.held is not None:
         joints = snapshot.held.joints
         if np.abs(joints.gaps).max() > near or np.abs(joints.rates).max() > slow:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from runs import ENGINES, engine
 
@@ -59,3 +60,27 @@ def test_a_smooth_ladder_leaves_the_wall_at_two_thirds_of_its_height(
     assert left.before[1] == pytest.approx(2 / 3 * math.cos(lean), abs=1e-9)
     # Only the modes entered were built.
     assert simulator.modes_built == 2
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_what_a_landing_leaves_of_velocity_does_not_creep(name: str) -> None:
+    start = {"x": -0.918869770144658, "y": 1.2636323659717263, "dx": -1.4215664404397923}
+    scene = Scene(
+        name="caught",
+        gravity=1,
+        bodies={"ball": Body(mass=1, start={**start, "dy": -0.05281726057613229})},
+        surfaces={"hills": Surface(height="0.8708883291549392*sin(7.7804451726748445*x)")},
+        contacts={
+            "tip": Contact(
+                point=Point(body="ball"),
+                surface="hills",
+                friction=0.7012716489717028,
+                restitution=0,
+            )
+        },
+    )
+    trace = Simulator(automaton(scene), engine(name)).run(until=20)
+    assert trace.final_mode == ("pin",)
+    rest = trace.arcs[-1]
+    moved = rest.states(np.linspace(0.0, rest.duration, 9))[:, :2] - trace.jumps[-1].after[:2]
+    assert np.abs(moved).max() <= 0.1 * trace.tolerances["gap"]
