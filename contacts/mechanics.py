@@ -441,6 +441,7 @@ class Mechanics:
             cone_t,
             (jacobian_n, jacobian_t),
             tuple(row.jacobian for row in self.joint_rows),
+            tuple(row.force for row in self.joint_rows),
         )
         return ContactGeometry(
             point, normal, tangent, symbols, jacobian_n, jacobian_t, bias_n, bias_t

@@ -48,6 +48,8 @@ class ContactSymbols:
         d(normal, tangential velocity)/d(rates): what the forces do to each coordinate.
     joints : tuple of tuple of Expr
         Jacobian of the scene's joints, row by row.
+    joint_forces : tuple of Symbol
+        Of these rows.
     """
 
     name: str
@@ -62,6 +64,7 @@ class ContactSymbols:
     cone_t: sp.Expr
     jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
     joints: tuple[tuple[sp.Expr, ...], ...]
+    joint_forces: tuple[sp.Symbol, ...]
 
 
 class Free(Part):
@@ -182,8 +185,14 @@ def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, pa
         contact.H - force[1],
         *(sp.Add(*(contact.joints[joint][i] * y[i] for i in places)) for joint in held),
     )
+    carried: dict[sp.Symbol, sp.Expr] = {contact.V: by[0], contact.H: by[1]}
+    for joint, reaction in zip(held, reactions, strict=True):
+        # What the joint bears where the contacts share, and where the carriers bear it all.
+        bears = contact.joint_forces[joint]
+        carriers[str(bears)] = carried[bears] = sp.Symbol(f"alone_{bears}", real=True)
+        laws += (bears - carried[bears] - reaction,)
     loads = Loads(
-        {contact.V: by[0], contact.H: by[1]},
+        carried,
         tuple(carriers.values()),
         laws,
         (*y.values(), *reactions),

@@ -80,8 +80,10 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
         used = set().union(*(e.free_symbols for e in equations)) if equations else set()
         equations += [unknown for unknown in automaton.unknowns if unknown not in used]
     margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
-    unknowns = [unknown for unknown in automaton.unknowns if unknown not in carried]
-    unknowns += [carrier for load in loads for carrier in load.carriers]
+    # In the places of what they carry, as far as they stand for it alone.
+    alone = [carried.get(unknown, unknown) for unknown in automaton.unknowns]
+    unknowns = list(dict.fromkeys(by for by in alone if by.is_Symbol))
+    unknowns += [c for load in loads for c in load.carriers if c not in unknowns]
     return Mode(
         key,
         (
