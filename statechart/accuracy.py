@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 _NOTHING = 1e-12
 # Two runs have parted where a variable differs by this part of its size.
 _PARTED = 1e-2
+# At most so many jumps are passed over at once.
+_BURST = 64
 # Times between two events at which runs are compared for that.
 _BETWEEN = 16
 
@@ -62,6 +64,8 @@ def compare(
     fine: Trace,
     coarse_outputs: Mapping[str, Output],
     fine_outputs: Mapping[str, Output],
+    *,
+    brief: float = 0.0,
 ) -> Difference:
     """Compare two runs; a number that is not finite in both must be the same.
 
@@ -71,8 +75,10 @@ def compare(
         Two runs of one model from one start.
     coarse_outputs, fine_outputs : mapping
         Their outputs.
+    brief : float
+        As in `paired`.
     """
-    pairs, diverged = paired(coarse, fine)
+    pairs, diverged = paired(coarse, fine, brief=brief)
     same_end = coarse.outcome is fine.outcome
     if diverged is None and not same_end:
         diverged = min(coarse.t_end, fine.t_end)
@@ -108,16 +114,18 @@ def difference(
     fine: Trace,
     coarse_outputs: Mapping[str, Output],
     fine_outputs: Mapping[str, Output],
+    *,
+    brief: float = 0.0,
 ) -> tuple[float, float | None]:
     """Return the largest relative difference of two runs, and when they took different modes.
 
     See `compare`; the difference is inf where they did, and the time None where they did not.
     """
-    found = compare(coarse, fine, coarse_outputs, fine_outputs)
+    found = compare(coarse, fine, coarse_outputs, fine_outputs, brief=brief)
     return found.largest, found.diverged
 
 
-def parted(reference: Trace, trace: Trace) -> float | None:
+def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | None:
     """Return when a run left another for good to the eye; None if it did not.
 
     That is the first time at which a variable differs by a hundredth of its size or the modes
@@ -128,8 +136,10 @@ def parted(reference: Trace, trace: Trace) -> float | None:
     ----------
     reference, trace : Trace
         Two runs of one model from one start.
+    brief : float
+        As in `paired`.
     """
-    pairs, diverged = paired(reference, trace)
+    pairs, diverged = paired(reference, trace, brief=brief)
     end = min(reference.t_end, trace.t_end)
     if diverged is None and reference.outcome is not trace.outcome:
         diverged = end
@@ -151,14 +161,25 @@ def parted(reference: Trace, trace: Trace) -> float | None:
     return float(times[where[0]]) if len(where) else diverged
 
 
-def paired(coarse: Trace, fine: Trace) -> tuple[list[tuple[Jump, Jump]], float | None]:
+def paired(
+    coarse: Trace, fine: Trace, *, brief: float = 0.0
+) -> tuple[list[tuple[Jump, Jump]], float | None]:
     """Pair the jumps of two runs; return the pairs, and when the runs part, if they do.
 
     How many jumps of a Zeno sequence are resolved depends on the tolerance: where one run is at
     the accumulation, the other's further jumps of that sequence are passed over.
+
+    Parameters
+    ----------
+    coarse, fine : Trace
+        Two runs of one model from one start.
+    brief : float
+        Where the modes are the same again within this part of the run, what was different in
+        between is passed over: that an event is late by so much is no larger error.
     """
     pairs: list[tuple[Jump, Jump]] = []
-    a, b = list(coarse.jumps), list(fine.jumps)
+    a, b = coarse.jumps, fine.jumps
+    window = brief * max(coarse.t_end, fine.t_end)
     i = j = 0
     while i < len(a) and j < len(b):
         one, other = a[i], b[j]
@@ -170,9 +191,40 @@ def paired(coarse: Trace, fine: Trace) -> tuple[list[tuple[Jump, Jump]], float |
         elif _accumulates(other) and _repeats(one, other):
             i += 1
         else:
-            return pairs, min(one.t, other.t)
+            again = _again(a, b, i, j, window)
+            if again is None:
+                return pairs, min(one.t, other.t)
+            i, j = again
     rest = (*a[i:], *b[j:])
-    return pairs, (rest[0].t if rest else None)
+    if not rest:
+        return pairs, None
+    ended = rest[0].t
+    passed = rest[-1].t <= ended + window and rest[-1].target == rest[0].source
+    return pairs, None if passed else ended
+
+
+def _again(
+    a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float
+) -> tuple[int, int] | None:
+    """Return the next places in both runs from which on their modes are the same again.
+
+    The nearest ones, no later than `window` after the runs took different modes.
+    """
+    limit = min(a[i].t, b[j].t) + window
+    after_a = [a[i].source, *(jump.target for jump in _until(a, i, limit))]
+    after_b = [b[j].source, *(jump.target for jump in _until(b, j, limit))]
+    for total in range(1, len(after_a) + len(after_b) - 1):
+        for p in range(max(0, total - len(after_b) + 1), min(total, len(after_a) - 1) + 1):
+            if after_a[p] == after_b[total - p]:
+                return i + p, j + total - p
+    return None
+
+
+def _until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Jump]:
+    for jump in islice(jumps, start, start + _BURST):
+        if jump.t > limit:
+            return
+        yield jump
 
 
 def sizes(trace: Trace) -> Array:

@@ -8,12 +8,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from statechart.accuracy import difference
+from statechart.errors import DeclarationError
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.outputs import Result as Output
 from statechart.trace import Outcome, Trace
 
-__all__ = ["BELOW", "TIGHTER", "Answer", "Cost", "Once", "tighten", "within"]
+__all__ = ["BELOW", "BRIEF", "TIGHTER", "Answer", "Cost", "Once", "tighten", "within"]
 
 TIGHTER = 1.0 / 20.0
 """The step from one tolerance to the next when an error is estimated. Measured over 180 runs: with
@@ -23,6 +24,9 @@ BELOW = 1.0 / 10.0
 """Errors of a run exceed its tolerance by about so much: where an accuracy is asked for and nothing
 was measured, the first tolerance is that far below."""
 
+BRIEF = 1e-6
+"""Modes that differ for less than this part of a run are the same where no accuracy says more."""
+
 # Where the best accuracy within a time is looked for: the first tolerance, and the step to the
 # next. A method of order 5 takes three times as long for it, so a third of the time is used at
 # least.
@@ -31,7 +35,7 @@ _FIRST, _STRIDE = 1e-4, TIGHTER**2
 _LONGER = 1.5
 
 Once = Callable[[float, bool], tuple[Observer, Trace]]
-"""Runs a model once, at a tolerance; True: from a start that is off by rounding."""
+"""Runs a model once, at a tolerance; True: from a start that is off by it."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,11 @@ _Made = tuple[Trace, Mapping[str, Output]]
 class _Runs:
     """Runs that are made one after the other; what they took, and how the last two differ."""
 
-    def __init__(self, once: Once, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, once: Once, clock: Callable[[], float], accuracy: float | None = None
+    ) -> None:
+        self._accuracy = accuracy
+        self._brief = accuracy or BRIEF
         self._once, self._clock, self._began = once, clock, clock()
         self._last: _Made | None = None
         self.runs = self.steps = self.evaluations = 0
@@ -99,9 +107,9 @@ class _Runs:
     def compare(self, observer: Observer, trace: Trace) -> None:
         """Estimate the error of a run by its difference from the last one.
 
-        Where flows are polynomials the tolerance has no influence, and two runs are equal to the
-        last digit however much their rounding is magnified: if they differ by less than the
-        tolerance, a run from a start that is off by rounding shows that.
+        Two runs may agree by luck, or because their flows are polynomials, on which the tolerance
+        has no influence. So where they agree well a third, from a start that is off by the
+        tolerance, shows how much an error so small is magnified.
         """
         now = trace, Outputs(observer).of(trace)
         if self._last is not None:
@@ -109,17 +117,25 @@ class _Runs:
             estimate = self._difference(
                 self._last, now, f"at the tolerances {before.tolerance:.2g} and"
             )
-            if estimate < trace.tolerance:
-                observer, other = self.make(trace.tolerance, nudged=True)
-                if other.outcome not in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
-                    found = other, Outputs(observer).of(other)
-                    how = "from starts that differ by rounding, at"
-                    estimate = max(estimate, self._difference(found, now, how))
+            if estimate <= (trace.tolerance if self._accuracy is None else self._accuracy):
+                estimate = max(estimate, self._magnified(now))
             self.estimate = estimate
         self._last = now
 
+    def _magnified(self, now: _Made) -> float:
+        """Return the difference from a run whose start is off; 0 where there is none."""
+        try:
+            observer, trace = self.make(now[0].tolerance, nudged=True)
+        except DeclarationError:
+            # Off by so much, the start is no start.
+            return 0.0
+        if trace.outcome in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
+            return 0.0
+        found = trace, Outputs(observer).of(trace)
+        return self._difference(found, now, "from starts that differ by the tolerance")
+
     def _difference(self, one: _Made, other: _Made, how: str) -> float:
-        found, diverged = difference(one[0], other[0], one[1], other[1])
+        found, diverged = difference(one[0], other[0], one[1], other[1], brief=self._brief)
         self.diverged = (
             ""
             if diverged is None
@@ -161,7 +177,7 @@ def tighten(
         Tells the time in seconds.
     """
     tolerance = max(first, floor / TIGHTER)
-    runs = _Runs(once, clock)
+    runs = _Runs(once, clock, accuracy)
     observer, trace = runs.make(tolerance)
     while trace.outcome is not Outcome.INTERRUPTED:
         runs.compare(observer, trace)

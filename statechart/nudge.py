@@ -1,4 +1,4 @@
-"""Runs from a start that is off by rounding: what rounding is magnified into."""
+"""Runs from a start that is slightly off: what small errors are magnified into."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ __all__ = ["nudged"]
 Array = NDArray[np.float64]
 
 # A few units in the last place: what a run of many steps adds up to.
-_NUDGE = 8.0 * float(np.finfo(float).eps)
+_LEAST = 8.0 * float(np.finfo(float).eps)
 
 
 def nudged(automaton: Automaton) -> Automaton:
-    """Return the automaton with every initial value larger by the same part, a few roundings.
+    """Return the automaton with every initial value larger by the same small part.
 
-    One factor for all keeps symmetric starts symmetric, and zeros zero.
+    That part is the tolerance of the run, or a few roundings where that is more. One factor for
+    all keeps symmetric starts symmetric, and zeros zero.
     """
     return replace(automaton, laws=_Nudged(automaton.laws))
 
@@ -35,7 +36,7 @@ class _Nudged:
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
         setup = self._laws.setup(overrides, relative)
-        return replace(setup, initial=setup.initial * (1.0 + _NUDGE))
+        return replace(setup, initial=setup.initial * (1.0 + max(relative, _LEAST)))
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         return self._laws.begin(setup)

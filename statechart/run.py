@@ -483,7 +483,7 @@ class Runner:
         return observer, trace
 
     def _observer(self, tolerance: float, off: bool) -> Observer:
-        """Return what makes the runs at a tolerance; `off`: from a start off by rounding."""
+        """Return what makes the runs at a tolerance; `off`: from a start off by it."""
         if self.step is not None:
             return self._stepped(self.step)
         found = self._observers.get((tolerance, off))

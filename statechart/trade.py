@@ -18,7 +18,7 @@ from statechart.declaration import Declaration
 from statechart.engine import Engine
 from statechart.engines import choose
 from statechart.errors import DeclarationError, SimulationError, StatechartError
-from statechart.estimate import BELOW, Answer, Cost, tighten
+from statechart.estimate import BELOW, BRIEF, Answer, Cost, tighten
 from statechart.kinds import kind
 from statechart.nudge import nudged
 from statechart.observe import Observer
@@ -217,7 +217,7 @@ class _Bench:
     def observer(self, setting: Setting, fineness: float, *, off: bool = False) -> Observer:
         """Return the observer of a setting's simulator, at a tolerance or a step.
 
-        `off`: its runs start off by rounding.
+        `off`: its runs start off by the tolerance.
         """
         if setting.step is not None:
             return Observer(SteppingSimulator(self.automaton, fineness))
@@ -277,7 +277,7 @@ class _Bench:
             outcome=found.trace.outcome.name,
             same_modes=diverged is None,
             diverged=diverged,
-            parted=parted(reference.trace, found.trace),
+            parted=parted(reference.trace, found.trace, brief=BRIEF),
             refused=found.warnings[0] if found.warnings else "",
             errors=errors,
             seconds=seconds,
@@ -289,8 +289,8 @@ class _Bench:
 
     def errors(self, reference: _Run, run: _Run) -> tuple[Errors, float | None]:
         """Return the errors of a run, and when it took other modes than the reference."""
-        found = compare(reference.trace, run.trace, reference.outputs, run.outputs)
-        pairs, _ = paired(reference.trace, run.trace)
+        found = compare(reference.trace, run.trace, reference.outputs, run.outputs, brief=BRIEF)
+        pairs, _ = paired(reference.trace, run.trace, brief=BRIEF)
         ours = run.energies([other for _, other in pairs])
         theirs = reference.energies([one for one, _ in pairs])
         energy = None
@@ -343,7 +343,7 @@ def _reference(bench: _Bench, mark: str) -> tuple[_Run, Study]:
         reference=setting.label,
         check=other.label,
         resolution=resolution,
-        parted=parted(reference.trace, check.trace),
+        parted=parted(reference.trace, check.trace, brief=BRIEF),
         planned=0,
     )
     return reference, study

@@ -178,7 +178,7 @@ def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: 
     assert coarse.parted < fine.parted
     # Flights in straight lines are right to the last digit at every tolerance; their rounding is
     # magnified all the same.
-    assert "starts that differ by rounding" in refused.refused
+    assert "starts that differ by the tolerance" in refused.refused
     assert "leaves it at" in text(found)
     assert found.front() == ()
     write(tmp_path, found)
