@@ -208,16 +208,23 @@ def _again(
 ) -> tuple[int, int] | None:
     """Return the next places in both runs from which on their modes are the same again.
 
-    The nearest ones, no later than `window` after the runs took different modes.
+    The nearest ones, no later than `window` after the runs took different modes, such that what
+    follows in both is no farther apart in time.
     """
     limit = min(a[i].t, b[j].t) + window
     after_a = [a[i].source, *(jump.target for jump in _until(a, i, limit))]
     after_b = [b[j].source, *(jump.target for jump in _until(b, j, limit))]
     for total in range(1, len(after_a) + len(after_b) - 1):
         for p in range(max(0, total - len(after_b) + 1), min(total, len(after_a) - 1) + 1):
-            if after_a[p] == after_b[total - p]:
+            if after_a[p] == after_b[total - p] and _together(a, b, i + p, j + total - p, window):
                 return i + p, j + total - p
     return None
+
+
+def _together(a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float) -> bool:
+    if i < len(a) and j < len(b):
+        return abs(a[i].t - b[j].t) <= window
+    return i == len(a) and j == len(b)
 
 
 def _until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Jump]:
