@@ -22,9 +22,24 @@ from statechart.document import read_text
 from statechart.errors import StatechartError
 from statechart.run import Result, Runner
 
-__all__ = ["BAR", "SCENES", "Judgement", "Judges", "draws"]
+__all__ = [
+    "ACCURACY",
+    "BAR",
+    "ENGINES",
+    "SCENES",
+    "Judgement",
+    "Judges",
+    "draws",
+    "requests",
+    "table",
+]
 
 ACCURACY = 1e-6
+ENGINES: dict[str, dict[str, str]] = {
+    "auto": {},
+    "scipy DOP853": {"engine": "scipy", "method": "DOP853"},
+    "scipy RK45": {"engine": "scipy", "method": "RK45"},
+}
 
 # A bar falls on its two ends; `tilt` from level, A is the left end.
 BAR = """\
@@ -174,35 +189,43 @@ def _apart(one: Result, other: Result) -> float:
     return difference(one.trace, other.trace, one.outputs, other.outputs, brief=ACCURACY)[0]
 
 
-def main() -> None:
-    """Print the table, and every request that was not delivered."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 1
+def requests(count: int, seed: int) -> dict[str, list[Judgement]]:
+    """Ask for the accuracy with several engines; return engine -> judgements."""
     tables: dict[str, list[Judgement]] = {}
-    for engine, options in (
-        ("auto", {}),
-        ("scipy DOP853", {"engine": "scipy", "method": "DOP853"}),
-        ("scipy RK45", {"engine": "scipy", "method": "RK45"}),
-    ):
+    for engine, options in ENGINES.items():
         judges = Judges(**options)
         found = tables[engine] = []
         for i, (scene, parameters) in enumerate(draws(count, seed)):
             found.append(judges.judge(scene, parameters))
             if (i + 1) % 20 == 0:
                 print(f"{engine}: {i + 1} of {count}", file=sys.stderr, flush=True)
-    print(f"accuracy {ACCURACY:g} on {count} random scenes, seed {seed}\n")
+    return tables
+
+
+def table(tables: dict[str, list[Judgement]]) -> str:
+    """Return how often each engine did what."""
     verdicts = ("delivered", "refused", "missed", "unjudged")
-    print("| engine | " + " | ".join(verdicts) + " | largest error |\n|" + "---|" * 6)
+    rows = ["| engine | " + " | ".join(verdicts) + " | largest error |", "|" + "---|" * 6]
     for engine, found in tables.items():
         counts = Counter(j.verdict for j in found)
         worst = max((j.error for j in found if j.verdict == "delivered"), default=0.0)
-        print(f"| {engine} | " + " | ".join(str(counts[v]) for v in verdicts) + f" | {worst:.1g} |")
+        shown = " | ".join(str(counts[verdict]) for verdict in verdicts)
+        rows.append(f"| {engine} | {shown} | {worst:.1g} |")
+    return "\n".join(rows) + "\n"
+
+
+def main() -> None:
+    """Print the table, and every request that was not delivered."""
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 1
+    tables = requests(count, seed)
+    print(f"accuracy {ACCURACY:g} on {count} random scenes, seed {seed}\n\n{table(tables)}")
     for engine, found in tables.items():
         for j in found:
             if j.verdict != "delivered":
                 shown = ", ".join(f"{k}={v:.6g}" for k, v in j.parameters.items())
-                print(f"\n{engine}, {j.scene} ({shown}): {j.verdict}, error {j.error:.2g}, "
-                      f"estimate {j.estimate:.2g}\n  {j.reason}")  # fmt: skip
+                print(f"{engine}, {j.scene} ({shown}): {j.verdict}, error {j.error:.2g}, "
+                      f"estimate {j.estimate:.2g}\n  {j.reason}\n")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -191,7 +191,7 @@ def paired(
         elif _accumulates(other) and _repeats(one, other):
             i += 1
         else:
-            again = _again(a, b, i, j, window)
+            again = _again(a, b, i, j, window) if window > 0.0 else None
             if again is None:
                 return pairs, min(one.t, other.t)
             i, j = again
@@ -199,7 +199,7 @@ def paired(
     if not rest:
         return pairs, None
     ended = rest[0].t
-    passed = rest[-1].t <= ended + window and rest[-1].target == rest[0].source
+    passed = 0.0 <= rest[-1].t - ended < window and rest[-1].target == rest[0].source
     return pairs, None if passed else ended
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
+import sys
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
 import pytest
 
-from statechart.accuracy import compare, parted
+from statechart.accuracy import compare, paired, parted
 from statechart.budget import Allowance
 from statechart.cli import main
 from statechart.document import read_text
@@ -195,3 +199,34 @@ def test_the_parts_of_a_difference_and_when_runs_part() -> None:
     ball, later = run("bouncing_ball"), run("bouncing_ball", parameters={"x0": 1 + 1e-4})
     first = parted(ball.trace, later.trace)
     assert first is None or first > 5.0
+
+
+def test_modes_that_differ_for_a_moment_only_are_passed_over() -> None:
+    result = run("bouncing_ball_hills")
+    trace = result.trace
+    jumps = trace.jumps
+    later = replace(jumps[3], t=jumps[3].t + 1e-9, region="another")
+    extra = replace(trace, jumps=(*jumps[:4], later, *jumps[4:]))
+    assert paired(trace, extra)[1] == later.t
+    pairs, diverged = paired(trace, extra, brief=1e-6)
+    assert diverged is None
+    # What is beside it is still paired with itself.
+    assert all(one.t == other.t for one, other in pairs)
+    assert len(pairs) == len(jumps)
+    elsewhere = replace(jumps[3], t=jumps[3].t + 1e-3, region="another")
+    assert paired(trace, replace(trace, jumps=(*jumps[:4], elsewhere)), brief=1e-6)[1] is not None
+
+
+def test_an_accuracy_is_delivered_on_random_scenes_or_refused_with_the_reason() -> None:
+    path = Path(__file__).parents[1] / "benchmarks" / "accuracy_of_random_scenes.py"
+    spec = importlib.util.spec_from_file_location("accuracy_of_random_scenes", path)
+    assert spec is not None
+    assert spec.loader is not None
+    benchmark = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = benchmark
+    spec.loader.exec_module(benchmark)
+    judges = benchmark.Judges()
+    found = [judges.judge(scene, parameters) for scene, parameters in benchmark.draws(24, 7)]
+    assert not [j for j in found if j.verdict == "missed"]
+    assert sum(j.verdict == "delivered" for j in found) >= 20
+    assert all(j.reason for j in found if j.verdict != "delivered")

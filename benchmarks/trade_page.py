@@ -1,0 +1,147 @@
+"""Writes docs/speed-and-accuracy.md and its pictures: what speed costs, measured on this machine.
+
+    python benchmarks/trade_page.py [FOLDER]
+
+Studies are kept in FOLDER (trade_page.out by default); what is there already is not run again.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+from pathlib import Path
+
+from accuracy_of_random_scenes import ACCURACY, BAR, requests, table
+
+from statechart.document import read_text
+from statechart.files import write_atomic
+from statechart.run import Runner
+from statechart.study import Point, Study
+from statechart.study_figure import write
+from statechart.trade import trade
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+SYSTEMS: dict[str, tuple[str, str]] = {
+    "Toppling stick": ("toppling_stick", "models/toppling_stick.yaml"),
+    "Bouncing ball": ("bouncing_ball", "models/bouncing_ball.yaml"),
+    "Ball on hills": ("bouncing_ball_hills", "models/bouncing_ball_hills.yaml"),
+    "Bar falling on its two ends": (BAR, "benchmarks/accuracy_of_random_scenes.py"),
+    "Block on an incline": ("block_on_incline", "models/block_on_incline.yaml"),
+    "Block under a harmonic force": ("stick_slip_block", "models/stick_slip_block.yaml"),
+}
+# Random scenes to which the accuracy is asked for.
+COUNT, SEED = 200, 1
+
+HEAD = """\
+# Speed and accuracy
+
+What a run costs and what it is worth, measured. All of this page is written by
+`python benchmarks/trade_page.py`; times are of {machine}, and will differ elsewhere.
+
+`statechart trade FILE -o DIR` makes the same study of any model: a table, its data (`trade.json`,
+`trade.csv`) and a figure. Each run is compared with a reference, the tightest run of one engine,
+which is checked by the tightest run of another: errors below the difference of these two cannot
+be told, and are shown as that difference (grey in the figures). An error is the largest of those
+of the final state, the times of events and the outputs, each relative to its own size. A run that
+takes other modes than the reference is shown as such (hollow), and has no part in fronts and
+orders; modes that differ for less than a millionth of the run count as the same. Where the two
+references leave each other the motion is chaotic: then the study shows when each run leaves the
+reference, instead of an error.
+
+What to expect:
+
+- A tolerance is not an accuracy. Guards of forces are events once they are below a band of ten
+  tolerances, so where a contact slips or lifts off, the error of the result is several tens of
+  tolerances, whatever the method; the integrator's own share is smaller.
+- `--accuracy A` is about the result: it tightens until two runs differ by less than A, and until
+  a start that is off by the tolerance changes the result by less than A, too.
+- Time stepping (`impulse`) is of first order: ten times the steps for one digit more. It pays
+  where two or three digits are enough, or contacts are many.
+- Taylor's method (`taylor`, the default) gives fifteen digits for little more than three; so where
+  it is installed there is no reason to ask for less.
+"""
+
+
+REQUESTS = f"""\
+## An accuracy asked for
+
+`accuracy = {ACCURACY:g}` on {COUNT} random scenes (balls on hills, sticks, blocks under a force,
+bars falling on their ends; `benchmarks/accuracy_of_random_scenes.py`), judged by the tightest run
+of the other engine. Refused: the run says itself, with the reason, that it did not reach it.
+Unjudged: the two references differ by more than a tenth of it.
+
+"""
+
+
+def section(title: str, source: str, study: Study) -> str:
+    """Return the part of the page about one system."""
+    name = study.model
+    rows = ["| setting | modes | error | evaluations | time |", "|---|---|---|---|---|"]
+    front = study.front()
+    for p in shown(study):
+        star = " *" if p in front else ""
+        error = study.error(p)
+        modes = "same" if p.same_modes else f"others from t = {p.diverged:.3g}"
+        rows.append(
+            f"| {p.setting.label}{star} | {modes} | {'' if error is None else f'{error:.1e}'} | "
+            f"{p.evaluations or ''} | {p.seconds * 1e3:.3g} ms |"
+        )
+    missed = ", ".join(f"{f} {few} of {many}" for f, (few, many) in study.missed().items())
+    orders = ", ".join(f"{s.family} {s.order:.1f} (theory {s.theory})" for s in study.slopes())
+    lines = [
+        f"## {title}",
+        "",
+        f"`{source}`; reference {study.reference}, checked by {study.check}; they differ by "
+        f"{study.resolution.largest or 0.0:.1e}.",
+        "",
+        f"![{title}: error against time and evaluations](images/trade_{name}.svg)",
+        "",
+        *rows,
+        "",
+        f"\\* nothing else is as accurate and faster. What missed its tolerance: {missed}.",
+    ]
+    if orders:
+        lines.append(f"Orders fitted: {orders}.")
+    lines += [f"Left out: {label}: {why}." for label, why in study.left_out.items()]
+    return "\n".join(lines) + "\n"
+
+
+def shown(study: Study) -> list[Point]:
+    """Return the points of the table: of long families every second or third."""
+    families: dict[str, list[Point]] = {}
+    for point in study.points:
+        families.setdefault(point.setting.family, []).append(point)
+    found: list[Point] = []
+    for points in families.values():
+        found += points[:: max(1, round(len(points) / 4))]
+    return found
+
+
+def machine() -> str:
+    """Return what the times were taken on."""
+    return f"{platform.machine()} with {os.cpu_count()} cores, Python {platform.python_version()}"
+
+
+def main() -> None:
+    """Make the studies, and write page and pictures."""
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "trade_page.out")
+    parts = [HEAD.format(machine=machine())]
+    for title, (model, source) in SYSTEMS.items():
+        runner = Runner(read_text(model) if "\n" in model else model)
+        place = folder / runner.model.name
+        print(title, file=sys.stderr, flush=True)
+        study = trade(
+            runner, folder=place, progress=lambda line: print("  " + line, file=sys.stderr)
+        )
+        write(place, study)
+        shutil.copyfile(place / "trade.svg", DOCS / "images" / f"trade_{study.model}.svg")
+        parts.append(section(title, source, study))
+    parts.append(REQUESTS + table(requests(COUNT, SEED)))
+    write_atomic(DOCS / "speed-and-accuracy.md", "\n".join(parts).encode())
+
+
+if __name__ == "__main__":
+    main()
