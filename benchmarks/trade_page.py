@@ -71,7 +71,7 @@ REQUESTS = f"""\
 `accuracy = {ACCURACY:g}` on {COUNT} random scenes (balls on hills, sticks, blocks under a force,
 bars falling on their ends; `benchmarks/accuracy_of_random_scenes.py`), judged by the tightest run
 of the other engine. Refused: the run says itself, with the reason, that it did not reach it.
-Unjudged: the two references differ by more than a tenth of it.
+Unjudged: the tightest runs of the two engines differ themselves by so much that it matters.
 
 """
 

@@ -143,7 +143,7 @@ def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | Non
     end = min(reference.t_end, trace.t_end)
     if diverged is None and reference.outcome is not trace.outcome:
         diverged = end
-    until = end if diverged is None else diverged
+    until = end if diverged is None else min(diverged, end)
     marks = [(0.0, 0.0), *((one.t, other.t) for one, other in pairs), (until, until)]
     grids = [np.zeros(0)]
     for before, after in pairwise(marks):

@@ -230,3 +230,10 @@ def test_an_accuracy_is_delivered_on_random_scenes_or_refused_with_the_reason() 
     assert not [j for j in found if j.verdict == "missed"]
     assert sum(j.verdict == "delivered" for j in found) >= 20
     assert all(j.reason for j in found if j.verdict != "delivered")
+
+
+def test_a_run_that_fails_early_parts_where_it_ends() -> None:
+    exact = run("bouncing_ball_hills")
+    short = run("bouncing_ball_hills", until=0.2)
+    ended = replace(short.trace, outcome=Outcome.STEP_FAILURE)
+    assert parted(exact.trace, ended) is not None
