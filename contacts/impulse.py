@@ -144,7 +144,7 @@ class _Run:
         self.recorder, self.step, self.until = recorder, step, until
         self.max_jumps, self.show = max_jumps, show
         self.state = setup.initial
-        self.time, self.taken, self.deepest = 0.0, 0, 0.0
+        self.time, self.taken, self.fastest = 0.0, 0, 0.0
         self.outcome, self.message = Outcome.HORIZON, ""
 
     def end(self, outcome: Outcome, message: str) -> None:
@@ -187,7 +187,7 @@ class _Run:
             chunk = chunk.first(stopped[0] + 1)
         if len(chunk.codes):
             self.recorder.add(chunk)
-            self.deepest = max(self.deepest, float(chunk.closing.max()))
+            self.fastest = max(self.fastest, float(chunk.approach.max()))
         self.taken += len(chunk.codes)
         self.state = chunk.states[-1]
         self.time = start + len(chunk.codes) * chunk.h
@@ -283,8 +283,8 @@ class _Run:
         recorder, stepping = self.recorder, self.stepping
         recorder.close()
         tolerances = dict(self.setup.tolerances)
-        # Contacts that last stay as deep as they have landed.
-        tolerances["gap"] = max(tolerances["gap"], self.deepest)
+        # A contact lands within a step, and stays as deep as it has landed.
+        tolerances["gap"] = max(tolerances["gap"], self.step * self.fastest)
         return Trace(
             name=stepping.name,
             regions=stepping.regions,

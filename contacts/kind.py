@@ -38,6 +38,10 @@ def automaton(scene: Scene) -> Automaton:
     from statechart.automaton import Laws, Margin
     from statechart.formula import parse_relation
 
+    if scene.collisions:
+        from contacts.heap import heap
+
+        return heap(scene)
     parameters = scene_parameters(scene)
     mechanics = Mechanics(scene, parameters.symbols, cones(scene, parameters.symbols))
     names = mechanics.names

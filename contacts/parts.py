@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag, model_validator
 
 from contacts.modes import ContactMode, Free, Pin, Slide, as_mode
+from contacts.shapes import INDEX, Shape
 from statechart.declaration import Part
 from statechart.errors import DeclarationProblem
 from statechart.fields import FormulaText, RelationText
@@ -65,6 +67,22 @@ class Body(Part):
     start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FormulaText] = Field(
         default={}, description="Initial position and velocity of a free body; 0 where not given."
     )
+    shape: Shape | None = Field(default=None, description="Outline, for collisions.")
+    copies: FormulaText | None = Field(
+        default=None,
+        description="How many bodies like this there are: NAME0, NAME1, ...; their start may use "
+        "index, which counts them from 0.",
+    )
+
+    def numbered(self, index: int) -> Body:
+        """Return the copy of this number: a body by itself."""
+        start = {
+            key: re.sub(rf"(?<![\w.]){INDEX}(?![\w.])", str(index), text)
+            if isinstance(text, str)
+            else text
+            for key, text in self.start.items()
+        }
+        return self.model_copy(update={"start": start, "copies": None})
 
     @property
     def coordinates(self) -> tuple[str, ...]:

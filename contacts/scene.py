@@ -21,6 +21,7 @@ from contacts.parts import (
     Simultaneous,
     Surface,
 )
+from contacts.shapes import INDEX, Collision, check_collisions, check_copies, copies
 from statechart.declaration import TIME, Declaration, check_names
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, NameText, problem
@@ -50,6 +51,9 @@ class Scene(Declaration):
     contacts: dict[NameText, Contact] = Field(default={})
     joints: dict[NameText, Joint] = Field(default={})
     forces: dict[NameText, Force] = Field(default={})
+    collisions: dict[NameText, Collision] = Field(
+        default={}, description="Which bodies with shapes collide; on the engine impulse alone."
+    )
     simultaneous: Simultaneous = Field(
         default="capped",
         description="What contacts do that are hit together: plastic, Newton's law as far as the "
@@ -75,8 +79,27 @@ class Scene(Declaration):
     @property
     def variables(self) -> tuple[str, ...]:
         """Names of all coordinates."""
-        own = [f"{body}.{c}" for body, b in self.bodies.items() for c in b.coordinates]
+        own = [f"{n}.{c}" for n, b in self.single_bodies().items() for c in b.coordinates]
         return (*self.coordinates, *own)
+
+    def single_bodies(self, overrides: Mapping[str, float] | None = None) -> dict[str, Body]:
+        """Return the bodies, copies one by one; all alike but for the index in their start."""
+        if all(body.copies is None for body in self.bodies.values()):
+            return self.bodies
+        result: dict[str, Body] = {}
+        for name, count in copies(self, self.values(overrides)).items():
+            if count is None:
+                result[name] = self.bodies[name]
+                continue
+            for index in range(count):
+                result[f"{name}{index}"] = self.bodies[name].numbered(index)
+        return result
+
+    def variant(self, overrides: Mapping[str, float]) -> Self:
+        """Return the scene itself, or the one with as many copies as `overrides` make."""
+        if copies(self, self.values()) == copies(self, self.values(overrides)):
+            return self
+        return self.model_copy(update={"parameters": {**self.parameters, **overrides}})
 
     def rate_name(self, coordinate: str) -> str:
         """Return the name of the rate of `coordinate`: stick.x -> stick.dx, theta -> dtheta."""
@@ -153,6 +176,12 @@ class Scene(Declaration):
         return self
 
     @model_validator(mode="after")
+    def _copies_are_whole(self) -> Self:
+        check_copies(self)
+        copies(self, self.values())
+        return self
+
+    @model_validator(mode="after")
     def _references_exist(self) -> Self:
         for name, contact in self.contacts.items():
             self._member("body", contact.point.body, self.bodies, "contacts", name, "point", "body")
@@ -198,7 +227,8 @@ class Scene(Declaration):
                 check_names(parse(body.angle), positions, *at, "angle")
             self._formulas(body.position or (), positions, *at, "position")
             for part, text in body.start.items():
-                check_names(parse(text), parameters, *at, "start", part)
+                known = parameters if body.copies is None else parameters | {INDEX}
+                check_names(parse(text), known, *at, "start", part)
         for name, surface in self.surfaces.items():
             at = ("surfaces", name)
             if surface.height is not None:
@@ -248,6 +278,7 @@ class Scene(Declaration):
     @model_validator(mode="after")
     def _numbers_are_physical(self) -> Self:
         self.check_numbers(self.values())
+        check_collisions(self, self.values())
         return self
 
     def check_numbers(self, values: Mapping[str, float]) -> None:
@@ -310,6 +341,11 @@ class Scene(Declaration):
             c: {edge.cause for edge in edges(x, jams=self.jams(c), gate=gates[c])}
             for c, x in self.contacts.items()
         } | {name: {t.name for t in region.transitions} for name, region in self.regions.items()}
+        if self.collisions:
+            from contacts.heap import CAUSES, STATES
+
+            found |= {body: {*STATES} for body in self.single_bodies()}
+            causes |= {body: {*CAUSES} for body in self.single_bodies()}
         self.check_uses(names, found, causes)
         for name, region in self.regions.items():
             check_listening(name, region.transitions, causes, found)

@@ -232,13 +232,13 @@ def step_scene(
             slow = _SLOW * abs(free[i, 0] - before[i, 0])
             above = gap - level[i]
             bias = 0.5 * h * numbers[row + 2 * n]
-            if closed[i] or (nearing <= slow and above + h * (free[i, 0] + bias) < 0.0):
+            # What is slow is let in before it arrives: others may push it there in this step.
+            soon = above + h * (free[i, 0] + bias - slow) <= 0.0
+            if closed[i] or (nearing <= slow and soon):
                 active[i] = True
                 if above < 0.0 and not closed[i]:
                     level[i] = gap
                     above = 0.0
-                if not closed[i]:
-                    closing[k] = max(closing[k], above)
                 wanted[i, 0] = above / h + bias
                 wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
             elif above <= 0.0 and nearing > slow:
@@ -327,6 +327,8 @@ def step_scene(
                     if not hit[i]:
                         solved[k, n + 2 * i + d] = pushes[a, d] / h
                 pressed = pushes[a, 0] > 0.0
+                if pressed and not hit[i] and not closed[i]:
+                    closing[k] = max(closing[k], gaps[k, i] - level[i])
                 struck[k, i] = hit[i] and pressed
                 closed[i] = pressed and not (hit[i] and restitution[i] > 0.0)
                 if closed[i]:

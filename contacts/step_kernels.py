@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from contacts.lemke import FOUND, lemke, on_support
 
 __all__ = [
+    "RESIDUAL",
     "UNKNOWNS",
     "capped",
     "impulses_of",
@@ -32,8 +33,9 @@ _kernel = njit(cache=True, no_cfunc_wrapper=True)
 UNKNOWNS = 4
 """Of a contact: normal impulse, tangential one to either side, slip speed."""
 
-# A solution is taken when no row misses by more than this of its terms.
-_RESIDUAL = 1e-9
+RESIDUAL = 1e-8
+"""A solution is taken when no row misses by more than this of its terms."""
+
 # Unknowns below this part of the largest of their kind are rounding.
 _ROUNDING = 1e-13
 # A guess is improved so many times before Lemke's algorithm starts from nothing.
@@ -104,7 +106,7 @@ def step_residual(matrix: Array, vector: Array, z: Array) -> float:
     for i in range(size):
         missed = abs(w[i]) if z[i] > 0.0 else -w[i]
         kind = 1 if i % UNKNOWNS == 3 else 0
-        floor = max(terms[i], 1e-3 * _ROUNDING / _RESIDUAL * largest[kind])
+        floor = max(terms[i], 1e-3 * _ROUNDING / RESIDUAL * largest[kind])
         if missed > worst * floor:
             worst = missed / floor
     return worst
@@ -177,13 +179,13 @@ def solve_contacts(
                 for j in range(size):
                     w += matrix[i, j] * z[j]
                     terms += abs(matrix[i, j] * z[j])
-                if w < -_RESIDUAL * terms:
+                if w < -RESIDUAL * terms:
                     following[i] = True
                     changed = True
         if not changed:
             break
         basis = following
-    if z.min() >= 0.0 and step_residual(matrix, vector, z) <= _RESIDUAL:
+    if z.min() >= 0.0 and step_residual(matrix, vector, z) <= RESIDUAL:
         return True, z, basis
     scales = symmetric_scales(matrix)
     scaled = np.empty((size, size))
@@ -198,7 +200,7 @@ def solve_contacts(
         solved, z = on_support(matrix, vector, basis)
         if solved:
             z = np.maximum(_settled(z), 0.0)
-            if step_residual(matrix, vector, z) <= _RESIDUAL:
+            if step_residual(matrix, vector, z) <= RESIDUAL:
                 return True, z, basis
     return False, np.zeros(size), basis
 

@@ -49,7 +49,7 @@ class SceneStepper:
     Raises
     ------
     Unsupported
-        If the scene has regions of its own.
+        If the scene has regions of its own, or contacts that can be off.
     """
 
     def __init__(
@@ -64,6 +64,12 @@ class SceneStepper:
             raise Unsupported(
                 f"time stepping knows no regions beside contacts ({', '.join(scene.regions)}): "
                 "take the engine taylor or scipy"
+            )
+        gated = [name for name in scene.contacts if scene.gate(name)]
+        if gated:
+            raise Unsupported(
+                f"time stepping knows no conditions of contacts ({', '.join(gated)}): take the "
+                "engine taylor or scipy"
             )
         symbols = list(parameters.symbols.values())
         self._scene = scene

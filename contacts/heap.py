@@ -1,0 +1,429 @@
+"""Many free bodies that collide by their shapes, as the time stepper takes them.
+
+Each body is a region of the trace: it is free, or it slides or is pinned at what it touches. No
+equations are composed: what moves a body are gravity and the impulses of its contacts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from contacts import impulse
+from contacts.heap_kernels import DONE, HARD, MEMORY, NOT_FINITE, step_heap
+from contacts.impulse import Stepping
+from contacts.kernels import FREE
+from contacts.mechanics import Mechanics
+from contacts.recognise import Chunk
+from contacts.scales import Scales
+from contacts.scene import Scene
+from contacts.setup import SceneSetup, scene_parameters
+from contacts.shapes import copies
+from contacts.stepped_scene import widened
+from statechart.automaton import (
+    Automaton,
+    Edge,
+    Flow,
+    Margin,
+    Projector,
+    Region,
+    Setup,
+    State,
+)
+from statechart.declaration import TIME
+from statechart.errors import (
+    DeclarationProblem,
+    NonFinite,
+    SimulationError,
+    UnsolvedImpulses,
+    Unsupported,
+)
+from statechart.formula import parse, parse_relation
+from statechart.parameters import Parameters
+from statechart.tape import compile_tape
+from statechart.trace import Clock, Jump, Key, Trace
+
+__all__ = ["CAUSES", "STATES", "heap"]
+
+Array = NDArray[np.float64]
+
+STATES = ("free", "slide", "pin")
+CAUSES = ("touchdown", "liftoff", "slip", "stick")
+
+_RELATIVE = 1e-9
+# Bodies may overlap at the start by this part of the scene.
+_START_DEPTH = 1e-6
+_PER_BODY = 24
+# Unknowns of a step solved outside its kernel.
+_MOST_GIVEN = 4096
+_ONLY_IMPULSE = (
+    "bodies that collide by their shapes run on the engine impulse alone: say --engine impulse "
+    "--step 1e-3, or write settings: {engine: impulse, step: 1e-3}"
+)
+
+
+def heap(scene: Scene) -> Automaton:
+    """Return the automaton of a scene with collisions: its regions, and what steps it."""
+    bodies = scene.single_bodies()
+    owners = [
+        name
+        for name, count in copies(scene, scene.values()).items()
+        for _ in range(1 if count is None else count)
+    ]
+    scene = scene.model_copy(update={"bodies": bodies})
+    parameters = scene_parameters(scene)
+    mechanics = Mechanics(scene, parameters.symbols, {})
+    names = mechanics.names
+    rates = tuple(scene.rate_name(name) for name in names)
+    known: dict[str, sp.Expr] = {
+        TIME: mechanics.time,
+        **parameters.symbols,
+        **dict(zip(names, mechanics.q, strict=True)),
+        **dict(zip(rates, mechanics.v, strict=True)),
+    }
+    observables = known | {"energy": _energy(scene, mechanics, known)}
+    stops = {
+        name: Margin(name, parse_relation(text).margin(observables))
+        for name, text in scene.stop.conditions.items()
+    }
+    return Automaton(
+        name=scene.name,
+        declaration=scene,
+        names=(*names, *rates),
+        variables=(*mechanics.q, *mechanics.v),
+        parameter_names=parameters.names,
+        parameters=tuple(parameters.symbols.values()),
+        time=mechanics.time,
+        unknowns=mechanics.a,
+        rates=(*mechanics.v, *mechanics.a),
+        equations=(),
+        regions=tuple(Region(name, STATES, lambda state: State(), _EDGES) for name in bodies),
+        stops=stops,
+        observables=observables,
+        laws=_ImpulseOnly(),
+        stepper=lambda: HeapStepper(
+            scene, owners, mechanics, parameters, stops, observables["energy"]
+        ),
+    )
+
+
+_EDGES = (
+    *(Edge("touchdown", "free", s, "an impulse acts on the body") for s in STATES),
+    *(Edge("liftoff", s, "free", "no impulse acts on the body") for s in STATES[1:]),
+    Edge("stick", "slide", "pin", "a contact has no slip"),
+    Edge("slip", "pin", "slide", "all contacts slip"),
+)
+
+
+def _energy(scene: Scene, mechanics: Mechanics, known: Mapping[str, sp.Expr]) -> sp.Expr:
+    gx, gy = mechanics.gravity
+    terms = []
+    for name, body in scene.bodies.items():
+        mass = parse(body.mass).to_sympy(known)
+        x, y, dx, dy, turn = (known[f"{name}.{c}"] for c in ("x", "y", "dx", "dy", "dangle"))
+        terms.append(mass * (dx**2 + dy**2) / 2 + known[f"{name}.inertia"] * turn**2 / 2)
+        terms.append(-mass * (gx * x + gy * y))
+    return sp.Add(*terms)
+
+
+class _ImpulseOnly:
+    """Laws of a scene that no engine with events can run: they say so."""
+
+    def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
+        raise Unsupported(_ONLY_IMPULSE)
+
+    def begin(self, setup: Setup) -> tuple[Flow, Array]:
+        raise Unsupported(_ONLY_IMPULSE)
+
+    def jump(
+        self, setup: Setup, clock: Clock, j: int, flow: Flow, state: Array, fired: tuple[str, ...]
+    ) -> tuple[Jump, Flow] | None:
+        raise Unsupported(_ONLY_IMPULSE)
+
+    def accumulate(
+        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
+    ) -> tuple[Jump, Flow] | None:
+        raise Unsupported(_ONLY_IMPULSE)
+
+    def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Projector | None:
+        raise Unsupported(_ONLY_IMPULSE)
+
+
+class HeapStepper:
+    """Steps colliding bodies (see `statechart.stepping.TimeStepper`).
+
+    Parameters
+    ----------
+    scene : Scene
+        Its bodies one by one.
+    owners : sequence of str
+        What each of them is a copy of, or itself.
+    mechanics : Mechanics
+        Names and symbols.
+    parameters : Parameters
+        From `scene_parameters`.
+    stops : mapping
+        Stop condition -> margin.
+    energy : Expr
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        owners: Sequence[str],
+        mechanics: Mechanics,
+        parameters: Parameters,
+        stops: Mapping[str, Margin],
+        energy: sp.Expr,
+    ) -> None:
+        symbols = list(parameters.symbols.values())
+        self._scene, self._owners, self._parameters = scene, owners, parameters
+        names = mechanics.names
+        variables = (*mechanics.q, *mechanics.v)
+        self._stepping = Stepping(
+            scene.name,
+            (*names, *map(scene.rate_name, names)),
+            parameters.names,
+            tuple(scene.bodies),
+            np.array([name.endswith(".angle") for name in names]),
+            compile_tape(
+                [margin.expression for margin in stops.values()],
+                variables=(*variables, *mechanics.a),
+                parameters=symbols,
+                time=mechanics.time,
+            ),
+            tuple(stops),
+            compile_tape([energy], variables=variables, parameters=symbols, time=mechanics.time),
+        )
+
+    def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
+        """Check the initial state; see `TimeStepper.start`."""
+        setup, _ = self._begin(overrides)
+        return ("free",) * len(self._scene.bodies), setup.warnings
+
+    def run(
+        self,
+        overrides: Mapping[str, float],
+        *,
+        step: float,
+        until: float,
+        max_jumps: int,
+        show: Callable[[float, int, int], None],
+    ) -> Trace:
+        """Run from the declared initial state; see `TimeStepper.run`."""
+        setup, bodies = self._begin(overrides)
+        count = len(self._scene.bodies)
+        return impulse.run(
+            self._stepping,
+            bodies,
+            setup,
+            np.full(count, FREE),
+            np.zeros(count, dtype=np.bool_),
+            step=step,
+            until=until,
+            max_jumps=max_jumps,
+            show=show,
+        )
+
+    def _begin(self, overrides: Mapping[str, float]) -> tuple[SceneSetup, SteppedHeap]:
+        numbers, further = self._parameters.values(overrides)
+        scene = self._scene
+        initial = further[: 6 * len(scene.bodies)]
+        known = scene.values(overrides)
+        if overrides:
+            scene.check_numbers(known)
+        if not np.isfinite(initial).all():
+            raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
+        bodies = SteppedHeap(scene, self._owners, known)
+        length = float(np.abs(initial.reshape(2, -1, 3)[0, :, :2]).max() + bodies.sizes.max())
+        speed = math.sqrt(math.hypot(*bodies.gravity) * length)
+        speed = max(speed, float(np.abs(initial[len(initial) // 2 :]).max())) or 1.0
+        scales = Scales(length, speed, speed**2 / length, 1.0, np.ones(len(initial)))
+        setup = SceneSetup(
+            values=numbers,
+            initial=initial,
+            tolerances={"gap": _RELATIVE * length, "speed": _RELATIVE * speed,
+                        "force": 0.0, "plain": 0.0},
+            relative=_RELATIVE,
+            scales=scales,
+            contacts=(),
+            capture=0.0,
+            bands={},
+        )  # fmt: skip
+        # A step of no length finds who overlaps.
+        trial = SteppedHeap(scene, self._owners, known)
+        trial.steps(0.0, 1e-9 * length / speed, initial, 1)
+        for name, margin in trial.margins.items():
+            if margin < -_START_DEPTH * length:
+                body = name.removesuffix(".gap")
+                raise DeclarationProblem(
+                    f"body {body!r} starts {-margin:.6g} deep in another body or a surface",
+                    advice="move it out",
+                    loc=("bodies", body, "start"),
+                )
+        return setup, bodies
+
+
+class SteppedHeap:
+    """One run of colliding bodies: what lasts from step to step.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its bodies one by one.
+    owners : sequence of str
+        What each of them is a copy of, or itself.
+    known : mapping of str to float
+        Parameters.
+    """
+
+    def __init__(self, scene: Scene, owners: Sequence[str], known: Mapping[str, float]) -> None:
+        def number(text: str | int | float) -> float:
+            return parse(text).value(known)
+
+        self._names = tuple(scene.bodies)
+        count = len(self._names)
+        corners: list[list[float]] = []
+        firsts, radii, sizes, inverse = [0], [], [], []
+        for name, body in scene.bodies.items():
+            shape, radius = body.shape, 0.0
+            mine: list[list[float]] = []
+            if shape is not None and shape.polygon is not None:
+                mine = [[number(x), number(y)] for x, y in shape.polygon]
+            elif shape is not None and shape.disc is not None:
+                radius = number(shape.disc)
+            mass, inertia = number(body.mass), number(body.inertia or 0)
+            if not inertia > 0.0:
+                raise DeclarationProblem(
+                    "a body that collides needs a positive inertia",
+                    loc=("bodies", name, "inertia"),
+                )
+            corners += mine
+            firsts.append(len(corners))
+            radii.append(radius)
+            sizes.append(max([math.hypot(*corner) for corner in mine], default=radius))
+            inverse.append([1.0 / mass, 1.0 / mass, 1.0 / inertia])
+        self._vertices = np.array(corners, dtype=float).reshape(-1, 2)
+        self._firsts = np.array(firsts, dtype=np.int64)
+        self._radii, self.sizes = np.array(radii), np.array(sizes)
+        self._inverse = np.array(inverse)
+        declared = scene.gravity
+        self.gravity = np.array(
+            [number(part) for part in declared]
+            if isinstance(declared, tuple)
+            else [0.0, -number(declared)]
+        )
+        self._surfaces = np.array(
+            [_straight(scene, name, number) for name in scene.surfaces], dtype=float
+        ).reshape(-1, 4)
+        self._pairs, self._materials = _materials(scene, owners, number)
+        self._keys = np.zeros((_PER_BODY * count, 2), dtype=np.int64)
+        self._memory = np.zeros((_PER_BODY * count, MEMORY))
+        self._remembered = 0
+        self._counts = np.zeros(2, dtype=np.int64)
+        self._least = np.full(count, np.inf)
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """The least gaps seen of every body, at the midpoints of steps."""
+        return {
+            f"{name}.gap": float(gap)
+            for name, gap in zip(self._names, self._least, strict=True)
+            if np.isfinite(gap)
+        }
+
+    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
+        """Take steps; see `SteppedScene.steps`."""
+        bodies = len(self._names)
+        states = np.empty((count + 1, 6 * bodies))
+        states[0] = state
+        now = state.copy()
+        solved, impulses = np.zeros((count, 3 * bodies)), np.zeros((count, bodies, 2))
+        codes = np.zeros((count, bodies), dtype=np.int64)
+        struck = np.zeros((count, bodies), dtype=np.bool_)
+        gaps = np.full((count, bodies), np.inf)
+        approach, closing = np.zeros(count), np.zeros(count)
+        given, done = np.zeros(0), 0
+        while done < count:
+            taken, status, self._remembered, delassus, least, cones = step_heap(
+                self._vertices, self._firsts, self._radii, self.sizes, self._inverse,
+                self.gravity, self._surfaces, self._pairs, self._materials, h, now,
+                self._keys, self._memory, self._remembered, given, states[done + 1 :],
+                solved[done:], impulses[done:], codes[done:], struck[done:], gaps[done:],
+                approach[done:], closing[done:], self._counts,
+            )  # fmt: skip
+            done += taken
+            if status == DONE:
+                break
+            try:
+                if status == NOT_FINITE:
+                    raise NonFinite("a coordinate became infinite or undefined")
+                if taken:
+                    given = np.zeros(0)
+                if len(given) > _MOST_GIVEN:
+                    raise UnsolvedImpulses("solutions of a step are not those of its problems")
+                given = np.concatenate([given, self._harder(status, delassus, least, cones)])
+            except SimulationError:
+                if done == 0:
+                    raise
+                break
+        if done:
+            self._least = np.minimum(self._least, gaps[:done].min(axis=0))
+        return Chunk(
+            h,
+            states[: done + 1],
+            solved[:done],
+            codes[:done],
+            struck[:done],
+            impulses[:done],
+            approach[:done],
+            closing[:done],
+        )
+
+    def _harder(self, status: int, delassus: Array, least: Array, cones: Array) -> Array:
+        if status == HARD and len(cones):
+            return widened(delassus, least, cones)
+        raise UnsolvedImpulses("an island of many contacts was swept without settling")
+
+
+def _straight(
+    scene: Scene, name: str, number: Callable[[str | int | float], float]
+) -> tuple[float, float, float, float]:
+    """Return a point of a straight surface, and its unit normal out of the solid."""
+    surface = scene.surfaces[name]
+    if surface.height is not None:
+        return 0.0, number(surface.height), 0.0, 1.0
+    if surface.line is not None:
+        (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in surface.line)
+        length = math.hypot(x1 - x0, y1 - y0)
+        return x0, y0, (y0 - y1) / length, (x1 - x0) / length
+    if surface.incline is not None:
+        angle = number(surface.incline)
+        x, y = surface.through
+        return number(x), number(y), -math.sin(angle), math.cos(angle)
+    # Declared, but nothing that collides touches it.
+    return 0.0, 0.0, 0.0, 1.0
+
+
+def _materials(
+    scene: Scene, owners: Sequence[str], number: Callable[[str | int | float], float]
+) -> tuple[NDArray[np.int64], Array]:
+    """Return which law bodies touch each other and surfaces by (b, b + s), and the laws (m, 3)."""
+    names, surfaces = list(scene.bodies), list(scene.surfaces)
+    pairs = np.full((len(names), len(names) + len(surfaces)), -1, dtype=np.int64)
+    laws = []
+    for law, collision in enumerate(scene.collisions.values()):
+        mu = number(collision.friction)
+        edge = (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1, mu), mu / math.hypot(1, mu))
+        laws.append((*edge, number(collision.restitution)))
+        members = [i for i, owner in enumerate(owners) if owner in collision.bodies]
+        others = [len(names) + surfaces.index(name) for name in collision.surfaces]
+        for one in members:
+            for other in [k for k in members if k > one] + others:
+                if pairs[one, other] < 0:
+                    pairs[one, other] = law
+    return pairs, np.array(laws)

@@ -1,0 +1,499 @@
+"""Time steps of many free bodies that collide, compiled once: block by block, island by island.
+
+The scheme is that of `contacts.scene_kernels`. The mass matrix is diagonal; bodies that touch each
+other form islands, each with a contact problem of its own, and islands too large for a dense
+problem are swept contact by contact (projected Gauss-Seidel; Moreau and Jean's contact dynamics).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from contacts.kernels import FREE, PIN, SLIDE
+from contacts.polygons import FOUND, against_surface, between, place
+from contacts.step_kernels import (
+    RESIDUAL,
+    UNKNOWNS,
+    capped,
+    impulses_of,
+    problem,
+    solve_contacts,
+    step_residual,
+)
+
+__all__ = ["DONE", "HARD", "MEMORY", "NOT_FINITE", "step_heap"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_kernel = njit(cache=True, no_cfunc_wrapper=True)
+
+DONE, HARD, NOT_FINITE = range(3)
+
+MEMORY = 5
+"""What is kept of a contact from step to step: level, lasting, impulses, number of its basis."""
+
+_PIVOTS = 20
+_SLOW = 2.0
+# Points of contact that a pair can have: a polygon on a surface has as many as corners.
+_POINTS = 16
+# Islands of more contacts are swept.
+_DENSE = 40
+_SWEEPS = 2000
+# Largest change of a velocity in a sweep that ends it, relative to the velocities.
+_SWEPT = 1e-9
+
+
+@_kernel
+def _island(parents: Ints, body: int) -> int:
+    while parents[body] != body:
+        parents[body] = parents[parents[body]]
+        body = parents[body]
+    return body
+
+
+@_kernel
+def _velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
+    total = 0.0
+    for side in range(2):
+        b = bodies[i, side]
+        if b >= 0:
+            for k in range(3):
+                total += rows[i, d, 3 * side + k] * rates[b, k]
+    return total
+
+
+@_kernel
+def _push(
+    bodies: Ints, rows: Array, inverse: Array, rates: Array, i: int, d: int, amount: float
+) -> None:
+    for side in range(2):
+        b = bodies[i, side]
+        if b >= 0:
+            for k in range(3):
+                rates[b, k] += inverse[b, k] * rows[i, d, 3 * side + k] * amount
+
+
+@_kernel
+def _compliance(bodies: Ints, rows: Array, inverse: Array, i: int, d: int, j: int, e: int) -> float:
+    """Return the velocity of contact i along d per unit impulse of contact j along e."""
+    total = 0.0
+    for side in range(2):
+        b = bodies[i, side]
+        if b < 0:
+            continue
+        for other in range(2):
+            if bodies[j, other] == b:
+                for k in range(3):
+                    total += rows[i, d, 3 * side + k] * inverse[b, k] * rows[j, e, 3 * other + k]
+    return total
+
+
+@_kernel
+def _sweep(
+    members: Ints,
+    bodies: Ints,
+    rows: Array,
+    inverse: Array,
+    cones: Array,
+    wanted: Array,
+    rates: Array,
+    impulses: Array,
+) -> bool:
+    """Sweep until nothing changes; `rates` and `impulses` are changed in place."""
+    size = len(members)
+    own = np.empty((size, 3))
+    for a in range(size):
+        i = members[a]
+        own[a, 0] = _compliance(bodies, rows, inverse, i, 0, i, 0)
+        own[a, 1] = _compliance(bodies, rows, inverse, i, 1, i, 1)
+        own[a, 2] = _compliance(bodies, rows, inverse, i, 0, i, 1)
+        _push(bodies, rows, inverse, rates, i, 0, impulses[i, 0])
+        _push(bodies, rows, inverse, rates, i, 1, impulses[i, 1])
+    for _ in range(_SWEEPS):
+        change, largest = 0.0, 0.0
+        for a in range(size):
+            i = members[a]
+            normal = _velocity(bodies, rows, rates, i, 0) + wanted[i, 0]
+            slip = _velocity(bodies, rows, rates, i, 1) + wanted[i, 1]
+            before_n, before_t = impulses[i, 0], impulses[i, 1]
+            # Both rows of a contact that sticks, solved together; else the edge of its cone.
+            wn, wt, wx = own[a]
+            cone_n, cone_t = max(cones[i, 0], 2.0**-12), cones[i, 1]
+            free_n = normal - wn * before_n - wx * before_t
+            free_t = slip - wx * before_n - wt * before_t
+            pn, pt = 0.0, 0.0
+            if free_n < 0.0:
+                det = wn * wt - wx * wx
+                if cone_t > 0.0 and det > 0.0:
+                    pn = (-wt * free_n + wx * free_t) / det
+                    pt = (wx * free_n - wn * free_t) / det
+                if cone_t == 0.0:
+                    pn, pt = -free_n / wn, 0.0
+                elif det <= 0.0 or pn < 0.0 or cone_n * abs(pt) > cone_t * pn:
+                    sign = math.copysign(cone_t / cone_n, pt)
+                    whole = wn + sign * wx
+                    pn = -free_n / whole if whole > 0.0 else -free_n / wn
+                    pt = sign * pn
+            impulses[i, 0], impulses[i, 1] = pn, pt
+            dn, dt = pn - before_n, pt - before_t
+            if dn != 0.0:
+                _push(bodies, rows, inverse, rates, i, 0, dn)
+            if dt != 0.0:
+                _push(bodies, rows, inverse, rates, i, 1, dt)
+            change = max(change, wn * abs(dn), wt * abs(dt))
+            largest = max(largest, wn * pn)
+        if change <= _SWEPT * largest:
+            return True
+    return False
+
+
+@_kernel
+def _swept(
+    members: Ints,
+    bodies: Ints,
+    rows: Array,
+    inverse: Array,
+    cones: Array,
+    wanted: Array,
+    loose: Array,
+    pushes: Array,
+    sliding: NDArray[np.bool_],
+    guesses: NDArray[np.bool_],
+) -> bool:
+    """Solve an island by sweeps from the impulses of the step before."""
+    part = pushes.copy()
+    if not _sweep(members, bodies, rows, inverse, cones, wanted, loose.copy(), part):
+        return False
+    for i in members:
+        pushes[i, 0], pushes[i, 1] = part[i, 0], part[i, 1]
+        edge = cones[i, 0] * abs(part[i, 1]) - cones[i, 1] * part[i, 0]
+        sliding[i] = edge >= -1e-9 * (part[i, 0] + abs(part[i, 1]))
+        for u in range(UNKNOWNS):
+            guesses[i, u] = False
+    return True
+
+
+@_kernel
+def _restore(state: Array, old: Array, h: float, n: int) -> None:
+    """Take the first half of a step back."""
+    for i in range(n):
+        state[i] -= 0.5 * h * old[i // 3, i % 3]
+
+
+@_kernel
+def step_heap(
+    vertices: Array,
+    firsts: Ints,
+    radii: Array,
+    sizes: Array,
+    inverse: Array,
+    gravity: Array,
+    surfaces: Array,
+    pairs: Ints,
+    materials: Array,
+    h: float,
+    state: Array,
+    keys: Ints,
+    memory: Array,
+    remembered: int,
+    given: Array,
+    states: Array,
+    solved: Array,
+    impulses: Array,
+    codes: Ints,
+    struck: NDArray[np.bool_],
+    gaps: Array,
+    approach: Array,
+    closing: Array,
+    counts: Ints,
+) -> tuple[int, int, int, Array, Array, Array]:
+    """Take steps until the arrays are full.
+
+    Return (steps, status, number remembered, W, free, cones); see `scene_kernels.step_scene`.
+
+    Parameters
+    ----------
+    vertices : (v, 2), firsts : (b + 1,)
+        Corners of all bodies in their frames, and where those of a body begin; none of discs.
+    radii, sizes : (b,)
+        Of discs; and how far the body reaches from its centre.
+    inverse : (b, 3)
+        1/mass, 1/mass, 1/moment of inertia.
+    gravity : (2,)
+    surfaces : (s, 4)
+        A point, and the normal.
+    pairs : (b, b + s)
+        Which material bodies touch each other and surfaces with; -1: they do not.
+    materials : (m, 3)
+        Edge of the cone (2), restitution.
+    h : float
+    state : (6 b,)
+        All coordinates, all rates; changed in place, as are the following.
+    keys : (c, 2), memory : (c, MEMORY), remembered : int
+        Contacts of the step before: pair and feature; see `MEMORY`.
+    given : (4 m,)
+        Solutions of problems of the first step that were not solved before.
+    states, solved, impulses, codes, struck, gaps, approach, closing
+        As `step_scene`, per body instead of per contact; `solved` has accelerations alone.
+    counts : (2,)
+        Contacts that took part so far, and islands that were swept.
+    """
+    b_count, s_count = len(sizes), len(surfaces)
+    n = 3 * b_count
+    most = len(keys)
+    nothing, none = np.empty((0, 0)), np.empty((0, 2))
+    found = np.empty((_POINTS, FOUND))
+    bodies = np.empty((most, 2), np.int64)
+    rows = np.empty((most, 2, 6))
+    new_keys = np.empty((most, 2), np.int64)
+    new_memory = np.empty((most, MEMORY))
+    cones, elastic = np.empty((most, 2)), np.empty(most)
+    before, free, wanted = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2))
+    pushes = np.empty((most, 2))
+    hit, sliding = np.empty(most, np.bool_), np.empty(most, np.bool_)
+    guesses = np.empty((most, UNKNOWNS), np.bool_)
+    centres = np.empty((b_count, 2))
+    world = np.empty_like(vertices)
+    reach = np.empty(b_count)
+    fall = math.hypot(gravity[0], gravity[1]) * h
+    for k in range(len(states)):
+        old = state[n:].copy().reshape(b_count, 3)
+        loose = old.copy()
+        for b in range(b_count):
+            at = 3 * b
+            x = state[at] + 0.5 * h * old[b, 0]
+            y = state[at + 1] + 0.5 * h * old[b, 1]
+            angle = state[at + 2] + 0.5 * h * old[b, 2]
+            state[at], state[at + 1], state[at + 2] = x, y, angle
+            centres[b, 0], centres[b, 1] = x, y
+            world[firsts[b] : firsts[b + 1]] = place(
+                vertices[firsts[b] : firsts[b + 1]], x, y, angle
+            )
+            loose[b, 0] += h * gravity[0]
+            loose[b, 1] += h * gravity[1]
+            speed = math.hypot(old[b, 0], old[b, 1]) + sizes[b] * abs(old[b, 2]) + fall
+            reach[b] = 2.0 * h * speed
+        m, at_old = 0, 0
+        approach[k] = closing[k] = 0.0
+        for b in range(b_count):
+            gaps[k, b] = math.inf
+            struck[k, b] = False
+            codes[k, b] = FREE
+            impulses[k, b, 0] = impulses[k, b, 1] = 0.0
+        for b in range(b_count):
+            mine = world[firsts[b] : firsts[b + 1]]
+            for c in range(b + 1, b_count + s_count):
+                material = pairs[b, c]
+                if material < 0:
+                    continue
+                if c < b_count:
+                    within = reach[b] + reach[c]
+                    away = math.hypot(centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1])
+                    if away > sizes[b] + sizes[c] + within:
+                        continue
+                    count, features = between(
+                        mine, centres[b], radii[b], world[firsts[c] : firsts[c + 1]],
+                        centres[c], radii[c], within, found,
+                    )  # fmt: skip
+                else:
+                    within = reach[b]
+                    px, py, nx, ny = surfaces[c - b_count]
+                    away = nx * (centres[b, 0] - px) + ny * (centres[b, 1] - py)
+                    if away > sizes[b] + within:
+                        continue
+                    count, features = against_surface(
+                        mine, centres[b], radii[b], surfaces[c - b_count], within, found
+                    )
+                pair = b * (b_count + s_count) + c
+                while at_old < remembered and keys[at_old, 0] < pair:
+                    at_old += 1
+                for p in range(count):
+                    nx, ny, x, y, gap = found[p]
+                    gaps[k, b] = min(gaps[k, b], gap)
+                    if c < b_count:
+                        gaps[k, c] = min(gaps[k, c], gap)
+                    if m == most:
+                        continue
+                    level, lasting, basis = 0.0, False, -1
+                    pushes[m, 0] = pushes[m, 1] = 0.0
+                    place_old = at_old
+                    while place_old < remembered and keys[place_old, 0] == pair:
+                        if keys[place_old, 1] == features[p]:
+                            level = memory[place_old, 0]
+                            lasting = memory[place_old, 1] > 0.0
+                            pushes[m, 0], pushes[m, 1] = memory[place_old, 2], memory[place_old, 3]
+                            basis = int(memory[place_old, 4])
+                        place_old += 1
+                    bodies[m, 0], bodies[m, 1] = b, c if c < b_count else -1
+                    for d in range(2):
+                        ux, uy = (nx, ny) if d == 0 else (ny, -nx)
+                        rx, ry = x - centres[b, 0], y - centres[b, 1]
+                        rows[m, d, 0], rows[m, d, 1], rows[m, d, 2] = ux, uy, rx * uy - ry * ux
+                        if c < b_count:
+                            rx, ry = x - centres[c, 0], y - centres[c, 1]
+                            rows[m, d, 3], rows[m, d, 4] = -ux, -uy
+                            rows[m, d, 5] = -(rx * uy - ry * ux)
+                        before[m, d] = _velocity(bodies, rows, old, m, d)
+                        free[m, d] = _velocity(bodies, rows, loose, m, d)
+                    if gap > 0.0 and not lasting:
+                        level = 0.0
+                    nearing = -before[m, 0]
+                    slow = max(_SLOW * abs(free[m, 0] - before[m, 0]), _SLOW * fall)
+                    above = gap - level
+                    hit[m] = False
+                    wanted[m, 0] = wanted[m, 1] = 0.0
+                    # What is slow is let in before it arrives: others may push it there now.
+                    soon = above + h * (free[m, 0] - slow) <= 0.0
+                    if lasting or (nearing <= slow and soon):
+                        if above < 0.0 and not lasting:
+                            level, above = gap, 0.0
+                        wanted[m, 0] = above / h
+                    elif above <= 0.0 and nearing > slow:
+                        hit[m] = True
+                        wanted[m, 0] = -materials[material, 2] * nearing
+                        approach[k] = max(approach[k], nearing)
+                        closing[k] = max(closing[k], -gap)
+                        level = min(gap, 0.0)
+                    else:
+                        continue
+                    cones[m, 0], cones[m, 1] = materials[material, 0], materials[material, 1]
+                    elastic[m] = materials[material, 2]
+                    new_keys[m, 0], new_keys[m, 1] = pair, features[p]
+                    new_memory[m, 0] = level
+                    new_memory[m, 1] = 0.0 if lasting or hit[m] else above
+                    if basis >= 0:
+                        for u in range(UNKNOWNS):
+                            guesses[m, u] = (basis >> u) & 1 == 1
+                    else:
+                        toward = free[m, 1] < 0.0
+                        guesses[m, 0] = True
+                        guesses[m, 1] = toward and cones[m, 1] > 0.0
+                        guesses[m, 2] = not toward and cones[m, 1] > 0.0
+                        guesses[m, 3] = cones[m, 1] > 0.0
+                    m += 1
+        counts[0] += m
+        parents = np.arange(b_count)
+        for i in range(m):
+            if bodies[i, 1] >= 0:
+                one, other = _island(parents, bodies[i, 0]), _island(parents, bodies[i, 1])
+                parents[one] = other
+        owners = np.empty(m, np.int64)
+        for i in range(m):
+            owners[i] = _island(parents, bodies[i, 0])
+        rates = loose.copy()
+        for island in range(b_count):
+            members = np.nonzero(owners == island)[0]
+            size = len(members)
+            if size == 0:
+                continue
+            rebounds = False
+            for a in range(size):
+                rebounds = rebounds or (hit[members[a]] and elastic[members[a]] > 0.0)
+            if size > _DENSE and _swept(
+                members, bodies, rows, inverse, cones, wanted, loose, pushes, sliding, guesses
+            ):
+                counts[1] += 1
+                continue
+            delassus = np.zeros((2 * size, 2 * size))
+            least, unforced = np.empty((size, 2)), np.empty((size, 2))
+            ours, start = np.empty((size, 2)), np.empty((size, 2))
+            guess = np.empty(UNKNOWNS * size, np.bool_)
+            for a in range(size):
+                i = members[a]
+                for d in range(2):
+                    unforced[a, d] = free[i, d]
+                    least[a, d] = free[i, d] + wanted[i, d]
+                    ours[a, d], start[a, d] = cones[i, d], before[i, d]
+                    for q in range(size):
+                        for e in range(2):
+                            delassus[2 * a + d, 2 * q + e] = _compliance(
+                                bodies, rows, inverse, i, d, members[q], e
+                            )
+                for u in range(UNKNOWNS):
+                    guess[UNKNOWNS * a + u] = guesses[i, u]
+            limit = 50 + _PIVOTS * UNKNOWNS * size
+            good, z, basis_found = False, given, given > 0.0
+            if k == 0 and len(given) >= UNKNOWNS * size:
+                # Whose solution is which, the residual tells.
+                matrix, vector = problem(delassus, least, ours)
+                for first in range(0, len(given) - UNKNOWNS * size + 1, UNKNOWNS):
+                    z = given[first : first + UNKNOWNS * size].copy()
+                    if step_residual(matrix, vector, z) <= RESIDUAL:
+                        good, basis_found = True, z > 0.0
+                        break
+            if not good:
+                good, z, basis_found = solve_contacts(delassus, least, ours, guess, limit)
+            if not good:
+                # All but degenerate: the sweeps need no basis.
+                counts[1] += 1
+                if not _swept(members, bodies, rows, inverse, cones, wanted, loose, pushes,
+                              sliding, guesses):  # fmt: skip
+                    _restore(state, old, h, n)
+                    return k, HARD, remembered, delassus, least, ours
+                continue
+            chosen = impulses_of(z)
+            if rebounds:
+                soft = least.copy()
+                for a in range(size):
+                    if hit[members[a]]:
+                        soft[a, 0] = unforced[a, 0]
+                good, plastic, _ = solve_contacts(delassus, soft, ours, guess, limit)
+                if good:
+                    chosen, _ = capped(delassus, start, unforced, impulses_of(plastic), chosen)
+            for a in range(size):
+                i = members[a]
+                pushes[i, 0], pushes[i, 1] = chosen[a, 0], chosen[a, 1]
+                sliding[i] = z[UNKNOWNS * a + 3] > 0.0
+                for u in range(UNKNOWNS):
+                    guesses[i, u] = basis_found[UNKNOWNS * a + u]
+        steady = loose.copy()
+        for i in range(m):
+            for d in range(2):
+                if pushes[i, d] != 0.0:
+                    _push(bodies, rows, inverse, rates, i, d, pushes[i, d])
+                    if not hit[i]:
+                        _push(bodies, rows, inverse, steady, i, d, pushes[i, d])
+            pressed = pushes[i, 0] > 0.0
+            lasts = pressed and not (hit[i] and elastic[i] > 0.0)
+            keys[i, 0], keys[i, 1] = new_keys[i, 0], new_keys[i, 1]
+            memory[i, 0] = new_memory[i, 0]
+            memory[i, 1] = 1.0 if lasts else 0.0
+            memory[i, 2], memory[i, 3] = pushes[i, 0], pushes[i, 1]
+            number = 0
+            for u in range(UNKNOWNS):
+                if guesses[i, u]:
+                    number |= 1 << u
+            memory[i, 4] = number if guesses[i, 0] else -1
+            for side in range(2):
+                b = bodies[i, side]
+                if b < 0:
+                    continue
+                if hit[i] and pressed:
+                    struck[k, b] = True
+                    impulses[k, b, 0] += pushes[i, 0]
+                    impulses[k, b, 1] += pushes[i, 1] if side == 0 else -pushes[i, 1]
+                if lasts:
+                    if not hit[i]:
+                        closing[k] = max(closing[k], new_memory[i, 1])
+                    sticks = cones[i, 1] > 0.0 and not sliding[i]
+                    if sticks:
+                        codes[k, b] = PIN
+                    elif codes[k, b] == FREE:
+                        codes[k, b] = SLIDE
+        remembered = m
+        for b in range(b_count):
+            for d in range(3):
+                at = 3 * b + d
+                solved[k, at] = (steady[b, d] - old[b, d]) / h
+                state[n + at] = rates[b, d]
+                state[at] += 0.5 * h * rates[b, d]
+                if not math.isfinite(state[at]):
+                    return k, NOT_FINITE, remembered, nothing, none, none
+        for i in range(2 * n):
+            states[k, i] = state[i]
+    return len(states), DONE, remembered, nothing, none, none

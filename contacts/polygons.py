@@ -1,0 +1,244 @@
+"""Where convex bodies touch: discs, polygons and straight surfaces in the plane, compiled once.
+
+Two polygons are told apart by the edge normal along which they are farthest from each other (the
+separating axis theorem); the edge that faces it is cut to the width of the first, and its ends
+are the points of contact (Gottschalk, Lin and Manocha 1996; Catto, Contact manifolds, 2007).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["FOUND", "against_surface", "between", "place"]
+
+Array = NDArray[np.float64]
+
+_kernel = njit(cache=True, no_cfunc_wrapper=True)
+
+FOUND = 5
+"""Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""
+
+# The second body's edge is taken where it is farther by more than this part of the sizes, so that
+# faces that lie on each other do not take turns.
+_PREFERRED = 1e-3
+
+
+@_kernel
+def place(vertices: Array, x: float, y: float, angle: float) -> Array:
+    """Return vertices (k, 2) of a body's frame in the world."""
+    c, s = math.cos(angle), math.sin(angle)
+    placed = np.empty_like(vertices)
+    for i in range(len(vertices)):
+        placed[i, 0] = x + c * vertices[i, 0] - s * vertices[i, 1]
+        placed[i, 1] = y + s * vertices[i, 0] + c * vertices[i, 1]
+    return placed
+
+
+@_kernel
+def against_surface(
+    body: Array, centre: Array, radius: float, surface: Array, within: float, found: Array
+) -> tuple[int, NDArray[np.int64]]:
+    """Find the points of a body near a straight surface; return their number and features.
+
+    Parameters
+    ----------
+    body : (k, 2)
+        Vertices in the world; none of a disc.
+    centre : (2,)
+    radius : float
+        Of a disc.
+    surface : (4,)
+        A point, and the unit normal out of the solid.
+    within : float
+        Gaps up to this are found.
+    found : (m, FOUND)
+        To be filled.
+    """
+    features = np.empty(len(found), np.int64)
+    px, py, nx, ny = surface
+    count = 0
+    if len(body) == 0:
+        gap = nx * (centre[0] - px) + ny * (centre[1] - py) - radius
+        if gap <= within:
+            found[0] = (nx, ny, centre[0] - radius * nx, centre[1] - radius * ny, gap)
+            features[0] = 0
+            count = 1
+        return count, features
+    for i in range(len(body)):
+        gap = nx * (body[i, 0] - px) + ny * (body[i, 1] - py)
+        if gap <= within and count < len(found):
+            found[count] = (nx, ny, body[i, 0], body[i, 1], gap)
+            features[count] = i
+            count += 1
+    return count, features
+
+
+@_kernel
+def _farthest(one: Array, other: Array) -> tuple[float, int]:
+    """Return the largest separation along an edge normal of `one`, and that edge."""
+    best, edge = -math.inf, 0
+    for i in range(len(one)):
+        j = (i + 1) % len(one)
+        ex, ey = one[j, 0] - one[i, 0], one[j, 1] - one[i, 1]
+        length = math.hypot(ex, ey)
+        nx, ny = ey / length, -ex / length
+        least = math.inf
+        for k in range(len(other)):
+            least = min(least, nx * (other[k, 0] - one[i, 0]) + ny * (other[k, 1] - one[i, 1]))
+        if least > best:
+            best, edge = least, i
+    return best, edge
+
+
+@_kernel
+def _clipped(
+    one: Array, edge: int, other: Array, within: float, flip: bool, found: Array
+) -> tuple[int, NDArray[np.int64]]:
+    features = np.empty(len(found), np.int64)
+    j = (edge + 1) % len(one)
+    ex, ey = one[j, 0] - one[edge, 0], one[j, 1] - one[edge, 1]
+    length = math.hypot(ex, ey)
+    ex, ey = ex / length, ey / length
+    nx, ny = ey, -ex
+    facing, least = 0, math.inf
+    for k in range(len(other)):
+        m = (k + 1) % len(other)
+        dx, dy = other[m, 0] - other[k, 0], other[m, 1] - other[k, 1]
+        against = (dy * nx - dx * ny) / math.hypot(dx, dy)
+        if against < least:
+            least, facing = against, k
+    m = (facing + 1) % len(other)
+    count = 0
+    ax, ay, bx, by = other[facing, 0], other[facing, 1], other[m, 0], other[m, 1]
+    sa = ex * (ax - one[edge, 0]) + ey * (ay - one[edge, 1])
+    sb = ex * (bx - one[edge, 0]) + ey * (by - one[edge, 1])
+    for end in range(2):
+        s, x, y = (sa, ax, ay) if end == 0 else (sb, bx, by)
+        t, u, v = (sb, bx, by) if end == 0 else (sa, ax, ay)
+        kept = s
+        if s < 0.0:
+            kept = 0.0
+        elif s > length:
+            kept = length
+        if kept != s:
+            # The other end of the facing edge must lie beyond the cut.
+            if (kept - s) * (t - kept) <= 0.0:
+                continue
+            part = (kept - s) / (t - s)
+            x, y = x + part * (u - x), y + part * (v - y)
+        gap = nx * (x - one[edge, 0]) + ny * (y - one[edge, 1])
+        if gap <= within:
+            sign = -1.0 if flip else 1.0
+            found[count] = (-sign * nx, -sign * ny, x, y, gap)
+            features[count] = 4 * (64 * edge + facing) + 2 * end + (1 if flip else 0)
+            count += 1
+    return count, features
+
+
+@_kernel
+def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int, NDArray[np.int64]]:
+    """Take the nearest corners of polygons whose facing edges do not overlap."""
+    features = np.zeros(len(found), np.int64)
+    best, a, b = math.inf, 0, 0
+    for i in range(len(one)):
+        for k in range(len(other)):
+            d = math.hypot(one[i, 0] - other[k, 0], one[i, 1] - other[k, 1])
+            if d < best:
+                best, a, b = d, i, k
+    if best > within or best == 0.0:
+        return 0, features
+    nx, ny = (one[a, 0] - other[b, 0]) / best, (one[a, 1] - other[b, 1]) / best
+    found[0] = (nx, ny, other[b, 0], other[b, 1], best)
+    features[0] = -1 - (64 * a + b)
+    return 1, features
+
+
+@_kernel
+def _disc_and_polygon(
+    centre: Array, radius: float, polygon: Array, flip: bool, within: float, found: Array
+) -> tuple[int, NDArray[np.int64]]:
+    features = np.zeros(len(found), np.int64)
+    best, edge = -math.inf, 0
+    for i in range(len(polygon)):
+        j = (i + 1) % len(polygon)
+        ex, ey = polygon[j, 0] - polygon[i, 0], polygon[j, 1] - polygon[i, 1]
+        length = math.hypot(ex, ey)
+        away = (ey * (centre[0] - polygon[i, 0]) - ex * (centre[1] - polygon[i, 1])) / length
+        if away > best:
+            best, edge = away, i
+    j = (edge + 1) % len(polygon)
+    ex, ey = polygon[j, 0] - polygon[edge, 0], polygon[j, 1] - polygon[edge, 1]
+    length = math.hypot(ex, ey)
+    s = (ex * (centre[0] - polygon[edge, 0]) + ey * (centre[1] - polygon[edge, 1])) / length
+    part = min(max(s / length, 0.0), 1.0)
+    x, y = polygon[edge, 0] + part * ex, polygon[edge, 1] + part * ey
+    nx, ny = ey / length, -ex / length
+    gap = best - radius
+    if best > 0.0 and (s < 0.0 or s > length):
+        away = math.hypot(centre[0] - x, centre[1] - y)
+        nx, ny, gap = (centre[0] - x) / away, (centre[1] - y) / away, away - radius
+    if gap > within:
+        return 0, features
+    sign = -1.0 if flip else 1.0
+    found[0] = (sign * nx, sign * ny, x, y, gap)
+    return 1, features
+
+
+@_kernel
+def between(
+    one: Array,
+    one_centre: Array,
+    one_radius: float,
+    other: Array,
+    other_centre: Array,
+    other_radius: float,
+    within: float,
+    found: Array,
+) -> tuple[int, NDArray[np.int64]]:
+    """Find the points where two bodies are near each other; return their number and features.
+
+    Parameters
+    ----------
+    one, other : (k, 2)
+        Vertices in the world, counter-clockwise; none of a disc.
+    one_centre, other_centre : (2,)
+    one_radius, other_radius : float
+        Of discs.
+    within : float
+        Gaps up to this are found.
+    found : (m, FOUND)
+        To be filled.
+    """
+    if len(one) == 0 and len(other) == 0:
+        features = np.zeros(len(found), np.int64)
+        dx, dy = one_centre[0] - other_centre[0], one_centre[1] - other_centre[1]
+        away = math.hypot(dx, dy)
+        gap = away - one_radius - other_radius
+        if gap > within or away == 0.0:
+            return 0, features
+        nx, ny = dx / away, dy / away
+        x, y = other_centre[0] + other_radius * nx, other_centre[1] + other_radius * ny
+        found[0] = (nx, ny, x, y, gap)
+        return 1, features
+    if len(one) == 0:
+        return _disc_and_polygon(one_centre, one_radius, other, False, within, found)
+    if len(other) == 0:
+        return _disc_and_polygon(other_centre, other_radius, one, True, within, found)
+    first, edge = _farthest(one, other)
+    if first > within:
+        return 0, np.zeros(len(found), np.int64)
+    second, edge_of_other = _farthest(other, one)
+    if second > within:
+        return 0, np.zeros(len(found), np.int64)
+    width = math.hypot(one[0, 0] - one_centre[0], one[0, 1] - one_centre[1])
+    if second > first + _PREFERRED * width:
+        count, features = _clipped(other, edge_of_other, one, within, True, found)
+    else:
+        count, features = _clipped(one, edge, other, within, False, found)
+    if count == 0 and max(first, second) > 0.0:
+        return _corner(one, other, within, found)
+    return count, features
