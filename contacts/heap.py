@@ -52,7 +52,7 @@ __all__ = ["CAUSES", "STATES", "heap"]
 Array = NDArray[np.float64]
 
 STATES = ("free", "slide", "pin")
-CAUSES = ("touchdown", "liftoff", "slip", "stick")
+CAUSES = ("touchdown", "impact", "liftoff", "slip", "stick")
 
 _RELATIVE = 1e-9
 # Bodies may overlap at the start by this part of the scene.
@@ -113,6 +113,7 @@ def heap(scene: Scene) -> Automaton:
 
 _EDGES = (
     *(Edge("touchdown", "free", s, "an impulse acts on the body") for s in STATES),
+    *(Edge("impact", s, t, "another contact strikes") for s in STATES[1:] for t in STATES),
     *(Edge("liftoff", s, "free", "no impulse acts on the body") for s in STATES[1:]),
     Edge("stick", "slide", "pin", "a contact has no slip"),
     Edge("slip", "pin", "slide", "all contacts slip"),
@@ -318,7 +319,12 @@ class SteppedHeap:
             else [0.0, -number(declared)]
         )
         self._surfaces = np.array(
-            [_straight(scene, name, number) for name in scene.surfaces], dtype=float
+            [
+                _straight(scene, name, number)
+                for name in scene.surfaces
+                if any(name in collision.surfaces for collision in scene.collisions.values())
+            ],
+            dtype=float,
         ).reshape(-1, 4)
         self._pairs, self._materials = _materials(scene, owners, number)
         self._keys = np.zeros((_PER_BODY * count, 2), dtype=np.int64)
@@ -401,19 +407,18 @@ def _straight(
         (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in surface.line)
         length = math.hypot(x1 - x0, y1 - y0)
         return x0, y0, (y0 - y1) / length, (x1 - x0) / length
-    if surface.incline is not None:
-        angle = number(surface.incline)
-        x, y = surface.through
-        return number(x), number(y), -math.sin(angle), math.cos(angle)
-    # Declared, but nothing that collides touches it.
-    return 0.0, 0.0, 0.0, 1.0
+    angle = number(surface.incline or 0)
+    x, y = surface.through
+    return number(x), number(y), -math.sin(angle), math.cos(angle)
 
 
 def _materials(
     scene: Scene, owners: Sequence[str], number: Callable[[str | int | float], float]
 ) -> tuple[NDArray[np.int64], Array]:
     """Return which law bodies touch each other and surfaces by (b, b + s), and the laws (m, 3)."""
-    names, surfaces = list(scene.bodies), list(scene.surfaces)
+    names = list(scene.bodies)
+    used = {name for collision in scene.collisions.values() for name in collision.surfaces}
+    surfaces = [name for name in scene.surfaces if name in used]
     pairs = np.full((len(names), len(names) + len(surfaces)), -1, dtype=np.int64)
     laws = []
     for law, collision in enumerate(scene.collisions.values()):

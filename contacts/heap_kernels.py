@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from contacts.kernels import FREE, PIN, SLIDE
 from contacts.polygons import FOUND, against_surface, between, place
 from contacts.step_kernels import (
-    RESIDUAL,
+    LOOSEST,
     UNKNOWNS,
     capped,
     impulses_of,
@@ -353,7 +353,8 @@ def step_heap(
                         if above < 0.0 and not lasting:
                             level, above = gap, 0.0
                         wanted[m, 0] = above / h
-                    elif above <= 0.0 and nearing > slow:
+                    elif above <= 0.5 * h * nearing and nearing > slow:
+                        # Struck in the step whose middle is nearest to the instant of touching.
                         hit[m] = True
                         wanted[m, 0] = -materials[material, 2] * nearing
                         approach[k] = max(approach[k], nearing)
@@ -423,7 +424,7 @@ def step_heap(
                 matrix, vector = problem(delassus, least, ours)
                 for first in range(0, len(given) - UNKNOWNS * size + 1, UNKNOWNS):
                     z = given[first : first + UNKNOWNS * size].copy()
-                    if step_residual(matrix, vector, z) <= RESIDUAL:
+                    if step_residual(matrix, vector, z) <= LOOSEST:
                         good, basis_found = True, z > 0.0
                         break
             if not good:

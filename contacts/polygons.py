@@ -25,6 +25,8 @@ FOUND = 5
 # The second body's edge is taken where it is farther by more than this part of the sizes, so that
 # faces that lie on each other do not take turns.
 _PREFERRED = 1e-3
+# Points of an edge this close, relative to its length, are one.
+_SAME = 1e-3
 
 
 @_kernel
@@ -131,6 +133,9 @@ def _clipped(
             part = (kept - s) / (t - s)
             x, y = x + part * (u - x), y + part * (v - y)
         gap = nx * (x - one[edge, 0]) + ny * (y - one[edge, 1])
+        # Two points that are one but for rounding would share their impulse as they please.
+        if count == 1 and math.hypot(x - found[0, 2], y - found[0, 3]) <= _SAME * length:
+            continue
         if gap <= within:
             sign = -1.0 if flip else 1.0
             found[count] = (-sign * nx, -sign * ny, x, y, gap)

@@ -233,7 +233,7 @@ class Recorder:
                     self.clock.high,
                     len(self.jumps),
                     name,
-                    _cause(int(self.row[i]), int(row[i])),
+                    _cause(int(self.row[i]), int(row[i]), name in impulses),
                     self.key,
                     target,
                     before,
@@ -249,9 +249,11 @@ def _key(row: Codes) -> Key:
     return tuple([_NAMES[code] for code in row.tolist()])
 
 
-def _cause(before: int, after: int) -> str:
+def _cause(before: int, after: int, struck: bool) -> str:
     if before == FREE:
         return "touchdown"
+    if struck:
+        return "impact"
     if after == FREE:
         return "liftoff"
     if after == PIN:

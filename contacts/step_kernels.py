@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from contacts.lemke import FOUND, lemke, on_support
 
 __all__ = [
+    "LOOSEST",
     "RESIDUAL",
     "UNKNOWNS",
     "capped",
@@ -35,6 +36,9 @@ UNKNOWNS = 4
 
 RESIDUAL = 1e-8
 """A solution is taken when no row misses by more than this of its terms."""
+
+LOOSEST = 1e-6
+"""What is allowed where contacts are so nearly redundant that no way comes closer."""
 
 # Unknowns below this part of the largest of their kind are rounding.
 _ROUNDING = 1e-13

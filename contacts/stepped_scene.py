@@ -14,7 +14,7 @@ from contacts.mechanics import Mechanics
 from contacts.recognise import Chunk
 from contacts.scene_kernels import BAD_INERTIA, DONE, HARD, step_scene
 from contacts.setup import SceneSetup
-from contacts.step_kernels import RESIDUAL, UNKNOWNS, problem, step_residual
+from contacts.step_kernels import LOOSEST, UNKNOWNS, problem, step_residual
 from statechart.errors import NonFinite, SingularMode, UnsolvedImpulses
 from statechart.tape import Tape, compile_tape
 
@@ -192,7 +192,7 @@ def widened(delassus: Array, free: Array, cones: Array) -> Array:
         at += width
     # Its own measure forgives no row that is the rounding of others.
     left = step_residual(*problem(delassus, free, cones), z.ravel())
-    if left > RESIDUAL:
+    if left > LOOSEST:
         raise UnsolvedImpulses(
             f"{len(cones)} contacts: {solution.status.value} (residual {left:.2g})"
         )

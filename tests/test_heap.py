@@ -1,0 +1,129 @@
+"""Bodies that collide by their shapes, on the impulse-based engine."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from contacts.polygons import FOUND, between, place
+from statechart.document import interpret, read_text
+from statechart.errors import DeclarationError, StatechartError
+from statechart.run import Runner
+from statechart.trace import Outcome
+
+
+@pytest.fixture(scope="module")
+def dice():
+    return Runner("dice").run()
+
+
+def test_the_dice_come_to_rest_and_overlap_by_less_than_an_eighth_of_an_edge(dice):
+    trace = dice.trace
+    assert trace.outcome is Outcome.HORIZON
+    rates = trace.final[len(trace.final) // 2 :]
+    assert np.abs(rates).max() < 1e-9
+    assert min(trace.margins.values()) >= -0.016 / 8
+    assert set(trace.final_mode) == {"pin"}
+    assert trace.regions == tuple(f"die{k}" for k in range(10))
+
+
+def test_the_energy_of_the_dice_grows_by_no_more_than_the_bound_of_a_step(dice):
+    trace = dice.trace
+    times = 1e-3 * np.arange(2001)
+    times[-1] = trace.t_end
+    energy = dice.observer.sample(trace, ["energy"], times=times).columns["energy"]
+    mass = 10 * 1200 * 0.016**3
+    assert np.diff(energy).max() <= mass * 9.81**2 * 1e-6 / 8
+
+
+def test_every_jump_of_the_dice_is_an_edge_of_their_regions(dice):
+    edges = {(e.cause, e.source, e.target) for e in dice.observer.automaton.regions[0].edges}
+    for jump in dice.trace.jumps:
+        place_ = dice.trace.regions.index(jump.region)
+        assert (jump.cause, jump.source[place_], jump.target[place_]) in edges
+
+
+def test_the_number_of_copies_is_a_parameter():
+    result = Runner("dice").run({"n": 2}, until=0.01)
+    assert len(result.trace.variables) == 12
+
+
+def test_a_stack_of_boxes_stands_still():
+    result = Runner("box_stack").run()
+    assert result.outputs["fastest"] < 1e-10
+    assert result.outputs["top"] == pytest.approx(0.45, abs=1e-12)
+
+
+def test_a_stack_that_overhangs_topples():
+    result = Runner("box_stack").run({"offset": 0.09})
+    assert result.outputs["fastest"] > 0.1
+
+
+TWO = """
+kind: scene
+name: two
+gravity: 1
+bodies:
+  block:
+    copies: 2
+    mass: 1
+    inertia: 1
+    start: {y: 1 + 3*index}
+    shape: {polygon: [[-1, -1], [1, -1], [1, 1], [-1, 1]]}
+surfaces:
+  ground: {height: 0}
+  hill: {height: sin(x)}
+collisions:
+  all: {bodies: [block], surfaces: [ground], friction: 1, restitution: 0}
+stop: {time: 1}
+settings: {engine: impulse, step: 1e-2}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[[-1, -1], [1, -1], [1, 1], [-1, 1]]", "[[-1, -1], [-1, 1], [1, 1]]", "convex"),
+        ("copies: 2", "copies: 1.5", "whole number"),
+        ("surfaces: [ground]", "surfaces: [hill]", "straight surfaces"),
+        ("bodies: [block], surf", "bodies: [brick], surf", "no body 'brick'"),
+        ("    inertia: 1\n", "", "free and has an inertia"),
+        ("restitution: 0", "restitution: 2", "between 0 and 1"),
+    ],
+)
+def test_wrong_declarations_are_refused(old, new, words):
+    with pytest.raises(DeclarationError, match=words):
+        interpret(read_text(TWO.replace(old, new)))
+
+
+def test_bodies_that_overlap_at_the_start_are_refused():
+    with pytest.raises(DeclarationError, match="deep in another body"):
+        Runner(interpret(read_text(TWO.replace("3*index", "1.5*index")))).run()
+
+
+def test_engines_with_events_say_what_runs_it():
+    with pytest.raises(StatechartError, match="engine impulse"):
+        Runner(interpret(read_text(TWO)), engine="scipy").run()
+
+
+SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-3.2, 3.2), st.floats(-3.2, 3.2))
+@settings(max_examples=200, deadline=None)
+def test_contacts_of_two_squares_agree_with_their_corners(x, y, one_angle, other_angle):
+    one, other = place(SQUARE, 0.0, 0.0, one_angle), place(SQUARE, x, y, other_angle)
+    found, swapped = np.zeros((16, FOUND)), np.zeros((16, FOUND))
+    centre, away = np.zeros(2), np.array([x, y])
+    count, _ = between(one, centre, 0.0, other, away, 0.0, 0.1, found)
+    again, _ = between(other, away, 0.0, one, centre, 0.0, 0.1, swapped)
+    assert (count > 0) == (again > 0)
+    normals = found[:count, :2]
+    assert np.hypot(*normals.T) == pytest.approx(np.ones(count))
+    if count:
+        # No point is deeper than the bodies overlap along the normal.
+        n = found[0, :2]
+        separation = (one @ n).min() - (other @ n).max()
+        assert found[:count, 4].min() >= separation - 1e-9
