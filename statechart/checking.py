@@ -188,6 +188,11 @@ def check(
     """
     if examples < 1:
         raise ValueError(f"examples must be at least 1, not {examples}")
+    if model.settings.engine == "impulse":
+        raise DeclarationError(
+            f"{model.name!r} runs by time stepping, and checks compare engines with events",
+            advice="remove engine: impulse from its settings where it can run on taylor or scipy",
+        )
     subject = Subject(model)
     if model.stop.time is None:
         subject.end({})

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from runs import PARADOXICAL
+from runs import EVENT_BASED, PARADOXICAL
 
-import models
 from statechart.checking import check
 from statechart.comparison import Undecidable, assert_same
 from statechart.document import load
@@ -13,7 +12,7 @@ from statechart.engines.scipy import METHODS
 from statechart.simulate import Simulator
 from statechart.testing import Subject
 
-NAMES = models.names()
+NAMES = EVENT_BASED
 EXAMPLES = 6
 
 
