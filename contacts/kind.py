@@ -61,6 +61,7 @@ def automaton(scene: Scene) -> Automaton:
             partial(symbols, name),
             partial(mechanics.gates, name),
             jams=scene.jams(name),
+            bounces=scene.bounces(name),
             gate=scene.gate(name),
         )
         for name, contact in scene.contacts.items()

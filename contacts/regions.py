@@ -34,6 +34,7 @@ def region(
     gates: Callable[[], tuple[Margin, ...]],
     *,
     jams: bool,
+    bounces: bool,
     gate: str,
 ) -> Region:
     """Return the region of a contact.
@@ -50,6 +51,8 @@ def region(
         Its conditions, likewise.
     jams : bool
         Whether friction may press the point into the surface (see `Scene.jams`).
+    bounces : bool
+        Whether impacts may accumulate (see `Scene.bounces`).
     gate : str
         Conditions without which it is off; "" where it has none (see `Scene.gate`).
     """
@@ -69,10 +72,10 @@ def region(
 
     names = states(contact, gate=gate)
     groups = {s: "slide" for s in names if s in ("slide+", "slide-")}
-    return Region(name, names, build, edges(contact, jams=jams, gate=gate), groups)
+    return Region(name, names, build, edges(contact, jams=jams, bounces=bounces, gate=gate), groups)
 
 
-def edges(contact: Contact, *, jams: bool, gate: str) -> tuple[Edge, ...]:
+def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Edge, ...]:
     """Return the transitions of a contact's statechart; see `region`."""
     present = states(contact, gate="")
     closed = [s for s in present if s not in OPEN]
@@ -84,7 +87,7 @@ def edges(contact: Contact, *, jams: bool, gate: str) -> tuple[Edge, ...]:
             result.append(Edge("touchdown", "free", "free", "gap = 0, dgap < 0", rebound))
         for state in closed:
             result.append(Edge("touchdown", "free", state, "gap = 0, dgap < 0", _landing(state)))
-            if contact.restitution != 0:
+            if bounces:
                 guard = "bounces accumulate"
                 result.append(Edge("zeno", "free", state, guard, _landing(state, "skip them; ")))
         result += [Edge("liftoff", state, "free", "V < 0") for state in closed]

@@ -114,6 +114,12 @@ class Scene(Declaration):
         turns = body.inertia is not None or body.position is not None
         return rubs and turns and self.paradox == "impact"
 
+    def bounces(self, contact: str) -> bool:
+        """Whether impacts may accumulate: its own, or in turn with those elsewhere on its body."""
+        declared = self.contacts[contact]
+        beside = sum(other.point.body == declared.point.body for other in self.contacts.values())
+        return "free" in declared.kinds and (declared.restitution != 0 or beside > 1)
+
     @property
     def controlled(self) -> Controls:
         """The controls and the regions that set them."""
@@ -338,7 +344,10 @@ class Scene(Declaration):
             for c, x in self.contacts.items()
         } | {name: set(region.states) for name, region in self.regions.items()}
         causes = {
-            c: {edge.cause for edge in edges(x, jams=self.jams(c), gate=gates[c])}
+            c: {
+                edge.cause
+                for edge in edges(x, jams=self.jams(c), bounces=self.bounces(c), gate=gates[c])
+            }
             for c, x in self.contacts.items()
         } | {name: {t.name for t in region.transitions} for name, region in self.regions.items()}
         if self.collisions:

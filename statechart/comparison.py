@@ -169,9 +169,12 @@ def _story(trace: Trace, reading: Reading) -> _Story:
 
 
 def _without_skipped(stories: list[_Story]) -> list[_Story]:
-    """Leave out the bounces that at least one run summed up at the end of a Zeno sequence."""
+    """Leave out the bounces that at least one run summed up at the end of a Zeno sequence.
+
+    Several regions may bounce in turn, and rounding decides at which of them the sum begins.
+    """
     sums = [[event for event in story.events if event.skipped > 0.0] for story in stories]
-    if len({tuple(event.what[0] for event in events) for events in sums}) != 1:
+    if len(set(map(len, sums))) != 1:
         return stories
     windows = [
         (_WINDOW[0] * min(e.skipped for e in same), _WINDOW[1] * max(e.skipped for e in same))
@@ -186,20 +189,17 @@ def _without_skipped(stories: list[_Story]) -> list[_Story]:
 def _summed(
     events: Sequence[_Event], sums: Sequence[_Event], windows: Sequence[tuple[float, float]]
 ) -> Iterator[_Event]:
-    ends = [(e.what[0], e.t + e.skipped, *window) for e, window in zip(sums, windows, strict=True)]
+    ends = [(e.t + e.skipped, *window) for e, window in zip(sums, windows, strict=True)]
     for event in events:
-        left = [
-            (end - event.t, least, most)
-            for region, end, least, most in ends
-            if region == event.what[0]
-        ]
+        left = [(end - event.t, least, most) for end, least, most in ends]
         if any(least <= time <= most for time, least, most in left):
             continue
         if any(abs(time) < least for time, least, _ in left):
             # Where the bounces end the state just before is that of the last one resolved.
             n = len(event.numbers) // 2
             after = event.numbers[n + 1 :]
-            event = replace(event, numbers=np.concatenate([event.numbers[:1], after, after]))
+            numbers = np.concatenate([event.numbers[:1], after, after])
+            event = replace(event, what=("", event.what[1], (), event.what[3]), numbers=numbers)
         yield event
 
 
