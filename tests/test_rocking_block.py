@@ -46,8 +46,8 @@ def test_its_impacts_accumulate_when_the_reference_says_and_it_stands(engine: st
     assert trace.final_mode == ("pin", "pin")
     rest = trace.jumps[-1]
     assert rest.cause == "zeno"
-    # With steps of 1e-12 the rounding of some seventy impacts adds up to 2e-9.
-    allowed = 1e-9 if engine == "taylor" else 3e-9
+    # The looser the tolerance, the sooner the times of impacts are noise and their rest is summed.
+    allowed = 1e-9 if engine == "taylor" else 2e-8
     assert rest.t == pytest.approx(float(CASE["zeno_time"]), abs=allowed)
     # It has never slipped: it stands where it stood.
     assert trace.final == pytest.approx([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], abs=1e-11)
