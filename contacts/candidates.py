@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,7 @@ __all__ = [
     "Undetermined",
     "by_lemke",
     "candidates",
+    "consistent",
     "openness",
     "same_motion",
 ]
@@ -77,6 +78,7 @@ _UNSOLVED = {
     CONTRADICTORY: "its contacts cannot move like that together",
     UNDETERMINED: OPEN_LOAD,
 }
+_DETERMINED = (SOLVED, REDUNDANT)
 _UNEXPLAINED = "no forces within the cones explain its motion"
 _LESS = "moves like a mode that keeps more contacts closed or pinned"
 # Besides what `contacts.kernels` numbers: forces in no cone.
@@ -156,6 +158,67 @@ class Candidate(NamedTuple):
         return f"{contact}: " + _WORDS[which].format(number)
 
 
+class _Solved(Sequence["Candidate | Undetermined"]):
+    """Combinations as the kernel has solved them, made into objects when first asked for."""
+
+    def __init__(
+        self,
+        laws: Sequence[ContactLaw],
+        combinations: Sequence[tuple[str, ...]],
+        outcomes: Sequence[int],
+        accelerations: Array,
+        forces: Array,
+        verdicts: Sequence[Sequence[float]],
+    ) -> None:
+        self._laws, self._combinations = laws, combinations
+        self._outcomes, self._verdicts = outcomes, verdicts
+        self._accelerations, self._forces = accelerations, forces
+        self._made: dict[int, Candidate | Undetermined] = {}
+
+    def __len__(self) -> int:
+        return len(self._outcomes)
+
+    @overload
+    def __getitem__(self, k: int) -> Candidate | Undetermined: ...
+
+    @overload
+    def __getitem__(self, k: slice) -> Sequence[Candidate | Undetermined]: ...
+
+    def __getitem__(
+        self, k: int | slice
+    ) -> Candidate | Undetermined | Sequence[Candidate | Undetermined]:
+        if isinstance(k, slice):
+            return [*self][k]
+        made = self._made.get(k)
+        if made is None:
+            made = self._made[k] = self._make(k)
+        return made
+
+    def _make(self, k: int) -> Candidate | Undetermined:
+        states, outcome = self._combinations[k], self._outcomes[k]
+        if outcome not in _DETERMINED:
+            return states, _UNSOLVED.get(outcome, _SINGULAR)
+        violation, contact, which, number = self._verdicts[k]
+        broken = (self._laws[int(contact)].name if self._laws else "", int(which), number)
+        return Candidate(states, self._accelerations[k], self._forces[k], violation, broken)
+
+    def consistent(self, tie: float) -> list[Candidate]:
+        """Return what breaks no inequality by more than `tie`."""
+        found = (
+            self[k]
+            for k, (outcome, verdict) in enumerate(zip(self._outcomes, self._verdicts, strict=True))
+            if verdict[0] <= tie and outcome in _DETERMINED
+        )
+        return [one for one in found if isinstance(one, Candidate)]
+
+
+def consistent(tried: Sequence[Candidate | Undetermined], tie: float) -> list[Candidate]:
+    """Return the candidates that break no inequality by more than `tie`."""
+    if isinstance(tried, _Solved):
+        return tried.consistent(tie)
+    return [c for c in tried if isinstance(c, Candidate) and c.violation <= tie]
+
+
 def candidates(
     snapshot: Snapshot,
     laws: Sequence[ContactLaw],
@@ -164,7 +227,7 @@ def candidates(
     still: Sequence[bool],
     scales: Scales,
     tie: float = 0.0,
-) -> list[Candidate | Undetermined]:
+) -> Sequence[Candidate | Undetermined]:
     """Solve every combination of `options` (states per contact).
 
     Where contacts can stand in for each other, a combination is judged by whether some forces in
@@ -188,7 +251,7 @@ def candidates(
 
     Returns
     -------
-    list
+    sequence
         A `Candidate`, or (states, reason) where the combination determines no motion.
     """
     return _solved(snapshot, laws, *_combinations(tuple(options)), closed, still, scales, tie)
@@ -203,7 +266,7 @@ def _solved(
     still: Sequence[bool],
     scales: Scales,
     tie: float,
-) -> list[Candidate | Undetermined]:
+) -> Sequence[Candidate | Undetermined]:
     cones = np.array([(law.cone_n, law.cone_t) for law in laws], dtype=float).reshape(-1, 2)
     status, accelerations, forces, verdicts = solve_modes(
         snapshot.mass,
@@ -217,19 +280,13 @@ def _solved(
         scales.force,
         scales.acceleration,
     )
-    found: list[Candidate | Undetermined] = []
     outcomes = status.tolist()
-    for states, solved, acceleration, force, (violation, contact, which, number) in zip(
-        combinations, outcomes, accelerations, forces, verdicts.tolist(), strict=True
-    ):
-        if solved in (SOLVED, REDUNDANT):
-            broken = (laws[int(contact)].name if laws else "", int(which), number)
-            found.append(Candidate(states, acceleration, force, violation, broken))
-        else:
-            found.append((states, _UNSOLVED.get(solved, _SINGULAR)))
-    if REDUNDANT in outcomes:
-        redundant = [k for k, solved in enumerate(outcomes) if solved == REDUNDANT]
-        _explain(snapshot, cones, codes, found, redundant, scales, tie)
+    solved = _Solved(laws, combinations, outcomes, accelerations, forces, verdicts.tolist())
+    if REDUNDANT not in outcomes:
+        return solved
+    found = [*solved]
+    redundant = [k for k, outcome in enumerate(outcomes) if outcome == REDUNDANT]
+    _explain(snapshot, cones, codes, found, redundant, scales, tie)
     return found
 
 
@@ -320,7 +377,7 @@ def by_lemke(
     still: Sequence[bool],
     scales: Scales,
     tie: float,
-) -> list[Candidate | Undetermined]:
+) -> Sequence[Candidate | Undetermined]:
     """Solve the modes that Lemke's algorithm ends in (see `candidates`).
 
     The complementarity problem is in the contacts' accelerations and forces (Stewart and Trinkle's
@@ -376,7 +433,7 @@ def by_lemke(
                 states[i] = "pin" if pinned else sliding
             if tuple(states) not in found and _listed(states, options):
                 closer_ones.append(tuple(states))
-    return tried + _only(snapshot, laws, closer_ones, closed, still, scales, tie)
+    return [*tried, *_only(snapshot, laws, closer_ones, closed, still, scales, tie)]
 
 
 def _listed(states: Sequence[str], options: Sequence[Sequence[str]]) -> bool:
@@ -391,7 +448,7 @@ def _only(
     still: Sequence[bool],
     scales: Scales,
     tie: float,
-) -> list[Candidate | Undetermined]:
+) -> Sequence[Candidate | Undetermined]:
     """Solve the modes given."""
     combinations = tuple(dict.fromkeys(modes))
     if not combinations:

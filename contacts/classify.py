@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 from contacts.candidates import (
     OPEN_LOAD,
@@ -19,6 +19,7 @@ from contacts.candidates import (
     Undetermined,
     by_lemke,
     candidates,
+    consistent,
     openness,
     same_motion,
 )
@@ -67,8 +68,7 @@ class Considered(Mapping[str, str]):
         return len(self._words)
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
+class Choice(NamedTuple):
     """The candidate taken, what was considered, and what a reader must know.
 
     Attributes
@@ -113,32 +113,29 @@ def choose(
         With every candidate and its reason.
     """
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
-    options = [
-        _options(contact, law, touching, at_rest)
-        for contact, law, touching, at_rest in zip(
-            snapshot.contacts, laws, closed, still, strict=True
-        )
-    ]
-    tried, consistent, many = [], [], sum(closed) > _ENUMERATED
+    options = [*map(_options, snapshot.contacts, laws, closed, still)]
+    tried: Sequence[Candidate | Undetermined] = ()
+    count, agreeing = sum(closed), []
+    many = count > _ENUMERATED
     if many:
         tried = by_lemke(snapshot, laws, options, closed, still, scales, tie)
-        consistent = _consistent(tried, tie)
-    if not consistent and sum(closed) <= _ENUMERATED_LAST:
+        agreeing = consistent(tried, tie)
+    if not agreeing and count <= _ENUMERATED_LAST:
         many = False
         tried = candidates(snapshot, laws, options, closed, still, scales, tie)
-        consistent = _consistent(tried, tie)
-    if not consistent:
+        agreeing = consistent(tried, tie)
+    if not agreeing:
         considered = {_label(laws, c): _verdict(c, tie) for c in tried}
         raise NoConsistentMode(
             "no mode of the contacts agrees with the state; "
             + "; ".join(f"{label}: {why}" for label, why in considered.items())
             + ("; only modes that Lemke's algorithm ends in were tried" if many else "")
         )
-    taken, others = consistent[0], []
-    if len(consistent) > 1:
-        taken = min(consistent, key=lambda c: (c.violation > 0.0, openness(c)))
+    taken, others = agreeing[0], []
+    if len(agreeing) > 1:
+        taken = min(agreeing, key=lambda c: (c.violation > 0.0, openness(c)))
         # On the edge of its inequalities (a massless body that needs no force) it is no rival.
-        sure = [c for c in consistent if c.violation < -tie] if taken.violation < -tie else []
+        sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
         others = [c for c in sure if c is not taken and not same_motion(c, taken, scales)]
     warning = ""
     if others:
@@ -156,7 +153,8 @@ def choose(
         # Painleve's indeterminate case: contact could also hold, at a force without cause.
         taken = min(opened, key=openness)
         warning = f"indeterminate: {labels} all agree with the state; {_label(laws, taken)} taken"
-    if not warning and any(_opens(taken, one, closed) for one in tried):
+    # What a mode left open closes besides must not move away.
+    if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken)} taken"
     notes = (*((_UNCHECKED,) if many else ()), *_indeterminate(laws, taken))
     return Choice(taken, Considered(laws, tried, taken, tie), warning, notes)
@@ -167,14 +165,7 @@ def _opens(taken: Candidate, other: Candidate | Undetermined, closed: Sequence[b
     if isinstance(other, Candidate) or other[1] != OPEN_LOAD:
         return False
     pairs = zip(taken.states, other[0], closed, strict=True)
-    # What it leaves out must not move away.
-    return taken.violation >= 0.0 and all(
-        mine == theirs or (shut and mine == "free") for mine, theirs, shut in pairs
-    )
-
-
-def _consistent(tried: Sequence[Candidate | Undetermined], tie: float) -> list[Candidate]:
-    return [c for c in tried if isinstance(c, Candidate) and c.violation <= tie]
+    return all(mine == theirs or (shut and mine == "free") for mine, theirs, shut in pairs)
 
 
 def _indeterminate(laws: Sequence[ContactLaw], taken: Candidate) -> tuple[str, ...]:

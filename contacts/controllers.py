@@ -161,7 +161,7 @@ class ControlledLaws:
             path=() if taken.on is None else (f"on {taken.on}",),
             energy=(energy, energy),
         )
-        pending = self._listening.heard(replace(flow, pending=firing.pending), jump)
+        pending = self._listening.heard(flow._replace(pending=firing.pending), jump)
         following = self._parted(flow)
         return jump, self._joined(setup, clock, following, states, state, pending)
 
@@ -241,7 +241,7 @@ class ControlledLaws:
 
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow as the contacts' laws know it."""
-        return replace(flow, mode=flow.mode[: self._count], flow=flow.flow[: self._count])
+        return flow._replace(mode=flow.mode[: self._count], flow=flow.flow[: self._count])
 
     def _joined(
         self,
@@ -257,8 +257,7 @@ class ControlledLaws:
         # The size of a guard's terms is asked for, not its value: forces of the scene's size do.
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, _relative(setup))
-        return replace(
-            flow,
+        return flow._replace(
             mode=(*flow.mode, *states),
             flow=(*flow.flow, *states),
             settled=False,

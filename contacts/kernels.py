@@ -168,9 +168,13 @@ def independent(rows: Array) -> tuple[int, NDArray[np.int64], NDArray[np.int64]]
     left = rows.copy()
     row_order, column_order = np.arange(count), np.arange(size)
     for i in range(count):
-        left[i] *= _power_of_two(_largest(left[i]))
+        scale = _power_of_two(_largest(left[i]))
+        for k in range(size):
+            left[i, k] *= scale
     for k in range(size):
-        left[:, k] *= _power_of_two(_largest(left[:, k]))
+        scale = _power_of_two(_largest(left[:, k]))
+        for i in range(count):
+            left[i, k] *= scale
     for r in range(min(count, size)):
         best, at, beside = 0.0, r, r
         for i in range(r, count):
@@ -259,12 +263,16 @@ def _accelerate(
     rows: Array,
     constants: Array,
     columns: Array,
+    first: NDArray[np.int64],
+    bearing: NDArray[np.int64],
+    count: int,
+    rank: int,
     acceleration_scale: float,
     accelerations: Array,
     amounts: Array,
 ) -> int:
-    """Solve with as many rows, first ones first, as columns; the others must then hold as well."""
-    n, rank = len(right), len(columns)
+    """Solve with `rank` of `count` rows and columns, by their orders; all rows must then hold."""
+    n = len(right)
     matrix = np.zeros((n + rank, n + rank))
     b = np.empty(n + rank)
     for i in range(n):
@@ -272,20 +280,23 @@ def _accelerate(
         for k in range(n):
             matrix[i, k] = mass[i, k]
         for k in range(rank):
-            matrix[i, n + k] = -columns[k, i]
-            matrix[n + k, i] = rows[k, i]
+            matrix[i, n + k] = -columns[bearing[k], i]
+            matrix[n + k, i] = rows[first[k], i]
     for k in range(rank):
-        b[n + k] = constants[k]
+        b[n + k] = constants[first[k]]
     status, x = _solve(matrix, b)
     if status != SOLVED:
         return status
-    accelerations[:] = x[:n]
-    amounts[:rank] = x[n:]
-    for k in range(rank, len(rows)):
-        terms, missed = acceleration_scale, -constants[k]
+    for i in range(n):
+        accelerations[i] = x[i]
+    for k in range(rank):
+        amounts[k] = x[n + k]
+    for k in range(rank, count):
+        row = rows[first[k]]
+        terms, missed = acceleration_scale, -constants[first[k]]
         for i in range(n):
-            terms += abs(rows[k, i] * x[i])
-            missed += rows[k, i] * x[i]
+            terms += abs(row[i] * x[i])
+            missed += row[i] * x[i]
         if abs(missed) > _CONTRADICTED * terms:
             return CONTRADICTORY
     return SOLVED
@@ -358,23 +369,25 @@ def solve_modes(
                     columns[m, i] = directions[m, 0] * jacobians[c, 0, i]
                     columns[m, i] += directions[m, 1] * jacobians[c, 1, i]
                 m += 1
-        rank, bearing = m, in_order
-        held, asked, pushing = rows[:m], constants[:m], columns[:m]
+        rank, first, bearing = m, in_order, in_order
         if m > 1:
-            rank, first, _ = independent(held)
-            reach, order, _ = independent(pushing)
+            rank, row_order, _ = independent(rows[:m])
+            reach, order, _ = independent(columns[:m])
             if rank != reach:
                 status[k] = UNDETERMINED if reach > rank else SINGULAR
                 continue
             if rank < m:
-                bearing = order
-                held, asked, pushing = held[first], asked[first], pushing[bearing[:rank]]
+                first, bearing = row_order, order
         status[k] = _accelerate(
             mass,
             right,
-            held,
-            asked,
-            pushing,
+            rows,
+            constants,
+            columns,
+            first,
+            bearing,
+            m,
+            rank,
             acceleration_scale,
             accelerations[k],
             amounts,

@@ -219,7 +219,7 @@ class SceneLaws:
         if target == moving and not (skipping and fired == ("zeno",)):
             if choice.taken.flow == flow.flow:
                 return None
-            return None, dataclasses.replace(flow, flow=choice.taken.flow, settled=True)
+            return None, flow._replace(flow=choice.taken.flow, settled=True)
         after = landed(target, snapshot, state, setup.tolerances)
         energy = snapshot.energy
         left = energy if after is state else self._energy(setup, after, clock.high)
@@ -403,9 +403,7 @@ class SceneLaws:
             fired,
             energy=(snapshot.energy, snapshot.energy),
         )
-        following = dataclasses.replace(
-            flow, mode=tuple(mode), flow=tuple(moving), warning="", settled=False
-        )
+        following = flow._replace(mode=tuple(mode), flow=tuple(moving), warning="", settled=False)
         return jump, following
 
     def _choose(self, setup: SceneSetup, snapshot: Snapshot, touching: list[bool]) -> Choice:
@@ -422,7 +420,7 @@ class SceneLaws:
         if choice.warning:
             found = paradoxes(snapshot, setup.contacts, touching, still)
             warning = "; ".join([choice.warning, *map(str, found.values())])
-            choice = dataclasses.replace(choice, warning=warning)
+            choice = choice._replace(warning=warning)
         return choice
 
     def _energy(self, setup: SceneSetup, state: Array, time: float) -> float:

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, Literal, Protocol
+from functools import cached_property, lru_cache
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import sympy as sp
@@ -38,6 +39,8 @@ __all__ = [
     "plain",
 ]
 
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
 Kind = Literal["plain", "gap", "speed", "force"]
 
 HELD = ""
@@ -50,6 +53,7 @@ same object where it is near enough), and how far it was off in tolerances: abov
 violated."""
 
 
+@lru_cache(maxsize=1024)
 def plain(flow: Key) -> Key:
     """Return the mode of a flow: its states without what chooses among equivalent equations.
 
@@ -225,8 +229,7 @@ class Setup:
         return frozenset(i for i, value in enumerate(self.values.tolist()) if value == 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Flow:
+class Flow(NamedTuple):
     """What the executor does next: flow in a mode, possibly shown as another, possibly timed.
 
     Attributes
@@ -261,10 +264,10 @@ class Flow:
     warning: str = ""
     settled: bool = False
     notes: tuple[str, ...] = ()
-    held: Mapping[str, Clock] = field(default_factory=dict)
-    tolerances: Mapping[str, float] = field(default_factory=dict)
+    held: Mapping[str, Clock] = _NOTHING
+    tolerances: Mapping[str, float] = _NOTHING
     terms: NDArray[np.float64] | None = None
-    pending: Mapping[str, tuple[Jump, ...]] = field(default_factory=dict)
+    pending: Mapping[str, tuple[Jump, ...]] = _NOTHING
 
     @property
     def sizes(self) -> NDArray[np.float64] | None:

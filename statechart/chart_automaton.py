@@ -220,15 +220,14 @@ class ChartLaws:
         target = (*flow.mode[:place], taken.target, *flow.mode[place + 1 :])
         jump = Jump(clock.high, j, name, taken.name, flow.mode, target, state, after, fired)
         held = {region: end for region, end in flow.held.items() if region != name}
-        following = replace(
-            flow,
+        following = flow._replace(
             mode=target,
             flow=tuple(
                 HELD if region in held else now
                 for region, now in zip(self._regions, target, strict=True)
             ),
             held=held,
-            pending=self._listening.heard(replace(flow, pending=pending), jump),
+            pending=self._listening.heard(flow._replace(pending=pending), jump),
         )
         return jump, self._with_tolerances(setup, clock, following, after)
 
@@ -254,8 +253,7 @@ class ChartLaws:
                 f"t = {clock.later(rest).high:.17g}; declare a transition 'on: zeno' "
                 f"from '{jump.target[place]}'"
             )
-        return replace(jump, skipped=rest), replace(
-            flow,
+        return replace(jump, skipped=rest), flow._replace(
             flow=(*flow.flow[:place], HELD, *flow.flow[place + 1 :]),
             held={**flow.held, jump.region: clock.later(rest)},
         )
@@ -269,7 +267,7 @@ class ChartLaws:
         if np.isnan(rows[:, 0]).any():
             place = int(np.flatnonzero(np.isnan(rows[:, 0]))[0])
             raise NonFinite(f"the guard of {watch.guards[place].margin} has no value")
-        return replace(flow, tolerances=watch.tolerances(rows, _ROUNDING))
+        return flow._replace(tolerances=watch.tolerances(rows, _ROUNDING))
 
     def _watch(self, flow: Key) -> Watch:
         """Return the guards of a mode; regions that are held have none."""
