@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time as wall
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -23,6 +23,8 @@ __all__ = ["Progress", "Simulator", "error_of"]
 
 # More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
 _JUMPS_AT_ONCE = 64
+# A margin that cannot be decided gets so much more room at a time, and in all.
+_WIDER, _WIDEST = 16.0, 1e4
 # How far to look ahead at first, in lengths of the last flow: those of bounces shrink.
 _AHEAD = 16.0
 _PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown
@@ -170,6 +172,7 @@ class _Run:
     steps: int = 0
     entered: dict[Key, CompiledMode] = field(default_factory=dict)
     stalled: tuple[float, float, tuple[str, ...]] | None = None
+    grazed: bool = False
     rearranged: tuple[tuple[float, float], int] = (0.0, 0.0), 0
 
     def __post_init__(self) -> None:
@@ -272,6 +275,7 @@ class _Run:
         if reached.crossing is None:
             return ("zeno",) if duration == remaining else ()
         margin = compiled.mode.margins[reached.crossing.guard]
+        self.grazed = reached.graze
         if reached.graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.17g}"] = None
@@ -365,9 +369,28 @@ class _Run:
     def _stall(self, fired: tuple[str, ...]) -> None:
         """Note a fall that changes no mode: once a graze, at the same instant again a loop."""
         now = (self.clock.high, self.clock.low, fired)
-        if self.stalled == now:
+        if self.stalled == now and not (self.grazed and self._widen(*fired)):
             raise EventLoop(f"{', '.join(fired)} falls at t = {now[0]:.17g}, but no jump follows")
         self.stalled = now
+
+    def _widen(self, margin: str) -> bool:
+        """Give a margin that rounding keeps at zero more room in this flow; False if it had much.
+
+        Where a force is zero as a whole (balls that fall side by side) its enclosure is wider
+        than the band of its kind.
+        """
+        assert self.flow is not None
+        compiled = self.entered[self.flow.flow]
+        usual = self.setup.tolerances[compiled.kinds[compiled.names.index(margin)]]
+        wide = _WIDER * self.flow.tolerances.get(margin, usual)
+        if wide > _WIDEST * usual:
+            return False
+        self.flow = replace(self.flow, tolerances={**self.flow.tolerances, margin: wide})
+        self.warnings[
+            f"t = {self.clock.high:.17g}: {margin} is zero to within rounding; "
+            f"it is watched with the tolerance {wide:.3g}"
+        ] = None
+        return True
 
     def _show(self, local: float, steps: int) -> None:
         self._progress.show(self.clock.high + local, len(self.jumps), self.steps + steps)

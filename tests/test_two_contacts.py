@@ -84,3 +84,29 @@ def test_what_a_landing_leaves_of_velocity_does_not_creep(name: str) -> None:
     rest = trace.arcs[-1]
     moved = rest.states(np.linspace(0.0, rest.duration, 9))[:, :2] - trace.jumps[-1].after[:2]
     assert np.abs(moved).max() <= 0.1 * trace.tolerances["gap"]
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_balls_that_fall_side_by_side_touching_have_no_force_and_no_event(name: str) -> None:
+    scene = Scene(
+        name="side_by_side",
+        gravity=1,
+        parameters={"mu": 3956.7827248447566},
+        bodies={
+            "low": Body(
+                mass=1,
+                start={"x": 0.22, "y": 0.89, "dx": 0.57, "dy": 1.96},
+            ),
+            "high": Body(mass=2.28, start={"x": 0.022, "y": 3.19}),
+        },
+        surfaces={"shell": Surface(circle=(0, 0), radius=1, body="low")},
+        contacts={
+            "between": Contact(
+                point=Point(body="high"), surface="shell", friction="mu", restitution=0
+            )
+        },
+    )
+    trace = Simulator(automaton(scene), engine(name)).run(until=10.0)
+    assert len(trace.jumps) == 1
+    apart = trace.final[2:4] - trace.final[:2]
+    assert np.hypot(*apart) == pytest.approx(1.0, abs=1e-11)
