@@ -1,0 +1,58 @@
+"""The contact problem of a step against enumeration and an independent quadratic programme."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from contacts.complementarity import contact_problem, enumerate_lcp
+from contacts.step_kernels import RESIDUAL, impulses_of, problem, solve_contacts, step_residual
+from contacts.stepped_scene import widened
+
+
+def random_problem(generator, contacts, bodies, friction):
+    """Return (W, free, cones) of random contacts of free bodies in the plane."""
+    rows = np.zeros((2 * contacts, 3 * bodies))
+    for i in range(contacts):
+        angle = generator.uniform(0, 2 * np.pi)
+        for b in generator.choice(bodies, size=min(2, bodies), replace=False):
+            arm = generator.normal(size=2)
+            for d, turn in enumerate((0.0, -np.pi / 2)):
+                u = np.array([np.cos(angle + turn), np.sin(angle + turn)])
+                rows[2 * i + d, 3 * b : 3 * b + 3] = *u, arm[0] * u[1] - arm[1] * u[0]
+    inverse = 10.0 ** generator.uniform(-2, 2, 3 * bodies)
+    mu = 10.0 ** generator.uniform(-2, 1, contacts) if friction else np.zeros(contacts)
+    cones = np.column_stack([1 / np.hypot(1, mu), mu / np.hypot(1, mu)])
+    # What bodies can do: with restitution at contacts that oppose each other there need be no
+    # solution, without it there always is one.
+    free = (rows @ generator.normal(size=3 * bodies)).reshape(-1, 2)
+    return (rows * inverse) @ rows.T, free, cones
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_what_is_found_is_among_all_solutions(seed):
+    generator = np.random.default_rng(seed)
+    delassus, free, cones = random_problem(generator, 3, 2, friction=True)
+    solved, z, _ = solve_contacts(delassus, free, cones, np.zeros(12, np.bool_), 500)
+    z = z if solved else widened(delassus, free, cones)
+    assert step_residual(*problem(delassus, free, cones), z) <= RESIDUAL
+    velocities = free.ravel() + delassus @ impulses_of(z).ravel()
+    every = enumerate_lcp(*contact_problem(delassus, free, cones))
+    found = []
+    for one in every:
+        impulses = np.column_stack([one.z[::4], one.z[1::4] - one.z[2::4]])
+        found.append(free.ravel() + delassus @ impulses.ravel())
+    assert min(np.abs(velocities - other).max() for other in found) <= 1e-6
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_without_friction_it_is_the_least_energy(seed):
+    generator = np.random.default_rng(seed)
+    delassus, free, cones = random_problem(generator, 5, 3, friction=False)
+    solved, z, _ = solve_contacts(delassus, free, cones, np.zeros(20, np.bool_), 500)
+    assert solved
+    normal, right = delassus[::2, ::2], free[:, 0]
+    root = np.linalg.cholesky(normal)
+    best, _ = nnls(root.T, -np.linalg.solve(root, right), maxiter=1000)
+    assert normal @ z[::4] == pytest.approx(normal @ best, rel=1e-6, abs=1e-8)
