@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time as wall
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain
 
 import numpy as np
@@ -385,7 +385,7 @@ class _Run:
         wide = _WIDER * self.flow.tolerances.get(margin, usual)
         if wide > _WIDEST * usual:
             return False
-        self.flow = replace(self.flow, tolerances={**self.flow.tolerances, margin: wide})
+        self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: wide})
         self.warnings[
             f"t = {self.clock.high:.17g}: {margin} is zero to within rounding; "
             f"it is watched with the tolerance {wide:.3g}"
