@@ -47,7 +47,14 @@ def declaration_error(
     model : type of pydantic.BaseModel
         What it should have been.
     """
-    found = [_one(details, document, model) for details in error.errors(include_url=False)]
+    errors = error.errors(include_url=False)
+    # A list whose items are all wrong is empty to pydantic: no news beside what is wrong with them.
+    inside = {details["loc"][:-1] for details in errors}
+    found = [
+        _one(details, document, model)
+        for details in errors
+        if details["type"] != "too_short" or details["loc"] not in inside
+    ]
     found.sort(key=lambda one: (one.line or 0, one.column or 0))
     found[0].others = tuple(found[1:])
     return found[0]
@@ -88,6 +95,10 @@ def _words(details: ErrorDetails, known: Sequence[str]) -> tuple[str, str]:
     shown = {"dict": "a mapping", "list": "a list", "None": "nothing"}.get(shown, shown)
     if kind in _EXPECTED:
         return f"must be {_EXPECTED[kind]}, not {shown}", ""
+    if kind == "union_tag_invalid":
+        return f"must be one of {context['expected_tags']}, not {context['tag']!r}", ""
+    if kind == "too_short":
+        return f"must have at least {context['min_length']} item(s)", ""
     if kind == "literal_error":
         return f"must be {context['expected']}, not {shown}", ""
     return f"{details['msg'].replace('Input should', 'must', 1)}; got {shown}", ""

@@ -94,10 +94,12 @@ def test_an_accuracy_answers_with_condition_and_cost() -> None:
 
 def test_tightening_starts_where_it_is_told_and_ends_when_two_runs_agree() -> None:
     tolerances: list[float] = []
+    nudges: list[bool] = []
     runner = Runner("toppling_stick")
 
     def once(tolerance: float, off: bool) -> tuple[object, object]:
         tolerances.append(tolerance)
+        nudges.append(off)
         result = Runner(runner.model, engine="scipy", tolerance=tolerance).run()
         return result.observer, result.trace
 
@@ -105,7 +107,11 @@ def test_tightening_starts_where_it_is_told_and_ends_when_two_runs_agree() -> No
     assert answer.estimate is not None
     assert answer.estimate <= 1e-4
     assert answer.cost.runs == len(tolerances) > 2
-    assert tolerances == pytest.approx([1e-3 / 20**k for k in range(len(tolerances))])
+    *tightened, last = tolerances
+    assert tightened == pytest.approx([1e-3 / 20**k for k in range(len(tightened))], rel=1e-12)
+    # Before the answer is accepted, a start that is off is tried at its tolerance.
+    assert last == tightened[-1]
+    assert nudges == [False] * len(tightened) + [True]
 
 
 def test_an_accuracy_that_is_not_reached_is_said_and_exits_with_1(

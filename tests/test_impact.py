@@ -112,8 +112,7 @@ def test_random_impacts_keep_energy_cone_and_separation() -> None:
         spin = random.normal()
         jacobian = snapshot.contacts[0].jacobian
         velocity = snapshot.velocity + np.array([-jacobian[1, 2], -jacobian[0, 2], 1.0]) * spin
-        snapshot = Snapshot(*snapshot.__dict__.values())
-        object.__setattr__(snapshot, "velocity", velocity)
+        snapshot = snapshot._replace(velocity=velocity)
         result = impact(snapshot, snapshot.contacts[0], law(mu), e)
         before, left = energy(snapshot, snapshot.velocity), energy(snapshot, result.velocity)
         assert left <= before * (1 + 1e-12), (inertia, mu, e)
