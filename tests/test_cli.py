@@ -189,7 +189,7 @@ def test_wrong_arguments_exit_with_two_and_write_nothing(
         ("mu: 0.3", "mu: -0.3", "15:15", "must be zero or positive"),
         ("e: 0.5", "e: 1.5", "16:18", "must be between 0 and 1"),
         ("e: 0.5", "e: .nan", "4:6", "nan"),
-        ("friction:", "modes: [slip]\n    friction:", "15:13", "must be one of 'free', 'slide', 'pin'"),
+        ("friction:", "modes: [slip]\n    friction:", "15:13", "must be one of 'free', 'slide'"),
         ("friction:", "modes: []\n    friction:", "15:12", "at least 1 item"),
         ("stop:", "modes: {tip: pin}\nstop:", "17:14", "cannot start in mode 'pin'"),
         ("{y: 1}", "{y: -1}", "13:5", "starts inside its surface"),
