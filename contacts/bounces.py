@@ -45,9 +45,10 @@ def rests_of_bounces(
     """
     rests: dict[int, float] = {}
     accelerations: Array | None = None
+    slow, fast = setup.tolerances["speed"], _FAST * setup.scales.speed
     for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
         rebound, e = contact.gap_rate, law.restitution
-        if not closed[i] or not 0.0 < e < 1.0 or not 0.0 < rebound <= _FAST * setup.scales.speed:
+        if not closed[i] or not 0.0 < e < 1.0 or not slow < rebound <= fast:
             continue
         if accelerations is None:
             none = [False] * len(setup.contacts)

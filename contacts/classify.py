@@ -133,7 +133,7 @@ def choose(
         )
     taken, others = agreeing[0], []
     if len(agreeing) > 1:
-        taken = min(agreeing, key=lambda c: (c.violation > 0.0, openness(c)))
+        taken = min(agreeing, key=openness)
         # On the edge of its inequalities (a massless body that needs no force) it is no rival.
         sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
         others = [c for c in sure if c is not taken and not same_motion(c, taken, scales)]

@@ -14,6 +14,9 @@ from statechart.testing import Subject
 
 NAMES = EVENT_BASED
 EXAMPLES = 6
+# Runs whose small errors grow too large: from bounce to bounce, and where a restitution just below
+# 1 parts balls that at 1 stay together.
+GROWING = ("bouncing_ball_hills", "newtons_cradle")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -41,7 +44,7 @@ def test_a_shipped_model_runs_alike_by_every_method(name, method):
     try:
         assert_same(case.trace, trace, case.nudged)
     except Undecidable:
-        assert name == "bouncing_ball_hills"  # errors grow from bounce to bounce
+        assert name in GROWING
 
 
 def test_no_method_is_missing():

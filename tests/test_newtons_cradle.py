@@ -1,0 +1,112 @@
+"""Newton's cradle: what goes through its balls, by every law for simultaneous impacts."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import json
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from runs import ENGINES, engine, outputs, run
+
+from contacts.kind import automaton
+from contacts.parts import Simultaneous
+from contacts.scene import Scene
+from statechart.cli import main
+from statechart.document import load
+from statechart.simulate import Simulator
+
+MODEL = "newtons_cradle"
+SPEED = 2.0 * math.sqrt(9.81) * math.sin(0.15)  # of the first ball when it arrives
+RATES = slice(5, 10)
+
+
+@functools.cache
+def simulator(choice: Simultaneous, name: str) -> Simulator:
+    scene = load(MODEL)
+    assert isinstance(scene, Scene)
+    return Simulator(automaton(scene.model_copy(update={"simultaneous": choice})), engine(name))
+
+
+def one_by_one(e: float) -> list[float]:
+    """Return the rates after the first blow: pairs that approach collide, the fastest first."""
+    v = [SPEED, 0.0, 0.0, 0.0, 0.0]
+    for _ in range(10_000):
+        approach = [a - b for a, b in itertools.pairwise(v)]
+        k = int(np.argmax(approach))
+        if approach[k] <= 1e-13:
+            return v
+        mean, half = (v[k] + v[k + 1]) / 2.0, e * approach[k] / 2.0
+        v[k], v[k + 1] = mean - half, mean + half
+    raise AssertionError("the sequence does not end")
+
+
+def at_once(e: float) -> list[float]:
+    """Return the rates by Newton's law for all pairs: the plastic impulse times 1 + e."""
+    return [SPEED * ((i == 0) + (1 + e) * (0.2 - (i == 0))) for i in range(5)]
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_the_blow_goes_through_and_back(name: str) -> None:
+    trace = run(MODEL, name, until=4.0)
+    assert trace.certified
+    found = outputs(MODEL, name, trace)
+    assert [(jump.region, jump.cause) for jump in trace.jumps] == [
+        ("c12", "touchdown"), ("c45", "touchdown"), ("c12", "touchdown"), ("c45", "touchdown"),
+    ]  # fmt: skip
+    assert found["rate_last"] == pytest.approx([SPEED, 0.0, SPEED, 0.0], abs=1e-11)
+    assert found["rate_first"] == pytest.approx([0.0, -SPEED, 0.0, -SPEED], abs=1e-11)
+    # A quarter of a period to the first impact, half of one to each other.
+    quarter = found["times"][0]
+    assert found["times"] == pytest.approx([quarter * n for n in (1, 3, 5, 7)], abs=1e-11)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_balls_that_touch_without_load_stay_closed_however_their_forces_round(name: str) -> None:
+    trace = run(MODEL, name, until=4.0)
+    closed = ("slide",) * 3
+    assert [jump.target for jump in trace.jumps] == [(*closed, "free"), ("free", *closed)] * 2
+    assert max(abs(jump.after[place]) for jump in trace.jumps for place in (1, 2, 3)) < 1e-12
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("e", [0.3, 0.6, 0.9, 0.99])
+@pytest.mark.parametrize(
+    ("choice", "rates"),
+    [
+        ("plastic", lambda e: at_once(0.0)),
+        ("capped", at_once),
+        ("sequential", one_by_one),
+    ],
+)
+def test_the_first_blow_by_every_law(
+    choice: Simultaneous, rates: Callable[[float], list[float]], e: float, name: str
+) -> None:
+    trace = simulator(choice, name).run({"e": e}, until=0.6)
+    after = trace.jumps[0].after[RATES]
+    assert after == pytest.approx(rates(e), abs=1e-11)
+    assert after.sum() == pytest.approx(SPEED, abs=1e-11)
+    assert (np.diff(after) >= -1e-13).all()
+    # What the balls do then: those that move off together stay closed.
+    together = tuple("slide" if step < 1e-12 else "free" for step in np.diff(after))
+    assert trace.jumps[0].target == together
+
+
+def test_without_rebound_one_after_another_they_move_on_together() -> None:
+    trace = run(MODEL, "taylor", until=0.6, e=0.0)
+    assert trace.jumps[0].after[RATES] == pytest.approx(at_once(0.0), abs=1e-11)
+    assert any("the sequence of impacts does not end" in warning for warning in trace.warnings)
+
+
+def test_the_other_laws_are_told_to_give_other_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", MODEL, "--json", "--alternatives", "--until", "0.6"]) == 0
+    rows = {row["choice"]: row for row in json.loads(capsys.readouterr().out)["alternatives"]}
+    assert set(rows) == {"simultaneous: plastic", "simultaneous: capped"}
+    for choice, e in (("plastic", 0.0), ("capped", 1.0)):
+        row = rows[f"simultaneous: {choice}"]
+        assert not row["same_modes"]
+        assert row["diverged"] == pytest.approx(0.504352333753, abs=1e-11)
+        assert row["outputs"]["rate_last"] == pytest.approx([at_once(e)[4]], abs=1e-11)
