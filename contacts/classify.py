@@ -35,6 +35,9 @@ __all__ = ["Candidate", "Choice", "ContactLaw", "candidates", "choose"]
 _ENUMERATED = 4
 # Up to here it is the last resort.
 _ENUMERATED_LAST = 6
+# Of the tie band: what rounding alone makes of an equality, as between balls that touch without
+# load. A contact that has just been left is near the band's edge.
+_NEARLY = 0.1
 _UNCHECKED = (
     f"where more than {_ENUMERATED} contacts touch, Lemke's algorithm finds the mode: "
     "uniqueness not checked"
@@ -133,7 +136,7 @@ def choose(
         )
     taken, others = agreeing[0], []
     if len(agreeing) > 1:
-        taken = min(agreeing, key=openness)
+        taken = min(agreeing, key=lambda c: (c.violation > _NEARLY * tie, openness(c)))
         # On the edge of its inequalities (a massless body that needs no force) it is no rival.
         sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
         others = [c for c in sure if c is not taken and not same_motion(c, taken, scales)]
