@@ -11,12 +11,19 @@ from statechart.trace import Clock, Jump
 
 __all__ = ["Accumulation", "between"]
 
-# Intervals that must shrink by one ratio before their sum is taken as geometric.
+# Intervals that must shrink by one ratio before their sum is taken as geometric; half as many
+# where they have shrunk to less than this part.
 _INTERVALS = 8
+_SHRUNK = 1e-4
 # Relative spread of those ratios; a decaying but not geometric sequence has more.
 _SPREAD = 1e-3
 # That spread corrects the sum by no more than this part of it.
 _CORRECTION = 0.1
+# How many geometric sequences the intervals may be the sum of, and how many of them lie between
+# the sums that tell these apart: more would magnify errors less, and reach back to where there are
+# further sequences.
+_ORDER, _STRIDE = 3, 2
+_KEPT = 2 * _ORDER * _STRIDE
 # So many flows in turn that the time cannot tell apart have come to their end.
 _UNRESOLVED = 3
 
@@ -41,27 +48,33 @@ class _Series:
         self.unresolved = self.unresolved + 1 if flowed and interval < math.ulp(clock.high) else 0
         if not self.intervals or interval >= self.intervals[-1]:
             self.intervals, self.longest = [], interval
-        self.intervals = [*self.intervals[-_INTERVALS:], interval]
+        self.intervals = [*self.intervals[1 - _KEPT :], interval]
 
 
 def _remaining(intervals: Sequence[float], geometric: float) -> float:
     """Return what further intervals sum to, by Wynn's epsilon algorithm.
 
-    It is exact for ratios that are constant, and for those that tend to a constant by a second
-    geometric sequence: a block rocks the faster, the less it tilts. Where rounding leaves it
-    nothing to work with, the sum `geometric` for a constant ratio is the better one.
+    It is exact for ratios that are constant, and for those that tend to a constant by two more
+    geometric sequences: a block rocks the faster, the less it tilts. Where rounding leaves the
+    algorithm nothing to work with, what it found before is the better one, at first the sum
+    `geometric` for a constant ratio.
     """
-    sums = [-math.fsum(intervals[n:]) for n in range(0, len(intervals) + 1, _INTERVALS // 4)]
-    best = geometric
+    count = len(intervals)
+    sums = [-math.fsum(intervals[n:]) for n in range(count % _STRIDE, count + 1, _STRIDE)]
+    best, near = geometric, _CORRECTION * geometric
     before, now = [0.0] * len(sums), sums
-    for k in range(1, len(sums)):
+    for k in range(1, 2 * _ORDER + 1):
         differences = [b - a for a, b in itertools.pairwise(now)]
-        if 0.0 in differences:
+        if not differences or 0.0 in differences:
             break
         before, now = now, [c + 1.0 / d for c, d in zip(before[1:], differences, strict=False)]
         if k % 2 == 0:
+            if not abs(now[-1] - best) < near:
+                break
+            # The first is often worse than the constant ratio's; from then on they converge.
+            near = near if k == 2 else abs(now[-1] - best)
             best = now[-1]
-    return best if abs(best - geometric) < _CORRECTION * geometric else geometric
+    return best
 
 
 class Accumulation:
@@ -93,12 +106,14 @@ class Accumulation:
         series.add(clock, bool(jump.fired))
         if series.unresolved >= _UNRESOLVED:
             return 0.0
-        intervals = series.intervals
-        if len(intervals) <= _INTERVALS or min(intervals) <= 0.0:
+        intervals = series.intervals[-_INTERVALS - 1 :]
+        if min(intervals) <= 0.0 or len(intervals) <= _INTERVALS // 2:
+            return None
+        if len(intervals) <= _INTERVALS and intervals[-1] > _SHRUNK * intervals[0]:
             return None
         ratios = [b / a for a, b in itertools.pairwise(intervals)]
         ratio = math.exp(math.fsum(map(math.log, ratios)) / len(ratios))
         if ratio >= 1.0 or max(ratios) - min(ratios) > _SPREAD * ratio:
             return None
         rest = intervals[-1] * ratio / (1.0 - ratio)
-        return _remaining(intervals, rest) if rest < short * series.longest else None
+        return _remaining(series.intervals, rest) if rest < short * series.longest else None
