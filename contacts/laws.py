@@ -217,9 +217,12 @@ class SceneLaws:
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
-            if choice.taken.flow == flow.flow:
+            if choice.taken.flow != flow.flow:
+                return None, flow._replace(flow=choice.taken.flow, settled=True)
+            if state is before or not fired or flow.settled:
                 return None
-            return None, flow._replace(flow=choice.taken.flow, settled=True)
+            # What fell off the constraints has not fallen on them.
+            return None, flow._replace(settled=True, start=state)
         after = landed(target, snapshot, state, setup.tolerances)
         energy = snapshot.energy
         left = energy if after is state else self._energy(setup, after, clock.high)

@@ -32,7 +32,8 @@ Array = NDArray[np.float64]
 _Reader = Callable[[Sequence[float]], ContactLaw]
 
 # Force margins may fall below zero by this much of the force scale before a mode is left: the
-# size of rounding in a solved mode, with room; entering asks for half of it (hysteresis).
+# size of rounding in a solved mode, with room; entering asks for half of it (hysteresis). It does
+# not grow with the tolerance of the integration: events are those of the trajectory computed.
 _FORCE_BAND = 1e-12
 # A moment of inertia below this part of mass times arm squared cannot be told from zero: the
 # forces that turn the body are then differences of terms that many times larger.
@@ -221,7 +222,7 @@ class SceneNumbers:
         tolerances = {
             "gap": max(10.0 * relative, _ROUNDING) * scales.length,
             "speed": max(10.0 * relative, 10.0 * _ROUNDING) * scales.speed,
-            "force": max(10.0 * relative, _FORCE_BAND) * scales.force,
+            "force": _FORCE_BAND * scales.force,
             "plain": 0.0,
         }
         return SceneSetup(

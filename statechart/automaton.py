@@ -256,6 +256,9 @@ class Flow(NamedTuple):
         by the executor.
     pending : mapping
         Region -> the jumps of this instant that it has yet to hear of. None outlasts the instant.
+    start : (n,) array or None
+        Where to flow on from, where a mode holds but its state is brought back onto its
+        constraints; None where it is the state that the laws were asked about.
     """
 
     mode: Key
@@ -268,6 +271,7 @@ class Flow(NamedTuple):
     tolerances: Mapping[str, float] = _NOTHING
     terms: NDArray[np.float64] | None = None
     pending: Mapping[str, tuple[Jump, ...]] = _NOTHING
+    start: NDArray[np.float64] | None = None
 
     @property
     def sizes(self) -> NDArray[np.float64] | None:
@@ -297,7 +301,7 @@ class Laws(Protocol):
     ) -> tuple[Jump | None, Flow] | None:
         """Return the jump that the state calls for, or None when the mode holds.
 
-        A flow without a jump: the mode holds, but by other equations.
+        A flow without a jump: the mode holds, but by other equations, or from another start.
         """
         ...
 

@@ -317,11 +317,17 @@ class _Run:
             made = laws.jump(self.setup, self.clock, len(self.jumps), self.flow, self.state, fired)
             if made is None:
                 break
-            moved = True
-            jump, self.flow = made
+            jump, following = made
             if jump is None:
-                self._rearrange(fired)
+                if following.flow != self.flow.flow:
+                    moved = True
+                    self._rearrange(fired)
+                if following.start is not None:
+                    self.state = following.start
+                self.flow = following._replace(start=None)
                 continue
+            moved = True
+            self.flow = following
             self._warn()
             self.jumps.append(jump)
             self.state = jump.after

@@ -243,3 +243,25 @@ def test_a_run_that_fails_early_parts_where_it_ends() -> None:
     short = run("bouncing_ball_hills", until=0.2)
     ended = replace(short.trace, outcome=Outcome.STEP_FAILURE)
     assert parted(exact.trace, ended) is not None
+
+
+@pytest.mark.parametrize(
+    ("settings", "factor"),
+    [
+        ({"engine": "taylor"}, 1.0),
+        ({"engine": "scipy", "method": "DOP853"}, 30.0),
+        ({"engine": "scipy", "method": "RK45"}, 30.0),
+        ({"engine": "scipy", "method": "Radau"}, 30.0),
+    ],
+)
+@pytest.mark.parametrize("name", ["toppling_stick", "stick_slip_block"])
+def test_the_error_of_events_is_that_of_the_integrator(
+    name: str, settings: dict[str, str], factor: float
+) -> None:
+    exact = run(name)
+    # A force that falls where the dense output is off its constraints has not fallen on them.
+    for tolerance in (1e-5, 1e-7):
+        rough = run(name, tolerance=tolerance, **settings)  # type: ignore[arg-type]
+        found = compare(exact.trace, rough.trace, exact.outputs, rough.outputs)
+        assert found.diverged is None
+        assert found.largest <= factor * tolerance
