@@ -61,7 +61,10 @@ def figure(study: Study) -> Figure:
             left.set_ylabel("time at which the run leaves the reference")
             for ax in (left, right):
                 ax.axhline(study.parted, color=_INK, linewidth=0.8, linestyle=(0, (1, 2)))
-        for ax, label in ((left, "time of a run, s"), (right, "evaluations of the rates")):
+        for ax, label in (
+            (left, "time of a run, s"),
+            (right, "evaluations of the rates (impulse: steps)"),
+        ):
             ax.set_xscale("log")
             ax.set_xlabel(label)
             ax.grid(visible=True, color=_GRID, linewidth=0.6)
