@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from contacts.scene import Scene
+from models import names, path
 from statechart.cli import main
 from statechart.document import interpret, read_text
 
@@ -18,8 +19,8 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 def test_the_scene_in_yaml_is_the_one_in_python() -> None:
     block = re.search(r"```yaml\n(.*?)```", README, re.S)
     assert block is not None
-    names: dict[str, Any] = {}
-    example = doctest.DocTestParser().get_doctest(README, names, "README", None, None)
+    globals_: dict[str, Any] = {}
+    example = doctest.DocTestParser().get_doctest(README, globals_, "README", None, None)
     results = doctest.DocTestRunner().run(example, clear_globs=False)
     assert (results.failed, results.attempted > 0) == (0, True)
     scene = example.globs["scene"]
@@ -47,3 +48,13 @@ def test_the_readme_lists_the_verbs_of_the_command_line(capsys: Any) -> None:
     assert listed is not None
     verbs = set(re.findall(r"^\s{4}(\w+)", listed[1], re.M))
     assert verbs == set(re.findall(r"^statechart (\w+)", README, re.M))
+
+
+def test_the_readme_lists_the_shipped_models_and_what_they_show() -> None:
+    listed = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", README, re.M))
+    shipped = {name: path(name) for name in names()}
+    assert listed == {
+        name: re.findall(r"^doc: (.*)$", file.read_text(encoding="utf-8"), re.M)[0]
+        for name, file in shipped.items()
+        if file is not None
+    }
