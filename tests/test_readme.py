@@ -51,7 +51,8 @@ def test_the_readme_lists_the_verbs_of_the_command_line(capsys: Any) -> None:
 
 
 def test_the_readme_lists_the_shipped_models_and_what_they_show() -> None:
-    listed = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", README, re.M))
+    table = README.split("## Models\n")[1].split("\n## ")[0]
+    listed = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", table, re.M))
     shipped = {name: path(name) for name in names()}
     assert listed == {
         name: re.findall(r"^doc: (.*)$", file.read_text(encoding="utf-8"), re.M)[0]
