@@ -21,13 +21,14 @@ from contacts.gates import Gates
 from contacts.laws import SceneLaws
 from contacts.mechanics import Mechanics
 from contacts.modes import OPEN
+from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot, SnapshotTape
 from statechart.automaton import Edge, Flow, Margin, Projector, Region, Setup, State, plain
 from statechart.firing import Guard, Listening, Watch, guards
 from statechart.trace import Clock, Jump, Key
 
-__all__ = ["ControlledLaws", "controller"]
+__all__ = ["ControlGuards", "ControlledLaws", "controller", "listening"]
 
 Array = NDArray[np.float64]
 
@@ -63,6 +64,17 @@ def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:
     return Region(name, tuple(states), build, tuple(map(edge, declared.transitions)))
 
 
+def listening(scene: Scene, regions: Sequence[Region]) -> Listening:
+    """Return what the controllers of a scene wait for; `regions` are all of the scene's."""
+    return Listening(
+        regions,
+        {
+            name: [(i, t.source, t.events) for i, t in enumerate(region.transitions) if t.on]
+            for name, region in scene.regions.items()
+        },
+    )
+
+
 class ControlledLaws:
     """The laws of a scene with controllers (see `statechart.automaton.Laws`).
 
@@ -92,20 +104,14 @@ class ControlledLaws:
         self._names = tuple(self._controllers)
         self._count = len(regions) - len(self._names)
         self._under: dict[Key, SceneLaws] = {}
-        self._guarded: dict[Key, _Guards] = {}
+        self._guarded: dict[Key, ControlGuards] = {}
         region_of = mechanics.scene.controlled.region_of
         self._varying = any(
             region_of(text) is not None
             for contact in mechanics.scene.contacts.values()
             for text in (contact.friction, contact.restitution)
         )
-        self._listening = Listening(
-            regions,
-            {
-                name: [(i, t.source, t.events) for i, t in enumerate(region.transitions) if t.on]
-                for name, region in self._controllers.items()
-            },
-        )
+        self._listening = listening(mechanics.scene, regions)
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
         """Evaluate parameters, initial state, scales and tolerances."""
@@ -138,7 +144,7 @@ class ControlledLaws:
             if jump is None:
                 return None, self._joined(setup, clock, following, own, state, flow.pending)
             jump = replace(jump, source=flow.mode, target=(*jump.target, *own))
-            pending = self._listening.heard(flow, jump)
+            pending = self._listening.heard(flow.pending, jump)
             return jump, self._joined(setup, clock, following, own, jump.after, pending)
         guarded = self._due(setup, clock, flow, state, fired)
         firing = self._listening.first(self._names, own, flow.pending, guarded)
@@ -161,7 +167,7 @@ class ControlledLaws:
             path=() if taken.on is None else (f"on {taken.on}",),
             energy=(energy, energy),
         )
-        pending = self._listening.heard(flow._replace(pending=firing.pending), jump)
+        pending = self._listening.heard(firing.pending, jump)
         following = self._parted(flow)
         return jump, self._joined(setup, clock, following, states, state, pending)
 
@@ -232,11 +238,11 @@ class ControlledLaws:
         rows = guarded.rows(setup, clock.high, state, found)
         return guarded.watch.due(rows, flow.tolerances, fired, _relative(setup))
 
-    def _guards(self, states: Key) -> _Guards:
+    def _guards(self, states: Key) -> ControlGuards:
         """Return the guards out of `states`."""
         if states not in self._guarded:
             named = dict(zip(self._names, states, strict=True))
-            self._guarded[states] = _Guards(self._mechanics, self._parameters, named)
+            self._guarded[states] = ControlGuards(self._mechanics, self._parameters, named)
         return self._guarded[states]
 
     def _parted(self, flow: Flow) -> Flow:
@@ -266,7 +272,7 @@ class ControlledLaws:
         )
 
 
-class _Guards:
+class ControlGuards:
     """The guards of the controllers in some states, and the numbers that they depend on.
 
     Accelerations and contact forces are inputs, solved for where a guard is on its boundary: no
@@ -313,8 +319,16 @@ class _Guards:
     ) -> Array:
         """Return what `Watch.at` does; `solved` are accelerations and forces."""
         found = self._unsolved if solved is None else solved
-        sizes = np.concatenate([setup.scales.sizes, self.typical(setup), [0.0]])
-        return self.watch.at(setup, np.concatenate([state, found, [np.nan]]), sizes, time)
+        inputs = np.concatenate([state, found, [np.nan]])
+        return self.watch.at(setup, inputs, self._sizes(setup), time)
+
+    def table(self, setup: SceneSetup, times: Array, states: Array, solved: Array) -> Array:
+        """Return `rows` for many instants (m,), states (m, 2 n) and unknowns (m, u)."""
+        inputs = np.hstack([states, solved, np.full((len(states), 1), np.nan)])
+        return self.watch.table(setup, inputs, self._sizes(setup), times)
+
+    def _sizes(self, setup: SceneSetup) -> Array:
+        return np.concatenate([setup.scales.sizes, self.typical(setup), [0.0]])
 
 
 def _relative(setup: SceneSetup) -> float:

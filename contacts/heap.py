@@ -190,6 +190,9 @@ class HeapStepper:
             (*names, *map(scene.rate_name, names)),
             parameters.names,
             tuple(scene.bodies),
+            (),
+            "impact",
+            None,
             np.array([name.endswith(".angle") for name in names]),
             compile_tape(
                 [margin.expression for margin in stops.values()],
@@ -385,6 +388,7 @@ class SteppedHeap:
             solved[:done],
             codes[:done],
             struck[:done],
+            np.zeros_like(struck[:done]),
             impulses[:done],
             approach[:done],
             closing[:done],

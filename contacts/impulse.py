@@ -33,7 +33,7 @@ from contacts.recognise import Chunk, Recorder
 from contacts.setup import SceneSetup
 from statechart.errors import SimulationError, StepTooLarge
 from statechart.tape import Tape
-from statechart.trace import Arc, Outcome, Trace
+from statechart.trace import Arc, Jump, Key, Outcome, Trace
 
 __all__ = ["Stepping", "run"]
 
@@ -59,6 +59,20 @@ class Stepped(Protocol):
         ...
 
 
+class Control(Protocol):
+    """What acts at the ends of steps."""
+
+    def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> Chunk:
+        """Return the steps up to the first after which it may act."""
+        ...
+
+    def turn(
+        self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
+    ) -> None:
+        """Act at the end of a step, after the jumps of the step."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Stepping:
     """What a run of a scene is made from.
@@ -70,6 +84,12 @@ class Stepping:
     names, parameter_names : tuple of str
         Of the variables and the parameters.
     regions : tuple of str
+    controls : Key
+        States at the start of those of them, the last, that no step recognises.
+    again : str
+        Cause of an impact on a region that is not free.
+    forces : int or None
+        See `Recorder`.
     angles : (n,) array of bool
         Which coordinates are angles.
     stops : Tape
@@ -82,6 +102,9 @@ class Stepping:
     names: tuple[str, ...]
     parameter_names: tuple[str, ...]
     regions: tuple[str, ...]
+    controls: Key
+    again: str
+    forces: int | None
     angles: NDArray[np.bool_]
     stops: Tape
     stop_names: tuple[str, ...]
@@ -100,6 +123,7 @@ def run(
     max_jumps: int,
     show: Callable[[float, int, int], None],
     warnings: Sequence[str] = (),
+    control: Control | None = None,
     failure: SimulationError | None = None,
 ) -> Trace:
     """Step a scene from its initial state; see `statechart.stepping.TimeStepper.run`.
@@ -110,13 +134,21 @@ def run(
         Modes at the start, as `contacts.kernels` numbers them.
     sticks : (r,) array of bool
         See `Recorder`.
+    control : Control, optional
+        What acts at the ends of steps.
     failure : SimulationError, optional
         Why not even one step can be made.
     """
-    made = _Run(stepping, stepped, setup, Recorder(
-        stepping.regions, start, sticks,
+    recorder = Recorder(
+        stepping.regions[: len(start)],
+        start,
+        stepping.controls,
+        sticks,
+        stepping.again,
+        stepping.forces,
         lambda state, time: float(stepping.energy.values(state, setup.values, time)[0]),
-    ), step, until, max_jumps, show)  # fmt: skip
+    )
+    made = _Run(stepping, stepped, setup, recorder, control, step, until, max_jumps, show)
     try:
         if failure is not None:
             raise failure
@@ -135,13 +167,14 @@ class _Run:
         stepped: Stepped,
         setup: SceneSetup,
         recorder: Recorder,
+        control: Control | None,
         step: float,
         until: float,
         max_jumps: int,
         show: Callable[[float, int, int], None],
     ) -> None:
         self.stepping, self.stepped, self.setup = stepping, stepped, setup
-        self.recorder, self.step, self.until = recorder, step, until
+        self.recorder, self.control, self.step, self.until = recorder, control, step, until
         self.max_jumps, self.show = max_jumps, show
         self.state = setup.initial
         self.time, self.taken, self.fastest = 0.0, 0, 0.0
@@ -152,11 +185,15 @@ class _Run:
 
     def loop(self) -> None:
         if self.stepping.stop_names:
-            blank = np.zeros(self.stepping.stops.n_variables - len(self.state))
+            # What is solved for is not known yet: conditions on it wait for the first step.
+            blank = np.full(self.stepping.stops.n_variables - len(self.state), np.nan)
             margins = self._margins(np.concatenate([self.state, blank])[None], 0.0)
             if (margins < 0.0).any():
                 self._stop(int(np.argmax(margins[0] < 0.0)))
                 return
+        if self.control is not None:
+            unknown = np.full(self.stepping.stops.n_variables - len(self.state), np.nan)
+            self.control.turn(self.recorder, (), self.state, unknown, self.step)
         whole = math.floor(self.until / self.step * (1.0 + 4e-16))
         if self.until - whole * self.step <= 1e-9 * self.step:
             counts = [(whole, self.step)]
@@ -166,11 +203,16 @@ class _Run:
             done = 0
             first = self.time
             while done < count:
-                chunk = self.stepped.steps(
-                    first + done * h, h, self.state, min(count - done, _CHUNK)
-                )
-                if self._accept(chunk, first + done * h):
+                begin = first + done * h
+                chunk = self.stepped.steps(begin, h, self.state, min(count - done, _CHUNK))
+                if self.control is not None:
+                    chunk = self.control.cut(chunk, begin, self.recorder)
+                jumps = len(self.recorder.jumps)
+                if self._accept(chunk, begin):
                     return
+                if self.control is not None:
+                    fresh = self.recorder.jumps[jumps:]
+                    self.control.turn(self.recorder, fresh, self.state, chunk.solved[-1], h)
                 done += len(chunk.codes)
         self.time = self.until
         self.message = f"reached t = {self.until:.17g}"
@@ -261,9 +303,8 @@ class _Run:
             else:
                 low = middle
         recorder.arcs[-1] = _cut(arc, high)
-        recorder.clock = recorder.arcs[-1].end
         self.state = recorder.arcs[-1].coefficients[-1].sum(axis=1)
-        recorder.key = arc.mode
+        recorder.rewind(arc.mode)
         self._stop(condition)
 
     def _margin(self, arc: Arc, local: float, condition: int) -> float:
@@ -314,6 +355,7 @@ class _Run:
             },
             step=self.step,
             margins=self.stepped.margins,
+            undetermined=recorder.indeterminate,
         )
 
 

@@ -14,6 +14,7 @@ __all__ = [
     "FREE",
     "INEXACT",
     "INTO",
+    "OFF",
     "OUTSIDE",
     "PIN",
     "PULLS",
@@ -31,7 +32,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS = range(5)
+FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF = range(6)
 SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY, UNDETERMINED = range(6)
 INTO, PULLS, OUTSIDE, AGAINST = range(4)
 

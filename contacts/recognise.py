@@ -14,21 +14,23 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.kernels import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.trace import Arc, Clock, Jump, Key
 
-__all__ = ["Chunk", "Recorder"]
+__all__ = ["STATES", "Chunk", "Recorder"]
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.int64]
 
-_NAMES = {
+STATES = {
     FREE: "free",
     PIN: "pin",
     SLIDE: "slide",
     SLIDE_PLUS: "slide+",
     SLIDE_MINUS: "slide-",
+    OFF: "off",
 }
+"""Mode of a region, as `contacts.kernels` numbers them, to its state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +47,11 @@ class Chunk:
         Accelerations (n,) under what lasts, and the further unknowns.
     codes : (k, r) array
         Mode of every region, as `contacts.kernels` numbers them.
-    struck : (k, r) array of bool
-        Regions with an impact in the middle of the step.
+    struck, shared : (k, r) array of bool
+        Regions with an impact in the middle of the step; those whose forces the motion does not
+        determine.
     impulses : (k, r, 2) array
-        Of them.
+        Of the impacts, and of what they make others bear.
     approach, closing : (k,) array
         The fastest approach of an impact; the largest gap, of either sign, that a step closes.
     """
@@ -58,6 +61,7 @@ class Chunk:
     solved: Array
     codes: Codes
     struck: NDArray[np.bool_]
+    shared: NDArray[np.bool_]
     impulses: Array
     approach: Array
     closing: Array
@@ -70,6 +74,7 @@ class Chunk:
             self.solved[:count],
             self.codes[:count],
             self.struck[:count],
+            self.shared[:count],
             self.impulses[:count],
             self.approach[:count],
             self.closing[:count],
@@ -83,27 +88,37 @@ class Recorder:
     Parameters
     ----------
     regions : sequence of str
-        Their names.
+        Names of those that steps recognise.
     start : (r,) array
         Modes at the start.
+    controls : Key
+        States of further regions, which change only where they are told to.
     sticks : (r,) array of bool
         Whether the region has a pin beside slide.
+    again : str
+        Cause of an impact on a region that is not free.
+    forces : int or None
+        Place of the first region's V and H among the further unknowns; None: they have none.
     energy : callable
         (state, time) -> energy.
     """
 
     regions: Sequence[str]
     start: Codes
+    controls: Key
     sticks: NDArray[np.bool_]
+    again: str
+    forces: int | None
     energy: Callable[[Array, float], float]
     clock: Clock = field(default_factory=Clock)
     arcs: list[Arc] = field(default_factory=list)
     jumps: list[Jump] = field(default_factory=list)
+    indeterminate: dict[Key, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.row = self.start
-        self.raw = self.start
-        self.key = _key(self.start)
+        self._raw = self.start
+        self.key = self._key(self.start)
         self.start_key = self.key
         self._began = self.clock
         self._open: list[tuple[Array, Array, Array]] = []
@@ -111,21 +126,42 @@ class Recorder:
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
         shown = self._shown(chunk.codes)
-        before = np.vstack([self.row, shown[:-1]])
         hit: NDArray[np.bool_] = np.any(chunk.struck, axis=1)
-        changed = np.any(shown != before, axis=1) | hit
+        changed = self._changed(shown) | hit
+        self._raw = chunk.codes[-1]
         after = np.concatenate([[False], hit[:-1]])
         breaks = np.unique(np.concatenate([[0], np.flatnonzero(changed | after), [len(shown)]]))
         for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
             state = chunk.states[first]
-            struck = chunk.struck[first]
-            row = np.where(struck, self.row, shown[first])
-            self._jump(row, state, state, {})
-            if struck.any():
+            if hit[first]:
                 self._strike(chunk, first, shown[first])
                 first += 1
+            else:
+                self._jumps(shown[first], state)
             if last > first:
+                self._note_shared(chunk.shared[first:last])
                 self._flow(chunk, first, last)
+
+    def changes(self, chunk: Chunk) -> NDArray[np.bool_]:
+        """Return the steps (k,) in which `add` will record jumps."""
+        return self._changed(self._shown(chunk.codes)) | np.any(chunk.struck, axis=1)
+
+    def turn(
+        self, region: str, cause: str, controls: Key, state: Array, fired: tuple[str, ...]
+    ) -> Jump:
+        """Append a jump of a further region; return it."""
+        self.close()
+        target = (*self.key[: len(self.row)], *controls)
+        jump = Jump(
+            self.clock.high, len(self.jumps), region, cause, self.key, target, state, state, fired
+        )
+        self.jumps.append(jump)
+        self.controls, self.key = controls, target
+        return jump
+
+    def rewind(self, key: Key) -> None:
+        """Go back to the mode of the last arc, its end cut off."""
+        self.key, self.clock = key, self.arcs[-1].end
 
     def stop(self, name: str, state: Array) -> None:
         """Append the jump of a stop condition."""
@@ -135,12 +171,24 @@ class Recorder:
         )
         self.jumps.append(stopped)
 
+    def _key(self, row: Codes) -> Key:
+        return (*[STATES[code] for code in row.tolist()], *self.controls)
+
     def _shown(self, codes: Codes) -> Codes:
         """Let a slip that comes to rest in a step last to its end."""
-        before = np.vstack([self.raw, codes[:-1]])
+        before = np.vstack([self._raw, codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
-        self.raw = codes[-1]
         return np.where((codes == PIN) & slid & self.sticks, before, codes)
+
+    def _changed(self, shown: Codes) -> NDArray[np.bool_]:
+        found: NDArray[np.bool_] = np.any(shown != np.vstack([self.row, shown[:-1]]), axis=1)
+        return found
+
+    def _note_shared(self, shared: NDArray[np.bool_]) -> None:
+        if shared.any():
+            names = {self.regions[i] for i in np.flatnonzero(shared.any(axis=0)).tolist()}
+            names.update(self.indeterminate.get(self.key, ()))
+            self.indeterminate[self.key] = tuple(n for n in self.regions if n in names)
 
     def _flow(self, chunk: Chunk, first: int, last: int) -> None:
         """Append steps of one mode as one arc, or to the last arc."""
@@ -155,7 +203,7 @@ class Recorder:
         self._arc(times, coefficients, chunk.solved[first:last])
 
     def _strike(self, chunk: Chunk, k: int, row: Codes) -> None:
-        """Append a step with impacts in its middle."""
+        """Append a step with impacts in its middle: one jump, whose impulses all regions feel."""
         h, n = chunk.h, chunk.states.shape[1] // 2
         left, right = chunk.states[k], chunk.states[k + 1]
         acceleration = chunk.solved[k : k + 1, :n]
@@ -173,15 +221,34 @@ class Recorder:
             half[0, n:, 1] = 0.5 * h * acceleration[0]
             halves.append(half)
         times = np.array([0.0, 0.5 * h])
-        solved = chunk.solved[k : k + 1]
-        self._arc(times, halves[0], solved)
+        self._arc(times, halves[0], self._held(chunk.solved[k]))
         before, after = halves[0][0].sum(axis=1), halves[1][0, :, 0]
         impulses = {
             self.regions[i]: (float(chunk.impulses[k, i, 0]), float(chunk.impulses[k, i, 1]))
-            for i in np.flatnonzero(chunk.struck[k]).tolist()
+            for i in np.flatnonzero(chunk.impulses[k].any(axis=1)).tolist()
         }
-        self._jump(row, before, after, impulses)
-        self._arc(times, halves[1], solved)
+        self.close()
+        place = int(np.argmax(chunk.struck[k]))
+        time = self.clock.high
+        self._jump(
+            place,
+            self._cause(int(self.row[place]), int(row[place]), True),
+            row,
+            before,
+            after,
+            impulses,
+            (self.energy(before, time), self.energy(after, time)),
+        )
+        self._arc(times, halves[1], self._held(chunk.solved[k]))
+
+    def _held(self, solved: Array) -> Array:
+        """Return the unknowns (1, u) without forces where the mode at hand is open."""
+        found = solved[None].copy()
+        if self.forces is not None:
+            for i in np.flatnonzero((self.row == FREE) | (self.row == OFF)).tolist():
+                at = self.forces + 2 * i
+                found[0, at : at + 2] = 0.0
+        return found
 
     def _arc(self, times: Array, coefficients: Array, solved: Array) -> None:
         self._open.append((times, coefficients, solved))
@@ -209,53 +276,51 @@ class Recorder:
         )
         self._began = self.clock
 
+    def _jumps(self, row: Codes, state: Array) -> None:
+        """Append a jump for every region that changes."""
+        for i in np.flatnonzero(row != self.row).tolist():
+            self.close()
+            following = self.row.copy()
+            following[i] = row[i]
+            cause = self._cause(int(self.row[i]), int(row[i]), False)
+            self._jump(i, cause, following, state, state, {}, None)
+
     def _jump(
         self,
+        place: int,
+        cause: str,
         row: Codes,
         before: Array,
         after: Array,
         impulses: Mapping[str, tuple[float, float]],
+        energy: tuple[float, float] | None,
     ) -> None:
-        """Append a jump for every region that changes, or has an impact."""
-        for i, name in enumerate(self.regions):
-            if row[i] == self.row[i] and name not in impulses:
-                continue
-            self.close()
-            following = self.row.copy()
-            following[i] = row[i]
-            target = _key(following)
-            energy = None
-            if before is not after:
-                time = self.clock.high
-                energy = self.energy(before, time), self.energy(after, time)
-            self.jumps.append(
-                Jump(
-                    self.clock.high,
-                    len(self.jumps),
-                    name,
-                    _cause(int(self.row[i]), int(row[i]), name in impulses),
-                    self.key,
-                    target,
-                    before,
-                    after,
-                    impulse={name: impulses[name]} if name in impulses else {},
-                    energy=energy,
-                )
+        target = self._key(row)
+        self.jumps.append(
+            Jump(
+                self.clock.high,
+                len(self.jumps),
+                self.regions[place],
+                cause,
+                self.key,
+                target,
+                before,
+                after,
+                impulse=impulses,
+                energy=energy,
             )
-            self.row, self.key, before = following, target, after
+        )
+        self.row, self.key = row, target
 
-
-def _key(row: Codes) -> Key:
-    return tuple([_NAMES[code] for code in row.tolist()])
-
-
-def _cause(before: int, after: int, struck: bool) -> str:
-    if before == FREE:
-        return "touchdown"
-    if struck:
-        return "impact"
-    if after == FREE:
-        return "liftoff"
-    if after == PIN:
-        return "stick"
-    return "slip" if before == PIN else "reverse"
+    def _cause(self, before: int, after: int, struck: bool) -> str:
+        if OFF in (before, after):
+            return "enable" if before == OFF else "disable"
+        if before == FREE:
+            return "touchdown"
+        if struck:
+            return self.again
+        if after == FREE:
+            return "liftoff"
+        if after == PIN:
+            return "stick"
+        return "slip" if before == PIN else "reverse"

@@ -13,7 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.kernels import FREE, OFF, PIN, SLIDE
+from contacts.step_equations import CONTACT, JOINT, back, factored
+from contacts.step_forces import borne_mode, jammed, resting, shared_forces
 from contacts.step_kernels import UNKNOWNS, capped, impulses_of, solve_contacts
 from statechart.kernels import tape_values
 
@@ -25,73 +27,45 @@ _kernel = njit(cache=True, no_cfunc_wrapper=True)
 
 DONE, HARD, BAD_INERTIA, NOT_FINITE = range(4)
 
-_PIVOTS = 20
 # Impulses of contacts that approach slower than what so many steps without contact would make of
 # rest are those of a contact that lasts.
 _SLOW = 2.0
-# A pivot below this part of its row's scale: the equations do not determine the motion.
-_SINGULAR = 1e-12
 
 
 @_kernel
-def _factor(matrix: Array) -> tuple[bool, NDArray[np.int64]]:
-    """Factor in place with partial pivoting of equilibrated rows; False where singular."""
-    size = len(matrix)
-    order = np.arange(size)
-    scale = np.empty(size)
-    for i in range(size):
-        largest = np.abs(matrix[i]).max()
-        if not (largest > 0.0 and math.isfinite(largest)):
-            return False, order
-        scale[i] = 1.0 / largest
-    for k in range(size):
-        best = k
-        for i in range(k + 1, size):
-            if abs(matrix[i, k]) * scale[i] > abs(matrix[best, k]) * scale[best]:
-                best = i
-        if abs(matrix[best, k]) * scale[best] <= _SINGULAR:
-            return False, order
-        if best != k:
-            for j in range(size):
-                matrix[k, j], matrix[best, j] = matrix[best, j], matrix[k, j]
-            scale[k], scale[best] = scale[best], scale[k]
-            order[k], order[best] = order[best], order[k]
-        for i in range(k + 1, size):
-            if matrix[i, k] != 0.0:
-                factor = matrix[i, k] / matrix[k, k]
-                matrix[i, k] = factor
-                for j in range(k + 1, size):
-                    matrix[i, j] -= factor * matrix[k, j]
-    return True, order
+def _lasting(
+    delassus: Array,
+    least: Array,
+    cones: Array,
+    z: Array,
+    pushes: Array,
+    sudden: NDArray[np.bool_],
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the impulses (m, 2) of a step that are forces, and who slides under them.
+
+    They are those that there would be without the contacts that something strikes at an instant.
+    """
+    m = len(cones)
+    if not sudden.any():
+        return pushes, z[3::UNKNOWNS] > 0.0
+    steady, slides = np.zeros((m, 2)), np.zeros(m, np.bool_)
+    others = np.nonzero(~sudden)[0]
+    if len(others):
+        both = np.empty(2 * len(others), np.int64)
+        both[::2], both[1::2] = 2 * others, 2 * others + 1
+        nothing = np.zeros(UNKNOWNS * len(others), np.bool_)
+        good, alone, _ = solve_contacts(
+            delassus[both][:, both], least[others], cones[others], nothing, _pivots(len(others))
+        )
+        if good:
+            steady[others] = impulses_of(alone)
+            slides[others] = alone[3::UNKNOWNS] > 0.0
+    return steady, slides
 
 
 @_kernel
-def _back(factors: Array, order: NDArray[np.int64], right: Array) -> Array:
-    size = len(right)
-    x = np.empty(size)
-    for i in range(size):
-        total = right[order[i]]
-        for j in range(i):
-            total -= factors[i, j] * x[j]
-        x[i] = total
-    for i in range(size - 1, -1, -1):
-        total = x[i]
-        for j in range(i + 1, size):
-            total -= factors[i, j] * x[j]
-        x[i] = total / factors[i, i]
-    return x
-
-
-@_kernel
-def _state(impulse: Array, slip: float, sliding: bool, cone: Array) -> int:
-    """Return the mode of a contact that bears an impulse, as `contacts.kernels` numbers them."""
-    if cone[1] == 0.0:
-        return SLIDE
-    if not sliding:
-        return PIN
-    if slip != 0.0:
-        return SLIDE_PLUS if slip > 0.0 else SLIDE_MINUS
-    return SLIDE_PLUS if impulse[1] < 0.0 else SLIDE_MINUS
+def _pivots(contacts: int) -> int:
+    return 50 + 20 * UNKNOWNS * contacts
 
 
 @_kernel
@@ -104,12 +78,16 @@ def step_scene(
     cones: Array,
     restitution: Array,
     held: NDArray[np.int64],
+    slips: NDArray[np.int64],
     joints: int,
+    near: float,
     start: float,
     h: float,
     state: Array,
     level: Array,
     closed: NDArray[np.bool_],
+    off: NDArray[np.bool_],
+    light: NDArray[np.bool_],
     bases: NDArray[np.bool_],
     given: Array,
     states: Array,
@@ -117,6 +95,7 @@ def step_scene(
     impulses: Array,
     codes: NDArray[np.int64],
     struck: NDArray[np.bool_],
+    shared: NDArray[np.bool_],
     gaps: Array,
     approach: Array,
     closing: Array,
@@ -130,85 +109,65 @@ def step_scene(
     ----------
     code, constants, outputs
         The tape: mass (n, n), forces (n,), where `damped` also their derivatives by the rates
-        (n, n), then per contact Jacobian (2, n), biases (2,), gap, its rate, slip, and per
-        component of a joint Jacobian (n,), gap, rate, bias, whether other rows imply it.
+        (n, n), then per contact Jacobian (2, n) and what `CONTACT` lists, per component of a joint
+        Jacobian (n,) and what `JOINT` lists, and what controllers set (u,).
     parameters : (p,)
     cones : (c, 2), restitution : (c,)
     held : (c,) array of int
         How many components of a contact's velocity are constrained whatever the impulse: 0, 1
         (normal), 2 (both).
+    slips : (c,) array of int
+        Whether a contact may slide: 0, 1, or 2 if its slides have a direction.
     joints : int
         Number of components of joints.
+    near : float
+        Contacts that were off come back where they are no deeper than this.
     start, h : float
         Time of the state, and step.
     state : (2 n,)
-        Changed in place, as are the following three.
+        Changed in place, as are the following five.
     level : (c,)
         Gap at which a contact that lasts is kept: what its landing has left, never above 0.
     closed : (c,)
         Whether it lasts.
+    off : (c,)
+        Whether its condition keeps it off.
+    light : (1,)
+        Whether coordinates without an inertia of their own were given one.
     bases : (c, 4)
         Positive unknowns of the last problem.
     given : (4 m,) or (0,)
         A solution of the first step's problem.
-    states : (k, 2 n), solved : (k, n + 2 c + joints)
-    impulses : (k, c, 2), codes, struck, gaps : (k, c)
-        To be filled: state after each step; accelerations and forces of contacts that last;
-        impulses; modes; where Newton's law was applied; gaps at the midpoints.
+    states : (k, 2 n), solved : (k, n + joints + 2 c + u)
+    impulses : (k, c, 2), codes, struck, shared, gaps : (k, c)
+        To be filled: state after each step; accelerations, forces of joints and of contacts that
+        last, what controllers set; impulses of instants; modes; where something struck; whose
+        forces the motion does not determine; gaps at the midpoints.
     approach, closing : (k,)
         Fastest approach of an impact; largest gap, of either sign, that the step closes.
     """
     n, c = len(state) // 2, len(cones)
     nothing, none = np.empty((0, 0)), np.empty((0, 2))
     numbers = np.empty(len(outputs))
-    per = 2 * n + 5
+    per = 2 * n + CONTACT
     first = n * n + n + (n * n if damped else 0)
-    extra = joints
-    for i in range(c):
-        extra += held[i]
+    borne = n + joints
     for k in range(len(states)):
         time = start + (k + 0.5) * h
         middle = state.copy()
         for i in range(n):
             middle[i] += 0.5 * h * state[n + i]
         tape_values(code, constants, outputs, middle, parameters, time, numbers)
-        size = n + extra
-        matrix = np.zeros((size, size))
-        right = np.zeros(size)
-        for i in range(n):
-            right[i] = h * numbers[n * n + i]
-            for j in range(n):
-                matrix[i, j] = numbers[n * i + j]
-                if damped:
-                    matrix[i, j] -= 0.5 * h * numbers[n * n + n + n * i + j]
-        at = n
-        for i in range(c):
-            row = first + per * i
-            for d in range(held[i]):
-                # The velocity that the surface gives it, and what keeps the gap at zero.
-                offset = numbers[row + 2 * n + 3 + d] + 0.5 * h * numbers[row + 2 * n + d]
-                if d == 0:
-                    offset += numbers[row + 2 * n + 2] / h
-                for j in range(n):
-                    matrix[at, j] = numbers[row + d * n + j]
-                    matrix[j, at] = -numbers[row + d * n + j]
-                right[at] = -offset
-                at += 1
-        for i in range(joints):
-            row = first + per * c + (n + 4) * i
-            if numbers[row + n + 3] != 0.0:
-                matrix[at, at] = 1.0
-            else:
-                for j in range(n):
-                    matrix[at, j] = numbers[row + j]
-                    matrix[j, at] = -numbers[row + j]
-                right[at] = -numbers[row + n] / h - numbers[row + n + 1]
-                right[at] -= 0.5 * h * numbers[row + n + 2]
-            at += 1
-        regular, order = _factor(matrix)
+        regular, matrix, order, right = factored(numbers, n, h, damped, held, joints, light[0])
+        if not regular and not light[0]:
+            light[0] = True
+            regular, matrix, order, right = factored(numbers, n, h, damped, held, joints, True)
         if not regular:
             return k, BAD_INERTIA, nothing, none, none
-        change = _back(matrix, order, right)
+        size = len(right)
+        change = back(matrix, order, right)
+        for i in range(first + per * c + (n + JOINT) * joints, len(numbers)):
+            solved[k, borne + 2 * c + i - (first + per * c + (n + JOINT) * joints)] = numbers[i]
         # Which contacts take part, and what their velocities may not fall below.
         approach[k] = closing[k] = 0.0
         active = np.zeros(c, np.bool_)
@@ -219,8 +178,15 @@ def step_scene(
         for i in range(c):
             row = first + per * i
             gap = numbers[row + 2 * n + 2]
-            gaps[k, i] = gap
-            if held[i] > 0:
+            condition = numbers[row + 2 * n + 5]
+            was_off = off[i]
+            if was_off:
+                off[i] = not (condition > 0.0 and gap >= -near)
+            elif condition < 0.0:
+                off[i] = True
+            gaps[k, i] = math.inf if off[i] else gap
+            if held[i] > 0 or off[i] or was_off:
+                level[i] = 0.0
                 continue
             for d in range(2):
                 before[i, d] = free[i, d] = numbers[row + 2 * n + 3 + d]
@@ -254,11 +220,11 @@ def step_scene(
             total[i] = change[i]
         lasting = change.copy()
         for i in range(c):
-            codes[k, i] = FREE
-            struck[k, i] = False
+            codes[k, i] = OFF if off[i] else FREE
+            struck[k, i] = shared[k, i] = False
             for d in range(2):
                 impulses[k, i, d] = 0.0
-                solved[k, n + 2 * i + d] = 0.0
+                solved[k, borne + 2 * i + d] = 0.0
         if m > 0:
             columns = np.zeros((2 * m, size))
             for a in range(m):
@@ -267,7 +233,7 @@ def step_scene(
                     push = np.zeros(size)
                     for j in range(n):
                         push[j] = numbers[row + d * n + j]
-                    columns[2 * a + d] = _back(matrix, order, push)
+                    columns[2 * a + d] = back(matrix, order, push)
             delassus = np.zeros((2 * m, 2 * m))
             for a in range(m):
                 row = first + per * which[a]
@@ -292,9 +258,7 @@ def step_scene(
             if k == 0 and len(given) == UNKNOWNS * m:
                 z, basis = given, given > 0.0
             else:
-                good, z, basis = solve_contacts(
-                    delassus, least, ours, guess, 50 + _PIVOTS * UNKNOWNS * m
-                )
+                good, z, basis = solve_contacts(delassus, least, ours, guess, _pivots(m))
                 if not good:
                     return k, HARD, delassus, least, ours
             pushes = impulses_of(z)
@@ -306,11 +270,18 @@ def step_scene(
                 for a in range(m):
                     if hit[which[a]]:
                         soft[a, 0] = unforced[a, 0]
-                good, plastic, _ = solve_contacts(
-                    delassus, soft, ours, guess, 50 + _PIVOTS * UNKNOWNS * m
-                )
+                good, plastic, _ = solve_contacts(delassus, soft, ours, guess, _pivots(m))
                 if good:
                     pushes, _ = capped(delassus, start_at, unforced, impulses_of(plastic), pushes)
+            sudden = hit[which]
+            for a in range(m):
+                i = which[a]
+                corner = delassus[2 * a : 2 * a + 2, 2 * a : 2 * a + 2]
+                # Where it stuck, its slip is rounding.
+                if slips[i] > 0 and (bases[i, 3] or not closed[i]):
+                    sudden[a] = sudden[a] or jammed(corner, least[a], start_at[a, 1], ours[a])
+            steady, slides = _lasting(delassus, least, ours, z, pushes, sudden)
+            modes = np.full(m, FREE)
             for a in range(m):
                 i = which[a]
                 for u in range(UNKNOWNS):
@@ -319,21 +290,43 @@ def step_scene(
                 for b in range(2 * m):
                     slip += delassus[2 * a + 1, b] * pushes[b // 2, b % 2]
                 for d in range(2):
-                    impulses[k, i, d] = pushes[a, d]
+                    impulses[k, i, d] = pushes[a, d] - steady[a, d]
                     for j in range(size):
                         total[j] += columns[2 * a + d, j] * pushes[a, d]
-                        if not hit[i]:
-                            lasting[j] += columns[2 * a + d, j] * pushes[a, d]
-                    if not hit[i]:
-                        solved[k, n + 2 * i + d] = pushes[a, d] / h
+                        lasting[j] += columns[2 * a + d, j] * steady[a, d]
                 pressed = pushes[a, 0] > 0.0
                 if pressed and not hit[i] and not closed[i]:
                     closing[k] = max(closing[k], gaps[k, i] - level[i])
-                struck[k, i] = hit[i] and pressed
+                struck[k, i] = sudden[a] and pressed
                 closed[i] = pressed and not (hit[i] and restitution[i] > 0.0)
+                directed = slips[i] == 2
                 if closed[i]:
                     sliding = z[UNKNOWNS * a + 3] > 0.0
-                    codes[k, i] = _state(pushes[a], slip, sliding, ours[a])
+                    codes[k, i] = borne_mode(pushes[a], slip, sliding, ours[a], directed)
+                if steady[a, 0] > 0.0:
+                    modes[a] = borne_mode(steady[a], slip, slides[a], ours[a], directed)
+                elif not pressed:
+                    rests, slip = resting(delassus, least, steady, a)
+                    if rests:
+                        modes[a] = borne_mode(steady[a], slip, slip != 0.0, ours[a], directed)
+            if m > 1:
+                reach = np.empty((m, 2, n))
+                for a in range(m):
+                    row = first + per * which[a]
+                    for d in range(2):
+                        for j in range(n):
+                            reach[a, d, j] = numbers[row + d * n + j]
+                alike, steady = shared_forces(modes, ours, reach, steady)
+                for a in range(m):
+                    i = which[a]
+                    shared[k, i] = alike[a]
+                    if steady[a, 0] > 0.0 and not closed[i] and not sudden.any():
+                        # Others bore its share.
+                        closed[i] = True
+                        codes[k, i] = modes[a]
+            for a in range(m):
+                for d in range(2):
+                    solved[k, borne + 2 * which[a] + d] = steady[a, d] / h
         for i in range(c):
             if not active[i]:
                 closed[i] = False
@@ -342,11 +335,11 @@ def step_scene(
             if held[i] > 0:
                 codes[k, i] = PIN if held[i] == 2 else SLIDE
                 for d in range(held[i]):
-                    solved[k, n + 2 * i + d] = total[at] / h
-                    impulses[k, i, d] = total[at]
+                    solved[k, borne + 2 * i + d] = lasting[at] / h
+                    impulses[k, i, d] = total[at] - lasting[at]
                     at += 1
         for i in range(joints):
-            solved[k, n + 2 * c + i] = total[at + i] / h
+            solved[k, n + i] = lasting[at + i] / h
         for i in range(n):
             solved[k, i] = lasting[i] / h
             state[n + i] += total[i]

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from contacts.classify import ContactLaw
 from contacts.complementarity import contact_problem, solve_lcp
-from contacts.kernels import FREE
+from contacts.kernels import FREE, OFF, PIN, SLIDE_MINUS, SLIDE_PLUS
 from contacts.mechanics import Mechanics
-from contacts.recognise import Chunk
+from contacts.recognise import STATES, Chunk
 from contacts.scene_kernels import BAD_INERTIA, DONE, HARD, step_scene
 from contacts.setup import SceneSetup
+from contacts.step_equations import CONTACT
 from contacts.step_kernels import LOOSEST, UNKNOWNS, problem, step_residual
-from statechart.errors import NonFinite, SingularMode, UnsolvedImpulses
+from statechart.errors import NoConsistentMode, NonFinite, SingularMode, UnsolvedImpulses
 from statechart.tape import Tape, compile_tape
 
 __all__ = ["SteppedScene", "SteppedTape", "widened"]
 
 Array = NDArray[np.float64]
+
+_CODES = {state: code for code, state in STATES.items()}
 
 
 class SteppedTape:
@@ -32,50 +37,86 @@ class SteppedTape:
         The scene's equations.
     parameters : sequence of Symbol
         In the order of the values.
+    states : mapping
+        Controller -> its state.
     """
 
-    def __init__(self, mechanics: Mechanics, parameters: Sequence[sp.Symbol]) -> None:
-        forces = mechanics.generalised_forces
+    def __init__(
+        self, mechanics: Mechanics, parameters: Sequence[sp.Symbol], states: Mapping[str, str]
+    ) -> None:
+        set_: dict[sp.Symbol, sp.Expr] = {}
+        for control, value in mechanics.controlled(states):
+            set_[control] = value.xreplace(set_)
+        forces = [force.xreplace(set_) for force in mechanics.generalised_forces]
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
         derivatives = [sp.diff(force, rate) for force in forces for rate in mechanics.v]
         self.damped = any(derivative != 0 for derivative in derivatives)
         if self.damped:
             outputs += derivatives
-        for name in mechanics.scene.contacts:
+        self.names = tuple(mechanics.scene.contacts)
+        for name in self.names:
             geometry = mechanics.contact(name)
             symbols = geometry.symbols
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t, geometry.bias_n]
             outputs += [geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip]
+            conditions = [margin.expression.xreplace(set_) for margin in mechanics.gates(name)]
+            outputs.append(sp.Min(*conditions) if conditions else sp.S.One)
         rows = mechanics.joint_rows
         for row in rows:
             outputs += [*row.jacobian, row.gap, row.gap_rate, row.bias, row.redundant]
         self.joint_rows = len(rows)
+        outputs += [set_[control] for control in mechanics.controls]
+        self.controls = len(mechanics.controls)
         self.tape: Tape = compile_tape(
             outputs,
             variables=(*mechanics.q, *mechanics.v),
             parameters=parameters,
             time=mechanics.time,
         )
-        # Of the contacts that are never free the normal velocity is given, of pins all of it.
-        kinds = [contact.kinds for contact in mechanics.scene.contacts.values()]
-        given = [0 if "free" in k else 2 if "pin" in k else 1 for k in kinds]
-        self.held = np.array(given, dtype=np.int64)
-        self.names = tuple(mechanics.scene.contacts)
-        self.size = len(mechanics.q)
-        self._gaps = compile_tape(
-            [mechanics.contact(name).symbols.gap for name in self.names],
-            variables=(*mechanics.q, *mechanics.v),
-            parameters=parameters,
-            time=mechanics.time,
+        # Of pins the velocity is given, of slides without friction the normal one.
+        self.held = np.array(
+            [
+                2 if contact.kinds == {"pin"} else 1 if contact.kinds == {"slide"} and smooth else 0
+                for contact in mechanics.scene.contacts.values()
+                for smooth in (contact.frictionless,)
+            ],
+            dtype=np.int64,
         )
+        declared = mechanics.scene.contacts.values()
+        self.slips = np.array(
+            [0 if "slide" not in c.kinds else 1 if c.frictionless else 2 for c in declared],
+            dtype=np.int64,
+        )
+        self.size = len(mechanics.q)
 
-    def gaps(self, values: Array, state: Array) -> Array:
-        """Return the gaps (c,) at the start."""
-        return self._gaps.values(state, values, 0.0)
+    def contacts(self, values: Array, state: Array) -> Array:
+        """Return gap, gap rate, slip and condition (c, 4) at the start."""
+        n, c = self.size, len(self.names)
+        found = self.tape.values(state, values, 0.0)
+        first = n * n + n + (n * n if self.damped else 0)
+        rows = found[first : first + c * (2 * n + CONTACT)].reshape(c, 2 * n + CONTACT)
+        return rows[:, -4:]
+
+
+@dataclass(eq=False)
+class _Memory:
+    """What lasts from step to step; see `contacts.scene_kernels.step_scene`."""
+
+    level: Array
+    closed: NDArray[np.bool_]
+    off: NDArray[np.bool_]
+    light: NDArray[np.bool_]
+    bases: NDArray[np.bool_]
+    codes: NDArray[np.int64]
+    least_gap: Array
+    least: Array
+
+    def copy(self) -> _Memory:
+        return _Memory(**{name: array.copy() for name, array in vars(self).items()})
 
 
 class SteppedScene:
-    """One run of such a scene: what lasts from step to step.
+    """One run of such a scene.
 
     Parameters
     ----------
@@ -83,26 +124,52 @@ class SteppedScene:
         The scene.
     setup : SceneSetup
         The run's numbers.
+    off : (c,) array of bool
+        Contacts that are off at the start.
     """
 
-    def __init__(self, source: SteppedTape, setup: SceneSetup) -> None:
+    def __init__(self, source: SteppedTape, setup: SceneSetup, off: NDArray[np.bool_]) -> None:
         count = len(setup.contacts)
+        self._values, self._near = setup.values, setup.tolerances["gap"]
+        self.switch(source, setup.contacts)
+        self._memory = _Memory(
+            np.zeros(count),
+            np.zeros(count, dtype=np.bool_),
+            off.copy(),
+            np.zeros(1, dtype=np.bool_),
+            np.zeros((count, UNKNOWNS), dtype=np.bool_),
+            np.full(count, FREE),
+            np.full(count, np.inf),
+            np.full((count, 2), np.inf),
+        )
+        self._kept = self._memory.copy()
+
+    def switch(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
+        """Go on with other forces and coefficients."""
         self._source = source
-        self._values = setup.values
-        self._cones = np.array([(law.cone_n, law.cone_t) for law in setup.contacts]).reshape(-1, 2)
-        self._restitution = np.array([law.restitution for law in setup.contacts])
-        self._level = np.zeros(count)
-        self._closed = np.zeros(count, dtype=np.bool_)
-        self._bases = np.zeros((count, UNKNOWNS), dtype=np.bool_)
-        self._least_gap = np.full(count, np.inf)
-        self._least = np.full((count, 2), np.inf)
+        self._cones = np.array([(law.cone_n, law.cone_t) for law in contacts]).reshape(-1, 2)
+        self._restitution = np.array([law.restitution for law in contacts])
+        allowed = [{_CODES[state] for state in law.states} for law in contacts]
+        self._undeclared = np.array(
+            [[code not in codes for code in range(len(STATES))] for codes in allowed],
+            dtype=np.bool_,
+        ).reshape(-1, len(STATES))
+
+    @property
+    def filled(self) -> bool:
+        """Whether coordinates without an inertia of their own were given one."""
+        return bool(self._memory.light[0])
+
+    def forget(self) -> None:
+        """Take back the last steps."""
+        self._memory = self._kept.copy()
 
     @property
     def margins(self) -> dict[str, float]:
         """The least values seen, at the midpoints of steps."""
         found: dict[str, float] = {}
         for i, name in enumerate(self._source.names):
-            values = (self._least_gap[i], *self._least[i])
+            values = (self._memory.least_gap[i], *self._memory.least[i])
             for what, value in zip(("gap", "V", "mu V - |H|"), values, strict=True):
                 if np.isfinite(value):
                     found[f"{name}.{what}"] = float(value)
@@ -118,7 +185,7 @@ class SteppedScene:
 
         Raises
         ------
-        UnsolvedImpulses, SingularMode, NonFinite
+        UnsolvedImpulses, SingularMode, NonFinite, NoConsistentMode
             Where not one step can be made.
         """
         source, tape = self._source, self._source.tape
@@ -126,18 +193,22 @@ class SteppedScene:
         states = np.empty((count + 1, 2 * n))
         states[0] = state
         now = state.copy()
-        solved, impulses = np.zeros((count, n + 2 * c + r)), np.zeros((count, c, 2))
-        codes, struck = np.zeros((count, c), np.int64), np.zeros((count, c), np.bool_)
+        solved = np.zeros((count, n + r + 2 * c + source.controls))
+        impulses, codes = np.zeros((count, c, 2)), np.zeros((count, c), np.int64)
+        struck, shared = np.zeros((count, c), np.bool_), np.zeros((count, c), np.bool_)
         gaps = np.full((count, c), np.inf)
         approach, closing = np.zeros(count), np.zeros(count)
+        self._kept = self._memory.copy()
+        memory = self._memory
         given, done = np.zeros(0), 0
         while done < count:
             taken, status, delassus, least, cones = step_scene(
                 tape.code, tape.constants, tape.outputs, source.damped, self._values,
-                self._cones, self._restitution, source.held, r, start + done * h, h, now,
-                self._level, self._closed, self._bases, given, states[done + 1 :],
-                solved[done:], impulses[done:], codes[done:], struck[done:], gaps[done:],
-                approach[done:], closing[done:],
+                self._cones, self._restitution, source.held, source.slips, r, self._near,
+                start + done * h, h, now, memory.level, memory.closed, memory.off, memory.light,
+                memory.bases, given, states[done + 1 :], solved[done:], impulses[done:],
+                codes[done:], struck[done:], shared[done:], gaps[done:], approach[done:],
+                closing[done:],
             )  # fmt: skip
             done += taken
             if status == DONE:
@@ -150,29 +221,60 @@ class SteppedScene:
                 if done == 0:
                     raise
                 break
-        self._note(gaps[:done], solved[:done, n : n + 2 * c].reshape(done, c, 2), codes[:done])
+        done = self._declared(codes[:done], start, h)
+        forces = solved[:done, n + r : n + r + 2 * c].reshape(done, c, 2)
+        self._note(gaps[:done], forces, codes[:done])
         return Chunk(
             h,
             states[: done + 1],
             solved[:done],
             codes[:done],
             struck[:done],
+            shared[:done],
             impulses[:done],
             approach[:done],
             closing[:done],
         )
 
+    def _declared(self, codes: NDArray[np.int64], start: float, h: float) -> int:
+        """Return how many steps take declared modes; replace a stick that only passes.
+
+        Raises
+        ------
+        NoConsistentMode
+            If not even the first does.
+        """
+        before = np.vstack([self._memory.codes, codes[:-1]])
+        slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
+        # A slip that turns round in a step is at rest at its end; without friction it may stay so.
+        turning = (codes == PIN) & self._undeclared[:, PIN] & (slid | (self._cones[:, 1] == 0.0))
+        codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
+        self._memory.codes = codes[-1] if len(codes) else self._memory.codes
+        wrong = self._undeclared[np.arange(codes.shape[1]), codes]
+        if not wrong.any():
+            return len(codes)
+        k = int(np.argmax(wrong.any(axis=1)))
+        if k == 0:
+            i = int(np.argmax(wrong[0]))
+            state = STATES[int(codes[0, i])]
+            raise NoConsistentMode(
+                f"contact {self._source.names[i]!r} would be {state} by t = {start + h:.9g}, and "
+                f"{state.rstrip('+-')} is not among its modes; add it, or end the run before"
+            )
+        return k
+
     def _note(self, gaps: Array, forces: Array, codes: NDArray[np.int64]) -> None:
         if not len(gaps):
             return
-        self._least_gap = np.minimum(self._least_gap, gaps.min(axis=0))
+        memory = self._memory
+        memory.least_gap = np.minimum(memory.least_gap, gaps.min(axis=0))
         normal, tangential = forces[..., 0], np.abs(forces[..., 1])
         cone_n, cone_t = self._cones.T
         with np.errstate(divide="ignore", invalid="ignore"):
             inside = np.where(cone_n > 0.0, cone_t / cone_n * normal - tangential, np.inf)
         for k, values in enumerate((normal, inside)):
-            seen = np.where(codes != FREE, values, np.inf).min(axis=0)
-            self._least[:, k] = np.minimum(self._least[:, k], seen)
+            seen = np.where((codes != FREE) & (codes != OFF), values, np.inf).min(axis=0)
+            memory.least[:, k] = np.minimum(memory.least[:, k], seen)
 
 
 def widened(delassus: Array, free: Array, cones: Array) -> Array:
@@ -202,7 +304,7 @@ def widened(delassus: Array, free: Array, cones: Array) -> Array:
 def _failure(status: int) -> SingularMode | NonFinite:
     if status == BAD_INERTIA:
         return SingularMode(
-            "the inertias do not determine the motion by themselves: time stepping needs a "
-            "positive inertia of every coordinate; the engines taylor and scipy do not"
+            "the equations do not determine the motion: a coordinate without inertia moves "
+            "nothing that could hold it, or what is held contradicts itself"
         )
     return NonFinite("a coordinate became infinite or undefined")

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contacts import impulse
+from contacts.closing import check_joints
 from contacts.impulse import Stepping
-from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.kernels import FREE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.mechanics import Mechanics
+from contacts.modes import OFF
+from contacts.recognise import STATES
 from contacts.setup import SceneNumbers, SceneSetup
-from contacts.stepped_scene import SteppedScene, SteppedTape
+from contacts.snapshot import SnapshotTape
+from contacts.stepped_control import StepControl, SteppedTapes
+from contacts.stepped_scene import SteppedScene
 from statechart.automaton import Margin, Region
-from statechart.errors import DeclarationProblem, SimulationError, Unsupported
+from statechart.errors import DeclarationProblem, SimulationError
 from statechart.parameters import Parameters
 from statechart.tape import compile_tape
 from statechart.trace import Key, Trace
@@ -24,12 +30,21 @@ __all__ = ["SceneStepper"]
 
 Array = NDArray[np.float64]
 
-_STATES = {FREE: "free", PIN: "pin", SLIDE: "slide", SLIDE_PLUS: "slide+", SLIDE_MINUS: "slide-"}
 # The modes at the start are those of a step this short, in the scene's own time.
 _TRIAL = 1e-6
 # Tolerances at the start, relative to the scene.
 _RELATIVE = 1e-9
 _STEEPEST = 4096.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """A run that can start: its numbers, modes, contacts that are off, what to know."""
+
+    setup: SceneSetup
+    codes: NDArray[np.int64]
+    off: NDArray[np.bool_]
+    warnings: tuple[str, ...]
 
 
 class SceneStepper:
@@ -44,12 +59,7 @@ class SceneStepper:
     stops : mapping
         Stop condition -> margin.
     regions : tuple of Region
-        One per contact.
-
-    Raises
-    ------
-    Unsupported
-        If the scene has regions of its own, or contacts that can be off.
+        One per contact, then one per controller.
     """
 
     def __init__(
@@ -60,33 +70,26 @@ class SceneStepper:
         regions: tuple[Region, ...],
     ) -> None:
         scene = mechanics.scene
-        if scene.regions:
-            raise Unsupported(
-                f"time stepping knows no regions beside contacts ({', '.join(scene.regions)}): "
-                "take the engine taylor or scipy"
-            )
-        gated = [name for name in scene.contacts if scene.gate(name)]
-        if gated:
-            raise Unsupported(
-                f"time stepping knows no conditions of contacts ({', '.join(gated)}): take the "
-                "engine taylor or scipy"
-            )
         symbols = list(parameters.symbols.values())
         self._scene = scene
         self._numbers = SceneNumbers(mechanics, parameters, stops)
-        self._tape = SteppedTape(mechanics, symbols)
-        forces = [symbol for pair in mechanics.forces.values() for symbol in pair]
-        forces += [row.force for row in mechanics.joint_rows]
+        self._mechanics, self._parameters, self._regions = mechanics, symbols, regions
+        self._tapes = SteppedTapes(mechanics, symbols)
+        forces = [row.force for row in mechanics.joint_rows]
+        forces += [symbol for pair in mechanics.forces.values() for symbol in pair]
         names = mechanics.names
         self._stepping = Stepping(
             scene.name,
             (*names, *map(scene.rate_name, names)),
             parameters.names,
             tuple(region.name for region in regions),
+            self._tapes.initial,
+            "jam",
+            len(mechanics.a) + len(mechanics.joint_rows),
             np.array([name.endswith(".angle") for name in names]),
             compile_tape(
                 [margin.expression for margin in stops.values()],
-                variables=(*mechanics.q, *mechanics.v, *mechanics.a, *forces),
+                variables=(*mechanics.q, *mechanics.v, *mechanics.a, *forces, *mechanics.controls),
                 parameters=symbols,
                 time=mechanics.time,
             ),
@@ -105,8 +108,9 @@ class SceneStepper:
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""
-        setup, codes, warnings = self._begin(overrides)
-        return tuple(_STATES[code] for code in codes.tolist()), (*setup.warnings, *warnings)
+        begun = self._begin(overrides)
+        states = tuple(STATES[code] for code in begun.codes.tolist())
+        return (*states, *self._tapes.initial), (*begun.setup.warnings, *begun.warnings)
 
     def run(
         self,
@@ -118,62 +122,84 @@ class SceneStepper:
         show: Callable[[float, int, int], None],
     ) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
-        setup = self._numbers.at(overrides, _RELATIVE)
-        start = np.full(len(self._sticks), FREE)
-        warnings: list[str] = []
         failure: SimulationError | None = None
         try:
-            setup, start, warnings = self._begin(overrides)
+            begun = self._begin(overrides)
         except SimulationError as error:
-            failure = error
+            failure, setup = error, self._numbers.at(overrides, _RELATIVE)
+            free = np.full(len(self._sticks), FREE)
+            begun = _Begun(setup, free, np.zeros(len(free), dtype=np.bool_), ())
+        setup = begun.setup
+        scene = SteppedScene(self._tapes.at(self._tapes.initial), setup, begun.off)
+        control = None
+        if self._scene.regions:
+            control = StepControl(
+                self._mechanics, self._tapes, self._numbers, setup, scene, self._regions
+            )
         return impulse.run(
             self._stepping,
-            SteppedScene(self._tape, setup),
+            scene,
             setup,
-            start,
+            begun.codes,
             self._sticks,
             step=step,
             until=until,
             max_jumps=max_jumps,
             show=show,
-            warnings=warnings,
+            warnings=begun.warnings,
+            control=control,
             failure=failure,
         )
 
-    def _begin(
-        self, overrides: Mapping[str, float]
-    ) -> tuple[SceneSetup, NDArray[np.int64], list[str]]:
+    def _begin(self, overrides: Mapping[str, float]) -> _Begun:
         setup = self._numbers.at(overrides, _RELATIVE)
         warnings = self._lacks(setup)
-        gaps = self._tape.gaps(setup.values, setup.initial)
-        for law, gap in zip(setup.contacts, gaps.tolist(), strict=True):
-            if gap < -setup.tolerances["gap"]:
+        if self._mechanics.joint_rows:
+            snapshots = SnapshotTape(self._mechanics, self._parameters)
+            check_joints(self._mechanics, snapshots, setup, _RELATIVE)
+        tape = self._tapes.at(self._tapes.initial)
+        near = setup.tolerances["gap"]
+        off = np.zeros(len(setup.contacts), dtype=np.bool_)
+        measured = tape.contacts(setup.values, setup.initial)
+        for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
+            gap, _, _, condition = row
+            gated = OFF in law.states
+            off[i] = gated and (
+                condition < 0.0 or (gap < -near and self._scene.modes.get(law.name) == OFF)
+            )
+            if gap < -near and not off[i]:
+                also = f", or write modes: {{{law.name}: off}}" if gated else ""
                 raise DeclarationProblem(
                     f"contact {law.name!r} starts inside its surface, {-gap:.6g} deep",
-                    advice="move the body out of the surface",
+                    advice=f"move the body out of the surface{also}",
                     loc=("contacts", law.name),
                 )
-            if gap > setup.tolerances["gap"] and "free" not in law.states:
+            if gap > near and "free" not in law.states:
                 raise DeclarationProblem(
                     f"contact {law.name!r} starts {gap:.6g} off its surface, "
                     "and free is not among its modes",
                     loc=("contacts", law.name, "modes"),
                 )
-        trial = SteppedScene(self._tape, setup)
+        trial = SteppedScene(tape, setup, off)
         h = _TRIAL * setup.scales.length / setup.scales.speed
-        return setup, trial.steps(0.0, h, setup.initial, 1).codes[0], warnings
+        first = trial.steps(0.0, h, setup.initial, 1)
+        codes = first.codes[0]
+        # Contacts that strike at once are free before; those that jam slide before.
+        resting = first.struck[0] & (np.abs(measured[:, 1]) <= setup.tolerances["speed"])
+        slides = np.where(measured[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS)
+        codes = np.where(resting, slides, np.where(first.struck[0], FREE, codes))
+        if trial.filled:
+            warnings.append(
+                "coordinates without an inertia of their own are computed with 1e-7 of the bodies' "
+                "at the contacts"
+            )
+        return _Begun(setup, codes, off, tuple(warnings))
 
     def _lacks(self, setup: SceneSetup) -> list[str]:
-        """Return what differs from the declaration; raise where it cannot be done at all."""
+        """Return what differs from the declaration."""
         warnings = []
         for law in setup.contacts:
             kinds = self._scene.contacts[law.name].kinds
-            if "free" not in kinds and "slide" in kinds and ("pin" in kinds or law.cone_t > 0.0):
-                raise Unsupported(
-                    f"contact {law.name!r} is never free and has friction, whose force time "
-                    "stepping cannot bound without V >= 0; list free among its modes, or take "
-                    "the engine taylor or scipy"
-                )
             if law.restitution > 0.0 and law.cone_t > 0.0 and law.impact != "newton":
                 warnings.append(
                     f"contact {law.name!r}: time stepping applies Newton's law of impact, "

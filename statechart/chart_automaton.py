@@ -227,7 +227,7 @@ class ChartLaws:
                 for region, now in zip(self._regions, target, strict=True)
             ),
             held=held,
-            pending=self._listening.heard(flow._replace(pending=pending), jump),
+            pending=self._listening.heard(pending, jump),
         )
         return jump, self._with_tolerances(setup, clock, following, after)
 

@@ -23,7 +23,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from statechart.automaton import Flow, Region, Setup
+from statechart.automaton import Region, Setup
 from statechart.declaration import Event
 from statechart.events import happened
 from statechart.formula import Relation, parse_relation
@@ -152,6 +152,11 @@ class Watch:
         found = self._tape.values(np.concatenate([inputs, sizes]), setup.values, time)
         return found.reshape(-1, 6)
 
+    def table(self, setup: Setup, inputs: Array, sizes: Array, times: Array) -> Array:
+        """Return `at` for many instants: inputs (m, n), times (m,) to (m, g, 6)."""
+        rows = np.hstack([inputs, np.broadcast_to(sizes, (len(inputs), len(sizes)))])
+        return self._tape.table(rows, setup.values, times).reshape(len(inputs), -1, 6)
+
     def tolerances(self, rows: Array, relative: float) -> dict[str, float]:
         """Return margin -> how near zero it is on its boundary: `relative` to its terms."""
         sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0).tolist()
@@ -223,12 +228,22 @@ class Listening:
         self._regions = regions
         self._waiting = {name: found for name, found in waiting.items() if found}
 
-    def heard(self, flow: Flow, jump: Jump) -> dict[str, tuple[Jump, ...]]:
+    def heard(
+        self, pending: Mapping[str, tuple[Jump, ...]], jump: Jump
+    ) -> dict[str, tuple[Jump, ...]]:
         """Return what is pending once `jump` has happened; a region does not hear itself."""
         return {
-            name: (*flow.pending.get(name, ()), *((jump,) if name != jump.region else ()))
+            name: (*pending.get(name, ()), *((jump,) if name != jump.region else ()))
             for name in self._waiting
         }
+
+    def waits(self, names: Sequence[str], mode: Key) -> bool:
+        """Tell whether some of the regions wait for an event in their states."""
+        return any(
+            source == state
+            for name, state in zip(names, mode, strict=True)
+            for _, source, _ in self._waiting.get(name, ())
+        )
 
     def first(
         self,

@@ -65,7 +65,8 @@ class Observer:
         self._expressions: dict[str | int | float, sp.Expr] = {}
         automaton = simulator.automaton
         # What a mode solves for, or sets.
-        self._unknowns = frozenset((*automaton.unknowns, *automaton.controls))
+        self._solved = (*automaton.unknowns, *automaton.controls)
+        self._unknowns = frozenset(self._solved)
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
         self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
         self._actives: dict[tuple[Key, tuple[_Where, ...], tuple[sp.Expr, ...]], _Active] = {}
@@ -405,7 +406,7 @@ class Observer:
         arcs = trace.arcs
         if trace.step is None:
             return None
-        rows = np.full((len(places), len(self.automaton.unknowns)), np.nan)
+        rows = np.full((len(places), len(self._solved)), np.nan)
         for row, (j, ends) in zip(rows, places, strict=True):
             place = (
                 bisect_right(arcs, j, key=_jumps) - 1 if ends else bisect_left(arcs, j, key=_jumps)
@@ -423,7 +424,7 @@ class Observer:
     ) -> Tape:
         """Return the program for expressions in a mode, or in any that they do not depend on.
 
-        `known`: over states with the unknowns appended.
+        `known`: over states with the unknowns and controls appended.
         """
         key = (expressions, mode, known)
         tape = self._tapes.get(key)
@@ -431,7 +432,7 @@ class Observer:
             automaton = self.automaton
             tape = self._tapes[key] = compile_tape(
                 expressions,
-                variables=(*automaton.variables, *(automaton.unknowns if known else ())),
+                variables=(*automaton.variables, *(self._solved if known else ())),
                 parameters=automaton.parameters,
                 time=automaton.time,
                 definitions=mode.definitions if mode else (),

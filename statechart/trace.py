@@ -89,8 +89,8 @@ class Arc:
     coefficients : (k, n, d + 1) array
         Variable v over step i is ``sum(coefficients[i, v] * s**arange(d + 1))``, s in [0, 1].
     solved : (k, u) array or None
-        The automaton's unknowns over every step, where stepping through time has found them as
-        numbers; else the equations of the flow's mode give them.
+        The automaton's unknowns and controls over every step, where stepping through time has
+        found them as numbers; else the equations of the flow's mode give them.
     """
 
     mode: Key
@@ -215,6 +215,8 @@ class Trace:
         The time step, where it is fixed; `tolerance` is then not a number.
     margins : mapping or None
         Margin -> least value seen, where the run has noted them.
+    undetermined : mapping or None
+        `indeterminate`, where the run has noted it.
     """
 
     name: str
@@ -239,6 +241,7 @@ class Trace:
     counts: Mapping[str, int]
     step: float | None = None
     margins: Mapping[str, float] | None = None
+    undetermined: Mapping[Key, tuple[str, ...]] | None = None
 
     def changes(self, jump: Jump) -> tuple[dict[str, str], dict[str, str]]:
         """Return region -> state before and after `jump`."""
@@ -250,6 +253,8 @@ class Trace:
     @property
     def indeterminate(self) -> dict[Key, tuple[str, ...]]:
         """Mode -> regions some of whose quantities its motion does not determine."""
+        if self.undetermined is not None:
+            return dict(self.undetermined)
         found: dict[Key, tuple[str, ...]] = {}
         for arc in self.arcs:
             open_ones = zip(self.regions, arc.flow or (), strict=False)

@@ -10,7 +10,7 @@ import pytest
 
 from statechart.cli import main
 from statechart.document import interpret, read_text
-from statechart.errors import DeclarationError, StatechartError
+from statechart.errors import DeclarationError
 from statechart.run import Runner, run
 from statechart.trace import Outcome
 
@@ -101,10 +101,11 @@ def test_infinite_friction_holds_and_says_how(capsys):
     assert report["modes_built"] == 0
 
 
-def test_a_point_mass_is_refused_with_advice():
-    result = run("toppling_stick", parameters={"I_G": 0}, engine="impulse", step=1e-3, throw=False)
-    assert result.trace.outcome is Outcome.SINGULAR_MODE
-    assert "taylor" in result.trace.message
+def test_a_point_mass_has_a_small_inertia_and_it_says_so():
+    exact = run("toppling_stick", parameters={"I_G": 0})
+    found = run("toppling_stick", parameters={"I_G": 0}, engine="impulse", step=1e-3)
+    assert np.abs(found.trace.final - exact.trace.final).max() <= 1e-3
+    assert any("without an inertia" in warning for warning in found.warnings)
 
 
 def test_a_chart_has_no_time_steps():
@@ -199,9 +200,30 @@ def test_joints_converge_to_the_event_based_motion():
         assert found.observer.final(found.trace, ["pivot.Y"]) == pytest.approx(force, abs=10 * h)
 
 
-def test_what_the_engine_lacks_is_an_outcome():
-    text = HINGE.replace("modes: [pin]", "modes: [slide, pin], friction: 0.5")
-    with pytest.raises(StatechartError, match="free among its modes"):
-        run(scene(text))
-    result = run(scene(text), throw=False)
-    assert result.trace.outcome is Outcome.UNSUPPORTED
+SLIDING = """
+kind: scene
+name: block
+gravity: 9.81
+bodies:
+  block: {mass: 1, start: {dx: 3}}
+surfaces:
+  floor: {height: 0}
+contacts:
+  base: {point: {body: block}, surface: floor, modes: [slide, pin], friction: 0.5}
+stop: {time: 2}
+"""
+
+
+def test_a_contact_that_is_never_free_slides_to_rest():
+    exact, found = run(scene(SLIDING)), run(scene(SLIDING), engine="impulse", step=1e-3)
+    assert found.trace.modes == exact.trace.modes == (("slide+",), ("pin",))
+    assert np.abs(found.trace.final - exact.trace.final).max() <= 1e-5
+
+
+def test_a_mode_that_is_not_declared_ends_the_run():
+    text = SLIDING.replace("gravity: 9.81", "gravity: 9.81*(1 - time)").replace("gravity", "# ")
+    text += "forces:\n  lift: {body: block, force: [0, 9.81*(time - 1)]}\n"
+    result = run(scene(text), engine="impulse", step=1e-2, throw=False)
+    assert result.trace.outcome is Outcome.NO_CONSISTENT_MODE
+    assert "free is not among its modes" in result.trace.message
+    assert result.trace.t_end == pytest.approx(1.0, abs=0.02)

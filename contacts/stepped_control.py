@@ -1,0 +1,185 @@
+"""Controllers of a scene that is stepped through time: asked at the ends of steps.
+
+A transition that waits for an event fires at the end of the step in which that happens; one with a
+guard at the end of the first step at which it is true, unless it is about to become false by
+itself. Steps are taken many at a time under the forces of the states at hand; those after a
+transition are taken back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from contacts.controllers import ControlGuards, listening
+from contacts.mechanics import Mechanics
+from contacts.recognise import Chunk, Recorder
+from contacts.setup import SceneNumbers, SceneSetup
+from contacts.stepped_scene import SteppedScene, SteppedTape
+from statechart.automaton import Region
+from statechart.errors import EventLoop
+from statechart.trace import Jump, Key
+
+__all__ = ["StepControl", "SteppedTapes"]
+
+Array = NDArray[np.float64]
+
+_MOST_TURNS = 100
+
+
+class SteppedTapes:
+    """The equations of a scene in the states of its controllers, each compiled when entered.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        The scene's equations.
+    parameters : sequence of Symbol
+        In the order of the values.
+    """
+
+    def __init__(self, mechanics: Mechanics, parameters: Sequence[sp.Symbol]) -> None:
+        self._mechanics, self._parameters = mechanics, parameters
+        self._names = tuple(mechanics.scene.regions)
+        self._tapes: dict[Key, SteppedTape] = {}
+        self._guards: dict[Key, ControlGuards] = {}
+        self.initial: Key = tuple(r.initial for r in mechanics.scene.regions.values())
+
+    def named(self, states: Key) -> dict[str, str]:
+        """Return controller -> state."""
+        return dict(zip(self._names, states, strict=True))
+
+    def at(self, states: Key) -> SteppedTape:
+        """Return the equations."""
+        if states not in self._tapes:
+            self._tapes[states] = SteppedTape(self._mechanics, self._parameters, self.named(states))
+        return self._tapes[states]
+
+    def guards(self, states: Key) -> ControlGuards:
+        """Return the guards out of the states."""
+        if states not in self._guards:
+            self._guards[states] = ControlGuards(
+                self._mechanics, self._parameters, self.named(states)
+            )
+        return self._guards[states]
+
+
+class StepControl:
+    """The controllers of one run.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        The scene's equations.
+    tapes : SteppedTapes
+        Of the scene.
+    numbers : SceneNumbers
+        Of the scene.
+    setup : SceneSetup
+        The run's numbers.
+    scene : SteppedScene
+        What is controlled.
+    regions : sequence of Region
+        All, those of the controllers last.
+    """
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        tapes: SteppedTapes,
+        numbers: SceneNumbers,
+        setup: SceneSetup,
+        scene: SteppedScene,
+        regions: Sequence[Region],
+    ) -> None:
+        self._controllers = mechanics.scene.regions
+        self._names = tuple(self._controllers)
+        self._tapes, self._numbers, self._setup, self._scene = tapes, numbers, setup, scene
+        self._listening = listening(mechanics.scene, regions)
+        n, r = len(mechanics.q), len(mechanics.joint_rows)
+        c = 2 * len(mechanics.scene.contacts)
+        # Guards take the forces of joints after those of contacts.
+        self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
+        self.states = tapes.initial
+
+    def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> Chunk:
+        """Return the steps up to the first after which the controllers are to be asked."""
+        times: Array = start + chunk.h * np.arange(1, len(chunk.codes) + 1, dtype=float)
+        due = self._due(times, chunk.states[1:], chunk.solved, chunk.h)
+        asked: NDArray[np.bool_] = np.any(due, axis=1)
+        if self._listening.waits(self._names, self.states):
+            asked |= recorder.changes(chunk)
+        if not asked[:-1].any():
+            return chunk
+        self._scene.forget()
+        return self._scene.steps(start, chunk.h, chunk.states[0], 1 + int(np.argmax(asked)))
+
+    def turn(
+        self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
+    ) -> None:
+        """Take the transitions that are due at the end of a step.
+
+        Parameters
+        ----------
+        recorder : Recorder
+            What they are recorded by.
+        jumps : sequence of Jump
+            Of the step.
+        state : (2 n,)
+        solved : (u,)
+            Unknowns of the step.
+        h : float
+
+        Raises
+        ------
+        EventLoop
+            If they do not end.
+        """
+        pending: dict[str, tuple[Jump, ...]] = {}
+        for jump in jumps:
+            pending = self._listening.heard(pending, jump)
+        time = np.array([recorder.clock.high])
+        for _ in range(_MOST_TURNS):
+            watched = self._tapes.guards(self.states).watch.guards
+            due = self._due(time, state[None], solved[None], h)[0]
+            guarded: dict[int, int] = {}
+            for guard, now in zip(watched, due.tolist(), strict=True):
+                if now:
+                    guarded.setdefault(guard.place, guard.transition)
+            firing = self._listening.first(self._names, self.states, pending, guarded)
+            if firing is None:
+                return
+            name = self._names[firing.place]
+            taken = self._controllers[name].transitions[firing.transition]
+            fired = tuple(
+                guard.margin
+                for guard in watched
+                if (guard.place, guard.transition) == (firing.place, firing.transition)
+            )
+            self.states = (
+                *self.states[: firing.place],
+                taken.target,
+                *self.states[firing.place + 1 :],
+            )
+            jump = recorder.turn(name, taken.name, self.states, state, fired)
+            pending = self._listening.heard(firing.pending, jump)
+            named = self._tapes.named(self.states)
+            self._scene.switch(
+                self._tapes.at(self.states), self._numbers.contacts(self._setup.values, named)
+            )
+        raise EventLoop(
+            f"more than {_MOST_TURNS} transitions of controllers at one instant: "
+            + ", ".join(self.states)
+        )
+
+    def _due(self, times: Array, states: Array, solved: Array, h: float) -> NDArray[np.bool_]:
+        """Return which guards (m, g) are due."""
+        guards = self._tapes.guards(self.states)
+        rows = guards.table(self._setup, times, states, solved[:, self._order])
+        margin, rate = rows[..., 0], rows[..., 1]
+        passing = (rate > 0.0) & (margin + h * rate >= 0.0)
+        due: NDArray[np.bool_] = (margin < 0.0) & ~passing
+        return due
