@@ -24,7 +24,7 @@ JOINT = 4
 # A pivot below this part of its row's scale: the equations do not determine the motion.
 _SINGULAR = 1e-12
 # Coordinates without an inertia of their own get this part of what the others have at their levers.
-_LIGHTEST = 1e-7
+_LIGHTEST = 1e-9
 
 
 @_kernel

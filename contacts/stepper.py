@@ -190,7 +190,7 @@ class SceneStepper:
         codes = np.where(resting, slides, np.where(first.struck[0], FREE, codes))
         if trial.filled:
             warnings.append(
-                "coordinates without an inertia of their own are computed with 1e-7 of the bodies' "
+                "coordinates without an inertia of their own are computed with 1e-9 of the bodies' "
                 "at the contacts"
             )
         return _Begun(setup, codes, off, tuple(warnings))
