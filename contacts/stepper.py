@@ -198,6 +198,12 @@ class SceneStepper:
     def _lacks(self, setup: SceneSetup) -> list[str]:
         """Return what differs from the declaration."""
         warnings = []
+        bouncing = [law.name for law in setup.contacts if law.restitution > 0.0]
+        if len(bouncing) > 1 and self._scene.simultaneous != "capped":
+            warnings.append(
+                f"simultaneous: {self._scene.simultaneous!r} is not what time stepping does: "
+                "contacts that are hit together all obey Newton's law at once, as with 'capped'"
+            )
         for law in setup.contacts:
             kinds = self._scene.contacts[law.name].kinds
             if law.restitution > 0.0 and law.cone_t > 0.0 and law.impact != "newton":

@@ -34,6 +34,8 @@ SCENES = [
     ("two_balls", {}, None, 1e-4, 60.0),
 ]
 CHARTS = ("bouncing_ball_chart", "simplest_walker")
+# Asks that contacts strike one after another, which no time step does.
+SEQUENTIAL = "newtons_cradle"
 # Modes differ where a few steps slide before they stick.
 SLIDES_ON = ("double_contact_bar",)
 
@@ -55,7 +57,16 @@ def test_no_shipped_model_is_left_out():
     folder = Path(models.__file__).parent
     shipped = {path.stem for path in folder.glob("*.yaml")}
     stepped = {name for name in shipped if Runner(name).step is not None}
-    assert shipped == {name for name, *_ in SCENES} | set(CHARTS) | stepped
+    assert shipped == {name for name, *_ in SCENES} | {*CHARTS, SEQUENTIAL} | stepped
+
+
+def test_blows_that_are_not_passed_on_one_by_one_are_said_to_be():
+    found = Runner(SEQUENTIAL, engine="impulse", step=1e-3).run(until=0.6)
+    assert any("at once" in warning for warning in found.warnings)
+    # Newton's law at all contacts at once: the four that touch are hit as one.
+    before = Runner(SEQUENTIAL).run(until=0.6).outputs["rate_last"][0]
+    rates = found.outputs["rate_first"][0], found.outputs["rate_last"][0]
+    assert rates == pytest.approx((-0.6 * before, 0.4 * before), rel=1e-3)
 
 
 @pytest.mark.parametrize("name", CHARTS)
