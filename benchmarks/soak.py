@@ -7,28 +7,34 @@ may end because the laws have no answer, if it says so with the margins; a loop,
 failed step or a gap beyond 1.1 tolerances is a defect and is printed with what reproduces it.
 
     python benchmarks/soak.py [--events N] [--seed S] [--engine taylor|scipy] [--scene NAME]
+        [--log FILE]
+
+Run k of a scene draws its numbers from the seed (S, the scene's place, k). With a log an
+interrupted soak goes on where it ended.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from contacts.kind import automaton
-from contacts.parts import Body, Contact, Point, Surface
+from contacts.parts import Body, Contact, Coordinate, Point, Surface
 from contacts.scene import Scene
 from statechart.enclosure import lowest
 from statechart.engines import choose
-from statechart.observe import Observer
 from statechart.simulate import Simulator
-from statechart.tape import compile_tape
+from statechart.tape import Tape, compile_tape
 from statechart.trace import Outcome, Trace
 
 Numbers = Mapping[str, float]
@@ -36,7 +42,8 @@ Draw = Callable[[np.random.Generator], dict[str, float]]
 
 START = {"x": "x0", "y": "y0", "angle": "a0", "dx": "u0", "dy": "w0", "dangle": "r0"}
 BALL = {name: START[name] for name in ("x", "y", "dx", "dy")}
-EXPLAINED = (Outcome.HORIZON, Outcome.TOO_MANY_JUMPS, Outcome.AMBIGUOUS_MODE)
+_LONGEST = 2000
+EXPLAINED = (Outcome.HORIZON.name, Outcome.TOO_MANY_JUMPS.name)
 
 
 def scene(
@@ -45,10 +52,12 @@ def scene(
     surfaces: Mapping[str, Surface],
     points: Mapping[str, tuple[str, tuple[str | float, str | float], str]],
     parameters: Mapping[str, float],
+    coordinates: Mapping[str, Coordinate] | None = None,
 ) -> Scene:
     """Return a scene whose contacts all have friction mu and restitution e."""
     return Scene(
         name=name,
+        coordinates=dict(coordinates or {}),
         gravity="g",
         parameters={"g": 1, "mu": 0.5, "e": 0.5, **parameters},
         bodies=dict(bodies),
@@ -113,6 +122,14 @@ def families() -> dict[str, Family]:
         found = {**motion(random, 0.6), **coefficients(random)}
         return found | {"y1": found["y0"] + random.uniform(1.5, 3), "m": 10 ** random.normal()}
 
+    def hilly_rod_numbers(random: np.random.Generator) -> dict[str, float]:
+        found = rod_numbers(random) | {"A": random.uniform(0, 0.5), "w": random.uniform(0.5, 4)}
+        return found | {"y0": found["y0"] + 0.5}
+
+    def linkage_numbers(random: np.random.Generator) -> dict[str, float]:
+        found = rod_numbers(random) | {"b0": random.uniform(-math.pi, math.pi)}
+        return found | {"y0": found["y0"] + 2.0, "m": 10 ** random.normal()}
+
     return {
         "ball on hills": Family(
             scene(
@@ -133,6 +150,43 @@ def families() -> dict[str, Family]:
                 {**zero, "k": 0.3},
             ),
             rod_numbers,
+        ),
+        "rod on hills": Family(
+            scene(
+                "rod_on_hills",
+                {"rod": rod},
+                {"floor": hill},
+                {"low": ("rod", (0, -1), "floor"), "high": ("rod", (0, 1), "floor")},
+                {**zero, "k": 0.3, "A": 0.5, "w": 2},
+            ),
+            hilly_rod_numbers,
+        ),
+        "two rods on a hinge": Family(
+            scene(
+                "linkage",
+                {
+                    "one": Body(
+                        mass=1, inertia="k", position=("x - sin(a)", "y + cos(a)"), angle="a"
+                    ),
+                    "other": Body(
+                        mass="m", inertia="k*m", position=("x - sin(b)", "y + cos(b)"), angle="b"
+                    ),
+                },
+                {"floor": floor},
+                {
+                    "hinge": ("one", (0, -1), "floor"),
+                    "A": ("one", (0, 1), "floor"),
+                    "B": ("other", (0, 1), "floor"),
+                },
+                {**zero, "b0": 1, "k": 0.3, "m": 1},
+                {
+                    "x": Coordinate(start="x0", rate="u0"),
+                    "y": Coordinate(start="y0", rate="w0"),
+                    "a": Coordinate(start="a0", rate="r0"),
+                    "b": Coordinate(start="b0", rate="-r0"),
+                },
+            ),
+            linkage_numbers,
         ),
         "rod in a corner": Family(
             scene(
@@ -179,53 +233,97 @@ def families() -> dict[str, Family]:
     }
 
 
-def deepest(observer: Observer, family: Family, trace: Trace) -> float:
-    """Return the deepest gap of a run in units of its tolerance, on a grid in every step."""
-    built = observer.automaton
-    tape = compile_tape(
-        [built.observables[f"{name}.gap"] for name in family.scene.contacts],
-        variables=built.variables,
-        parameters=built.parameters,
-        time=built.time,
-    )
-    values = np.array(list(trace.parameters.values()))
-    least = 0.0
-    for arc in trace.arcs:
-        found = lowest(tape, arc.times, arc.coefficients, values, arc.start.high)
-        least = min(least, float(found.min()))
-    return -least / trace.tolerances["gap"]
+@dataclass(frozen=True, eq=False)
+class Running:
+    """A family on an engine: everything is compiled once, and only numbers change."""
+
+    family: Family
+    simulator: Simulator
+    gaps: Tape
+
+    @classmethod
+    def of(cls, family: Family, engine: str) -> Running:
+        built = automaton(family.scene)
+        return cls(
+            family,
+            Simulator(built, choose(engine=engine, method=None, tolerance=None)[0]),
+            compile_tape(
+                [built.observables[f"{name}.gap"] for name in family.scene.contacts],
+                variables=built.variables,
+                parameters=built.parameters,
+                time=built.time,
+            ),
+        )
+
+    def run(self, seed: list[int]) -> tuple[Trace, float]:
+        """Return the run of a seed, and its deepest gap on a grid in every step, in tolerances."""
+        numbers = self.family.draw(np.random.default_rng(seed))
+        trace = self.simulator.run(numbers, until=20.0, max_jumps=_LONGEST, throw=False)
+        values = np.array(list(trace.parameters.values()))
+        least = 0.0
+        for arc in trace.arcs:
+            found = lowest(self.gaps, arc.times, arc.coefficients, values, arc.start.high)
+            least = min(least, float(found.min()))
+        return trace, -least / trace.tolerances["gap"]
 
 
-def soak(events: int, seed: int, engine: str, only: str | None) -> int:
+class Tally:
+    """What was seen; read from the log of an interrupted soak, and added to it run by run."""
+
+    def __init__(self, log: Path | None) -> None:
+        self.runs: Counter[str] = Counter()
+        self.events: Counter[str] = Counter()
+        self.outcomes: Counter[str] = Counter()
+        self.deepest, self.defects = 0.0, 0
+        self._log = log
+        if log is not None and log.exists():
+            for line in log.read_text().splitlines():
+                self._add(json.loads(line))
+
+    def _add(self, record: dict[str, Any]) -> None:
+        name = record["scene"]
+        self.runs[name] += 1
+        self.events[name] += record["events"]
+        self.outcomes[record["outcome"]] += 1
+        self.deepest = max(self.deepest, record["deepest"])
+        self.defects += record["outcome"] not in EXPLAINED or record["deepest"] > 1.1
+
+    def add(self, name: str, trace: Trace, deepest: float) -> None:
+        """Add a run."""
+        record = {
+            "scene": name,
+            "run": self.runs[name],
+            "events": len(trace.jumps),
+            "outcome": trace.outcome.name,
+            "deepest": deepest,
+        }
+        if trace.outcome.name not in EXPLAINED or deepest > 1.1:
+            record |= {"message": trace.message}
+            print(json.dumps(record, indent=2), flush=True)
+        self._add(record)
+        if self._log is not None:
+            with self._log.open("a") as stream:
+                stream.write(json.dumps(record) + "\n")
+
+
+def soak(events: int, seed: int, engine: str, only: str | None, log: Path | None) -> int:
     """Run until so many events were seen; return the number of defects."""
-    random = np.random.default_rng(seed)
     chosen = {name: f for name, f in families().items() if only in (None, name)}
-    simulators = {
-        name: Simulator(automaton(f.scene), choose(engine=engine, method=None, tolerance=None)[0])
-        for name, f in chosen.items()
-    }
-    seen: Counter[str] = Counter()
-    outcomes: Counter[str] = Counter()
-    worst, defects, began = 0.0, 0, time.perf_counter()
-    while sum(seen.values()) < events:
-        for name, family in chosen.items():
-            numbers = family.draw(random)
-            trace = simulators[name].run(numbers, until=20.0, max_jumps=2000, throw=False)
-            depth = deepest(Observer(simulators[name]), family, trace)
-            worst = max(worst, depth)
-            seen[name] += len(trace.jumps)
-            outcomes[trace.outcome.name] += 1
-            if trace.outcome not in EXPLAINED or depth > 1.1:
-                defects += 1
-                print(f"{name}: {trace.outcome.name}, deepest gap {depth:.3g}: {trace.message}")
-                print(f"  {numbers}", flush=True)
-        if time.perf_counter() - began > 10.0:
+    places = {name: place for place, name in enumerate(families())}
+    running = {name: Running.of(family, engine) for name, family in chosen.items()}
+    tally, began = Tally(log), time.perf_counter()
+    while tally.events.total() < events:
+        # The scene with the fewest events so far: where little happens, more runs are made.
+        name = min(chosen, key=lambda one: tally.events[one])
+        tally.add(name, *running[name].run([seed, places[name], tally.runs[name]]))
+        if time.perf_counter() - began > 60.0:
             began = time.perf_counter()
-            print(f"{sum(seen.values())} events", file=sys.stderr, flush=True)
-    print(f"events: {dict(seen)}")
-    print(f"outcomes: {dict(outcomes)}")
-    print(f"deepest gap: {worst:.6g} of its tolerance; defects: {defects}")
-    return defects
+            print(f"{tally.events.total()} events", file=sys.stderr, flush=True)
+    print(f"events: {dict(tally.events)}")
+    print(f"runs: {dict(tally.runs)}")
+    print(f"outcomes: {dict(tally.outcomes)}")
+    print(f"deepest gap: {tally.deepest:.6g} of its tolerance; defects: {tally.defects}")
+    return tally.defects
 
 
 if __name__ == "__main__":
@@ -234,5 +332,16 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--engine", default="taylor", choices=("taylor", "scipy"))
     parser.add_argument("--scene", default=None)
+    parser.add_argument("--log", type=Path, default=None, help="runs, one a line; continued")
     arguments = parser.parse_args()
-    sys.exit(bool(soak(arguments.events, arguments.seed, arguments.engine, arguments.scene)))
+    sys.exit(
+        bool(
+            soak(
+                arguments.events,
+                arguments.seed,
+                arguments.engine,
+                arguments.scene,
+                arguments.log,
+            )
+        )
+    )
