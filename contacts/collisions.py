@@ -245,12 +245,19 @@ class _Problem:
     def _unexplained(self, changes: Array, impulses: Array) -> Array:
         """Return the largest change of momentum (..,) that no impulse explains, relatively.
 
-        The solver compares a row with the largest; a light body beside heavy ones has its own.
+        The solver compares a row with the largest; a light body beside heavy ones has its own. A
+        mass that couples two coordinates is known to the rounding of both; and a momentum that
+        moves no contact (rods that lie flat are pushed along) is rounding of what does.
         """
         pushes = np.einsum("gdn,...gd->...n", self.jacobians, impulses)
         sizes = np.hypot(impulses[..., 0], impulses[..., 1])
-        terms = np.abs(changes) @ np.abs(self.mass)
+        roots = np.sqrt(np.diag(self.mass))
+        terms = np.abs(changes) @ np.where(self.mass != 0.0, np.outer(roots, roots), 0.0)
         terms += np.einsum("gdn,...g->...n", np.abs(self.jacobians), sizes)
+        reach = np.abs(self.jacobians).max(axis=(0, 1))
+        inertia = np.divide(roots**2, reach, out=np.zeros_like(reach), where=reach > 0.0)
+        fastest = self._after(changes)[1].max(axis=(-2, -1))
+        terms += _ROUNDED * fastest[..., None] * inertia
         missed = np.abs(changes @ self.mass - pushes)
         relative = np.divide(missed, terms, out=np.zeros_like(terms), where=terms > 0.0)
         return np.asarray(relative.max(axis=-1))
