@@ -23,6 +23,7 @@ from contacts.complementarity import (
     delassus,
     solve_lcp,
 )
+from contacts.exact import exact_impulses
 from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SOLVED, solve_modes
 from contacts.redundancy import connected, into_cone, mode_columns, rank, smallest
 from contacts.snapshot import Snapshot
@@ -88,8 +89,8 @@ def collisions(
     ``0 <= P_n``, ``v_n+ + e min(v_n-, 0) >= 0``, their product 0; friction in its cone, against
     the slip that remains. The state's saddle point is solved, so that no inertia need be positive
     that the contacts do not accelerate. Up to four contacts all combinations of modes are tried;
-    above, Lemke's algorithm finds one, and whether it is the only one is not known. None: no
-    combination agrees, or (more than four contacts) none was found.
+    above, Lemke's algorithm finds one, and whether it is the only one is not known. What rounding
+    hides is looked for in rational arithmetic. None: there is none.
 
     Parameters
     ----------
@@ -105,6 +106,8 @@ def collisions(
         agree = problem.solve(problem.by_lemke())
     if not agree and len(group) <= _ENUMERATED_LAST:
         agree = problem.solve(list(product(*(_choices(laws[i]) for i in group))))
+    if not agree:
+        agree = problem.exactly()
     found: list[Collision] = []
     for collision in sorted(agree, key=_preference):
         if not any(problem.same_motion(collision, one) for one in found):
@@ -284,6 +287,15 @@ class _Problem:
             return []
         impulses = contact_impulses(solution.z, self.cones)
         return [tuple(map(_mode, impulses.tolist(), self.cones.tolist()))]
+
+    def exactly(self) -> list[Collision]:
+        """Return what rational arithmetic finds: for inertias and impulses too far apart."""
+        found = exact_impulses(self.mass, self.jacobians, self.start, self.cones)
+        if found is None:
+            return []
+        code, change, impulses = found
+        violation = self._violations(code[None], change[None], impulses[None]).item()
+        return [self._collision(code, change, impulses, violation)] if violation <= _TIE else []
 
     def same_motion(self, one: Collision, other: Collision) -> bool:
         """Whether the contacts, whose impulses are all that moves the bodies, move alike."""
