@@ -58,7 +58,14 @@ class _Piece:
     tangential: float
 
 
-def impact(snapshot: Snapshot, contact: PerContact, law: ContactLaw, restitution: float) -> Impact:
+def impact(
+    snapshot: Snapshot,
+    contact: PerContact,
+    law: ContactLaw,
+    restitution: float,
+    *,
+    braking: bool = False,
+) -> Impact:
     """Return the outcome of an impact at `contact`, the only closed one.
 
     Parameters
@@ -71,6 +78,8 @@ def impact(snapshot: Snapshot, contact: PerContact, law: ContactLaw, restitution
         Friction and the meaning of restitution.
     restitution : float
         Coefficient, 0 to 1.
+    braking : bool
+        Slip is stopped first, though the contact does not approach (see `contacts.jams`).
 
     Raises
     ------
@@ -88,8 +97,10 @@ def impact(snapshot: Snapshot, contact: PerContact, law: ContactLaw, restitution
         if not path or path[-1] != piece.name:
             path.append(piece.name)
         to_stop = -u_t / piece.u_t if u_t * piece.u_t < 0.0 else math.inf
-        if compressing:
-            to_end = -u_n / piece.u_n if piece.u_n > 0.0 else math.inf
+        if braking and u_t != 0.0:
+            to_end = math.inf
+        elif compressing:
+            to_end = max(-u_n / piece.u_n, 0.0) if piece.u_n > 0.0 else math.inf
         elif law.impact == "newton":
             to_end = (-restitution * approach - u_n) / piece.u_n if piece.u_n > 0 else math.inf
         elif law.impact == "poisson":

@@ -14,14 +14,15 @@ from contacts.bounces import rests_of_bounces
 from contacts.classify import Choice, ContactLaw, choose
 from contacts.closing import check_joints
 from contacts.gates import Gates, hidden
+from contacts.jams import Jam, closed_state, jammed, unbounded, without_collision
 from contacts.mechanics import Mechanics
 from contacts.modes import OFF, OPEN
-from contacts.painleve import Paradox, paradoxes
+from contacts.painleve import paradoxes
 from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
-from contacts.simultaneous import Impacts, impacts, without_collision
-from contacts.snapshot import PerContact, Snapshot, SnapshotTape
-from statechart.automaton import Flow, Margin, Projector, Setup, plain
+from contacts.simultaneous import Impacts, impacts
+from contacts.snapshot import Snapshot, SnapshotTape
+from statechart.automaton import UNBOUNDED, Flow, Margin, Projector, Setup, plain
 from statechart.errors import DeclarationProblem, NoConsistentMode
 from statechart.parameters import Parameters
 from statechart.trace import Clock, Jump, Key
@@ -38,36 +39,8 @@ _START_DEPTH = 1e-9
 _LOW, _LOW_AT_REST = 1e3, 1e6
 
 
-def _closed(law: ContactLaw, contact: PerContact, still_below: float) -> str:
-    """Return the state in which an impact without rebound leaves a contact."""
-    sliding = [name for name in law.states if name.startswith("slide")]
-    if "pin" in law.states and (abs(contact.slip) <= still_below or not sliding):
-        return "pin"
-    return sliding[0] if len(sliding) == 1 or contact.slip > 0.0 else sliding[-1]
-
-
 def _alike(one: Jump, other: Jump) -> bool:
     return (one.region, one.cause) == (other.region, other.cause)
-
-
-class _Jam(Exception):  # noqa: N818 -- not an error: friction presses the contact into its surface
-    """No mode agrees with the state, and an impact without collision resolves it."""
-
-    def __init__(self, place: int, paradox: Paradox, sliding: Key) -> None:
-        super().__init__(f"{paradox}; resolved by an impact without collision")
-        self.place = place
-        self.sliding = sliding
-
-    @classmethod
-    def at(
-        cls, snapshot: Snapshot, laws: Sequence[ContactLaw], place: int, paradox: Paradox
-    ) -> _Jam:
-        direction = "slide+" if snapshot.contacts[place].slip > 0.0 else "slide-"
-        sliding = tuple(
-            direction if i == place else OFF if other.gap == math.inf else "free"
-            for i, other in enumerate(snapshot.contacts)
-        )
-        return cls(place, paradox, sliding)
 
 
 class SceneLaws:
@@ -158,7 +131,7 @@ class SceneLaws:
             snapshot = hidden(self._tape.at(setup.values, state, 0.0), off)
         try:
             choice = self._choose(setup, snapshot, touching)
-        except _Jam as jam:
+        except Jam as jam:
             return self._flow(setup, jam.sliding, settled=False), state
         self._check_declared(choice, touching, failing)
         taken = choice.taken
@@ -203,6 +176,13 @@ class SceneLaws:
             snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         closed = [c.gap <= close for c in snapshot.contacts]
+        if fired == (UNBOUNDED,):
+            shut = [state not in OPEN for state in moving]
+            jam = unbounded(snapshot, setup.contacts, shut, 2.0 * slow)
+            if jam is None or self._paradox == "stop":
+                return None
+            hit = [*jam.places]
+            return self._impact(setup, clock, j, flow, state, fired, snapshot, hit, closed, jam)
         hitting = [i for i, c in enumerate(snapshot.contacts) if closed[i] and c.gap_rate < -slow]
         if hitting:
             return self._impact(setup, clock, j, flow, state, fired, snapshot, hitting, closed)
@@ -211,8 +191,8 @@ class SceneLaws:
         ]
         try:
             choice = self._choose(setup, snapshot, touching)
-        except _Jam as jam:
-            hit = [jam.place]
+        except Jam as jam:
+            hit = [*jam.places]
             return self._impact(setup, clock, j, flow, state, fired, snapshot, hit, closed, jam)
         target = choice.taken.states
         skipping = moving != flow.mode
@@ -279,7 +259,10 @@ class SceneLaws:
         )
         if rest > 0.0 and height > (_LOW if slides else _LOW_AT_REST):
             return None
-        choice = self._choose(setup, snapshot, shut)
+        try:
+            choice = self._choose(setup, snapshot, shut)
+        except Jam:
+            return None
         after = landed(choice.taken.states, snapshot, state, setup.tolerances)
         energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
         following = self._flow(
@@ -304,11 +287,11 @@ class SceneLaws:
         snapshot: Snapshot,
         hitting: list[int],
         closed: list[bool],
-        jam: _Jam | None = None,
+        jam: Jam | None = None,
     ) -> tuple[Jump, Flow]:
         def collided(laws: Sequence[ContactLaw]) -> Impacts:
             if jam is not None:
-                return without_collision(snapshot, laws, jam.place)
+                return without_collision(snapshot, laws, jam.places)
             return impacts(snapshot, laws, closed, self._simultaneous)
 
         laws, slow = setup.contacts, setup.tolerances["speed"]
@@ -335,7 +318,7 @@ class SceneLaws:
         if any(touching):
             try:
                 choice = self._choose(setup, following, touching)
-            except _Jam as next_jam:
+            except Jam as next_jam:
                 moving, settled = next_jam.sliding, False
             else:
                 considered, moving, notes = choice.considered, choice.taken.flow, choice.notes
@@ -346,7 +329,7 @@ class SceneLaws:
         if jam is None and not rests:
             # What is hit without rebound and thrown off by the turning of its body closes first.
             ended = tuple(
-                _closed(law, contact, 2.0 * slow)
+                closed_state(law, contact, 2.0 * slow)
                 if i in hitting and touching[i] and target[i] == "free" and law.restitution == 0.0
                 else target[i]
                 for i, (law, contact) in enumerate(zip(laws, following.contacts, strict=True))
@@ -415,9 +398,10 @@ class SceneLaws:
         try:
             choice = choose(snapshot, setup.contacts, touching, setup.scales, tie, still)
         except NoConsistentMode as error:
+            jam = jammed(snapshot, setup.contacts, touching, still)
+            if self._paradox == "impact" and jam is not None:
+                raise jam from error
             found = paradoxes(snapshot, setup.contacts, touching, still)
-            if self._paradox == "impact" and sum(touching) == 1 and found:
-                raise _Jam.at(snapshot, setup.contacts, *found.popitem()) from error
             reports = "".join(f"; {paradox}" for paradox in found.values())
             raise NoConsistentMode(f"{error}{reports}") from None
         if choice.warning:

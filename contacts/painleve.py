@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Paradox:
-    """A sliding contact with p <= 0, the other contacts seen as open.
+    """A sliding contact with p <= 0 (or nearly so), the other contacts seen as open.
 
     Attributes
     ----------
@@ -49,7 +49,9 @@ class Paradox:
 
     @property
     def kind(self) -> str:
-        """inconsistent, or indeterminate."""
+        """inconsistent, or indeterminate; about to be so where p > 0 still."""
+        if self.p > 0.0:
+            return "about to be inconsistent"
         return "inconsistent" if self.b < 0.0 else "indeterminate"
 
     def __str__(self) -> str:
@@ -60,7 +62,11 @@ class Paradox:
 
 
 def paradoxes(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], touching: Sequence[bool], still_below: float
+    snapshot: Snapshot,
+    laws: Sequence[ContactLaw],
+    touching: Sequence[bool],
+    still_below: float,
+    nearly: float = 0.0,
 ) -> dict[int, Paradox]:
     """Return the touching contacts that slide with p <= 0, by their places.
 
@@ -74,6 +80,8 @@ def paradoxes(
         Which contacts are closed.
     still_below : float
         Slip speeds up to this count as zero.
+    nearly : float
+        Those with p up to this part of the response to a normal force alone, too.
     """
     found: dict[int, Paradox] = {}
     for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True)):
@@ -81,7 +89,8 @@ def paradoxes(
             continue
         sign = math.copysign(1.0, contact.slip)
         p = _response(snapshot, contact, law.cone_n, -sign * law.cone_t)
-        if p > 0.0:
+        straight = _response(snapshot, contact, 1.0, 0.0)
+        if p > nearly * straight:
             continue
         size = len(snapshot.forces)
         free = solve_kkt(
@@ -89,7 +98,6 @@ def paradoxes(
         )
         b = math.nan if free is None else float(contact.jacobian[0] @ free[0]) + contact.bias_n
         across = sign * _response(snapshot, contact, 0.0, 1.0)
-        straight = _response(snapshot, contact, 1.0, 0.0)
         steep = law.cone_n == 0.0
         found[i] = Paradox(
             law.name,

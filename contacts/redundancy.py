@@ -115,11 +115,16 @@ def into_cone(impulse: Array, cone: Array) -> tuple[float, float]:
 
 def connected(linked: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Label the connected parts of a symmetric relation (n, n)."""
-    labels = np.arange(len(linked))
-    for k in range(len(linked)):
-        met = np.unique(labels[linked[k] | (np.arange(len(linked)) == k)])
-        labels[np.isin(labels, met)] = met[0]
-    return labels
+    labels = [-1] * len(linked)
+    beside = [np.flatnonzero(row).tolist() for row in linked]
+    for first in range(len(labels)):
+        left = [first] if labels[first] < 0 else []
+        while left:
+            k = left.pop()
+            if labels[k] < 0:
+                labels[k] = first
+                left += beside[k]
+    return np.array(labels, dtype=np.int64)
 
 
 def directions(mode: int, cone: Array) -> list[tuple[float, float]]:

@@ -107,12 +107,15 @@ class Scene(Declaration):
         return ".".join([*owner, f"d{name}"])
 
     def jams(self, contact: str) -> bool:
-        """Whether a contact may see an impact without collision: its point turns, and rubs."""
+        """Whether a contact may see an impact without collision.
+
+        It rubs, and its point turns or others can wedge it.
+        """
         declared = self.contacts[contact]
         body = self.bodies[declared.point.body]
         rubs = "slide" in declared.kinds and not declared.frictionless
         turns = body.inertia is not None or body.position is not None
-        return rubs and turns and self.paradox == "impact"
+        return rubs and (turns or len(self.contacts) > 1) and self.paradox == "impact"
 
     def bounces(self, contact: str) -> bool:
         """Whether impacts may accumulate: its own, or in turn with those elsewhere on its body."""

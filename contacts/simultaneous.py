@@ -23,7 +23,7 @@ from contacts.parts import Simultaneous
 from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import NoConsistentMode
 
-__all__ = ["Impacts", "impacts", "without_collision"]
+__all__ = ["Impacts", "groups", "impacts"]
 
 Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def impacts(
     path: list[str] = []
     warnings: list[str] = []
     share = 1.0
-    for group in _groups(snapshot, closed):
+    for group in groups(snapshot, closed):
         if min(snapshot.contacts[i].gap_rate for i in group) >= 0.0:
             continue
         if len(group) == 1:
@@ -128,37 +128,8 @@ def impacts(
     )
 
 
-def without_collision(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -> Impacts:
-    """Return the impact of a closed contact that friction presses into its surface (Painleve).
-
-    Routh's path from a normal velocity of zero: slip is braked until it stops, pressing the point
-    inwards meanwhile; then the point sticks, and compression and restitution follow.
-
-    Parameters
-    ----------
-    snapshot, laws
-        As for `impacts`.
-    place : int
-        The contact, the only closed one.
-
-    Raises
-    ------
-    NoConsistentMode
-        If the path does not end.
-    """
-    law = laws[place]
-    contact = snapshot.contacts[place]._replace(gap_rate=0.0)
-    result = impact(snapshot, contact, law, law.restitution)
-    impulses = np.zeros((len(laws), 2))
-    impulses[place] = result.normal, result.tangential
-    before, after = (
-        float(0.5 * v @ snapshot.mass @ v) for v in (snapshot.velocity, result.velocity)
-    )
-    path = (f"{law.name} {' '.join(result.path)}",)
-    return Impacts(result.velocity, impulses, path, before, after, 1.0, (False,) * len(laws))
-
-
-def _groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
+def groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
+    """Return the closed contacts, those together whose impulses feel each other."""
     shut = [i for i, is_closed in enumerate(closed) if is_closed]
     if len(shut) == 1:
         return [shut]

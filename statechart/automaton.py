@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "HELD",
+    "UNBOUNDED",
     "Automaton",
     "Edge",
     "Flow",
@@ -45,6 +46,10 @@ Kind = Literal["plain", "gap", "speed", "force"]
 
 HELD = ""
 """In the key of a flow: a region whose state contributes nothing, so that what it moves rests."""
+
+UNBOUNDED = "unbounded"
+"""What ends a flow that cannot be continued, though no margin fell; the laws may know what follows
+(a force that has grown without bound)."""
 
 
 Projector = Callable[[NDArray[np.float64], float], tuple[NDArray[np.float64], float]]

@@ -12,10 +12,10 @@ import numpy as np
 import sympy as sp
 
 from statechart.advance import CompiledMode, advance, compile_mode
-from statechart.automaton import HELD, Automaton, Flow, Setup, plain
+from statechart.automaton import HELD, UNBOUNDED, Automaton, Flow, Setup, plain
 from statechart.compose import build_mode
 from statechart.engine import Engine, Path
-from statechart.errors import EventLoop, SimulationError
+from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure
 from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace
 from statechart.zeno import Accumulation, between
 
@@ -173,6 +173,7 @@ class _Run:
     entered: dict[Key, CompiledMode] = field(default_factory=dict)
     stalled: tuple[float, float, tuple[str, ...]] | None = None
     grazed: bool = False
+    failure: SimulationError | None = None
     rearranged: tuple[tuple[float, float], int] = (0.0, 0.0), 0
 
     def __post_init__(self) -> None:
@@ -270,6 +271,9 @@ class _Run:
             tolerances=special,
             terms=terms,
         )
+        if isinstance(reached.failure, StepFailure | NonFinite):
+            self.failure = reached.failure
+            return (UNBOUNDED,)
         if reached.failure is not None:
             raise reached.failure
         if reached.crossing is None:
@@ -345,7 +349,10 @@ class _Run:
             )
             raise EventLoop(f"{_JUMPS_AT_ONCE} jumps at t = {self.clock.high:.17g}: {recent}")
         if fired and not moved:
+            if self.failure is not None:
+                raise self.failure
             self._stall(fired)
+        self.failure = None
         return False
 
     def _rearrange(self, fired: tuple[str, ...]) -> None:

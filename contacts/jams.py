@@ -1,0 +1,169 @@
+"""Jams: friction that presses closed contacts into their surfaces, whatever forces they bear.
+
+No mode agrees with such a state, or the force of a sliding contact has grown without bound on the
+way to it. An impact without collision ends it (Lecornu 1905; Genot and Brogliato, Eur. J. Mech. A
+18 (1999)): impulses at contacts that do not approach, which stop the slip that presses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from contacts.classify import ContactLaw
+from contacts.collisions import Collision, collisions
+from contacts.impact import impact
+from contacts.modes import OFF
+from contacts.painleve import paradoxes
+from contacts.simultaneous import Impacts, groups
+from contacts.snapshot import PerContact, Snapshot
+from statechart.errors import NoConsistentMode
+from statechart.trace import Key
+
+__all__ = ["Jam", "closed_state", "jammed", "unbounded", "without_collision"]
+
+# Of the response to a normal force alone: where p falls below, a force is 1e6 times what holds the
+# contact closed without friction.
+_HARDLY = 1e-6
+# Of the velocities before: impulses that change them by less are none.
+_NOTHING = 1e-9
+
+
+class Jam(Exception):  # noqa: N818 -- not an error: friction presses contacts into their surfaces
+    """No mode agrees with the state, and an impact without collision resolves it.
+
+    Attributes
+    ----------
+    places : tuple of int
+        The contacts that jam.
+    sliding : tuple of str
+        The mode in which they do.
+    """
+
+    def __init__(
+        self,
+        snapshot: Snapshot,
+        laws: Sequence[ContactLaw],
+        places: Sequence[int],
+        why: str,
+        still_below: float,
+    ) -> None:
+        super().__init__(f"{why}; resolved by an impact without collision")
+        self.places = tuple(places)
+        self.sliding: Key = tuple(
+            closed_state(law, contact, still_below)
+            if i in places
+            else OFF if contact.gap == np.inf else "free"
+            for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True))
+        )  # fmt: skip
+
+
+def closed_state(law: ContactLaw, contact: PerContact, still_below: float) -> str:
+    """Return the state in which an impact without rebound leaves a contact."""
+    sliding = [name for name in law.states if name.startswith("slide")]
+    if "pin" in law.states and (abs(contact.slip) <= still_below or not sliding):
+        return "pin"
+    return sliding[0] if len(sliding) == 1 or contact.slip > 0.0 else sliding[-1]
+
+
+def jammed(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], touching: Sequence[bool], still_below: float
+) -> Jam | None:
+    """Return the jam of a state that no mode agrees with; None: an impact would change nothing.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+        The state's numbers.
+    laws : sequence of ContactLaw
+        One per contact.
+    touching : sequence of bool
+        Which contacts are closed.
+    still_below : float
+        Slip speeds up to this count as zero.
+    """
+    found = paradoxes(snapshot, laws, touching, still_below)
+    for group in groups(snapshot, touching):
+        why = ""
+        if len(group) == 1:
+            why = str(found.get(group[0], ""))
+        elif _at_once(snapshot, laws, group) is not None:
+            names = ", ".join(laws[i].name for i in group)
+            why = "; ".join(
+                [f"friction jams {names}", *(str(found[i]) for i in group if i in found)]
+            )
+        if why:
+            return Jam(snapshot, laws, group, why, still_below)
+    return None
+
+
+def unbounded(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], closed: Sequence[bool], still_below: float
+) -> Jam | None:
+    """Return the jam that a flow has come to the brink of: p falls to zero, and b < 0.
+
+    Parameters
+    ----------
+    closed : sequence of bool
+        Which contacts the flow keeps closed.
+    """
+    found = paradoxes(snapshot, laws, closed, still_below, _HARDLY)
+    for group in groups(snapshot, closed):
+        paradox = found.get(group[0])
+        if len(group) == 1 and paradox is not None and paradox.b < 0.0:
+            why = f"the force of {paradox.contact} grows without bound; {paradox}"
+            return Jam(snapshot, laws, group, why, still_below)
+    return None
+
+
+def without_collision(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int]
+) -> Impacts:
+    """Return the impact of closed contacts that friction presses into their surfaces.
+
+    One contact: Routh's path from a normal velocity of zero; slip is braked until it stops,
+    pressing the point inwards meanwhile; then the point sticks, and compression and restitution
+    follow. Several: the impulses other than none that agree with the plastic law of impact.
+
+    Parameters
+    ----------
+    snapshot, laws
+        As for `impacts`.
+    places : sequence of int
+        The contacts, the only closed ones of their bodies.
+
+    Raises
+    ------
+    NoConsistentMode
+        If the path does not end, or there are no such impulses.
+    """
+    impulses = np.zeros((len(laws), 2))
+    unknown = (False,) * len(laws)
+    if len(places) == 1:
+        place = places[0]
+        law, contact = laws[place], snapshot.contacts[place]._replace(gap_rate=0.0)
+        result = impact(snapshot, contact, law, law.restitution, braking=True)
+        impulses[place] = result.normal, result.tangential
+        velocity, path = result.velocity, f"{law.name} {' '.join(result.path)}"
+    else:
+        found = _at_once(snapshot, laws, places)
+        if found is None:
+            names = ", ".join(laws[i].name for i in places)
+            raise NoConsistentMode(f"no impulse resolves the jam of {names}")
+        impulses, unknown = found.impulses, found.indeterminate
+        velocity = snapshot.velocity + found.change
+        path = "plastic " + ", ".join(f"{laws[i].name}:{found.states[i]}" for i in places)
+    before, after = (float(0.5 * v @ snapshot.mass @ v) for v in (snapshot.velocity, velocity))
+    return Impacts(velocity, impulses, (path,), before, after, 1.0, unknown)
+
+
+def _at_once(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int]
+) -> Collision | None:
+    """Return the preferred plastic impulse that is not none."""
+    contacts = tuple(c._replace(gap_rate=0.0) for c in snapshot.contacts)
+    closed = [i in places for i in range(len(laws))]
+    found = collisions(snapshot._replace(contacts=contacts), laws, closed, [0.0] * len(laws))
+    least = _NOTHING * float(np.abs(snapshot.velocity).max())
+    return next((one for one in found if np.abs(one.change).max() > least), None)
