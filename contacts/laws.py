@@ -265,8 +265,10 @@ class SceneLaws:
             return None
         after = landed(choice.taken.states, snapshot, state, setup.tolerances)
         energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
+        # A bar that rattles over a crest takes off from it: there is nothing to wait for.
+        wait = None if choice.taken.flow == flow.mode else rest
         following = self._flow(
-            setup, flow.mode, choice.taken.flow, rest, choice.warning, notes=choice.notes
+            setup, flow.mode, choice.taken.flow, wait, choice.warning, notes=choice.notes
         )
         return dataclasses.replace(jump, after=after, energy=energy, skipped=rest), following
 
