@@ -35,8 +35,10 @@ class Jam(Exception):  # noqa: N818 -- not an error: friction presses contacts i
 
     Attributes
     ----------
+    why : str
+        Which contacts, and by what numbers.
     places : tuple of int
-        The contacts that jam.
+        They.
     sliding : tuple of str
         The mode in which they do.
     """
@@ -50,6 +52,7 @@ class Jam(Exception):  # noqa: N818 -- not an error: friction presses contacts i
         still_below: float,
     ) -> None:
         super().__init__(f"{why}; resolved by an impact without collision")
+        self.why = why
         self.places = tuple(places)
         self.sliding: Key = tuple(
             closed_state(law, contact, still_below)

@@ -179,8 +179,10 @@ class SceneLaws:
         if fired == (UNBOUNDED,):
             shut = [state not in OPEN for state in moving]
             jam = unbounded(snapshot, setup.contacts, shut, 2.0 * slow)
-            if jam is None or self._paradox == "stop":
+            if jam is None:
                 return None
+            if self._paradox == "stop":
+                raise NoConsistentMode(jam.why)
             hit = [*jam.places]
             return self._impact(setup, clock, j, flow, state, fired, snapshot, hit, closed, jam)
         hitting = [i for i, c in enumerate(snapshot.contacts) if closed[i] and c.gap_rate < -slow]

@@ -12,6 +12,7 @@ from runs import golden, number
 from contacts.classify import ContactLaw
 from contacts.collisions import collisions
 from contacts.complementarity import contact_impulses, contact_problem, enumerate_lcp
+from contacts.exact import exact_impulses
 from contacts.impact import impact
 from contacts.simultaneous import Impacts, impacts
 from contacts.snapshot import PerContact, Snapshot
@@ -441,6 +442,51 @@ def check(snapshot: Snapshot, laws: list[ContactLaw], result: Impacts) -> None:
     momentum = np.abs(snapshot.mass) @ np.abs(snapshot.velocity)
     rounding = 1e-9 * pushes + 1e-15 * momentum
     assert (np.abs(snapshot.mass @ change - pushed) <= rounding).all(), "impulses"
+
+
+@pytest.mark.parametrize("place", [3442, 4341])
+def test_where_rounding_hides_the_impulse_rational_arithmetic_finds_it(place: int) -> None:
+    random = np.random.default_rng(1)
+    for _ in range(place + 1):
+        snapshot, laws = random_scene(random)
+    check(snapshot, laws, impacts(snapshot, laws, [True] * len(laws), "plastic"))
+
+
+def test_rational_arithmetic_agrees_with_enumeration() -> None:
+    random = np.random.default_rng(23)
+    for _ in range(40):
+        jacobians = random.normal(size=(3, 2, 6))
+        snapshot = scene(np.ones(6), jacobians, random.normal(size=6))
+        laws = [law(mu, 0.0, name) for mu, name in zip((0.0, 0.3, 2.0), "ABC", strict=True)]
+        cones = np.array([(one.cone_n, one.cone_t) for one in laws])
+        start = snapshot.jacobians @ snapshot.velocity
+        found = exact_impulses(snapshot.mass, snapshot.jacobians, start, cones)
+        assert found is not None
+        _, change, impulses = found
+        assert change == pytest.approx(np.einsum("cdn,cd->n", jacobians, impulses), abs=1e-12)
+        expected = collisions(snapshot, laws, [True] * 3, [0.0] * 3)
+        assert any(np.allclose(change, one.change, atol=1e-10) for one in expected)
+
+
+def test_rods_that_lie_flat_on_their_hinge_feel_no_rounding() -> None:
+    # The masses that couple the angles to the way along the floor are the cosine of a right angle.
+    rounding = 6.1e-17
+    mass = [
+        [1.4, 0.0, -7.0 * rounding, -4.0 * rounding],
+        [0.0, 1.4, 1.0, -0.36],
+        [-7.0 * rounding, 1.0, 1.2, 0.0],
+        [-4.0 * rounding, -0.36, 0.0, 0.43],
+    ]
+    hinge = [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]
+    one = [[0.0, 1.0, 2.0, 0.0], [1.0, 0.0, -14.0 * rounding, 0.0]]
+    other = [[0.0, 1.0, 0.0, -2.0], [1.0, 0.0, 0.0, -14.0 * rounding]]
+    for mu in (0.0, 0.3, 14.0):
+        laws = [law(mu, name=name) for name in ("hinge", "A", "B")]
+        snapshot = scene(mass, [hinge, one, other], [-0.15, 0.0, 0.0, 0.26])
+        for choice in ("plastic", "capped"):
+            result = impacts(snapshot, laws, [True] * 3, choice)  # type: ignore[arg-type]
+            assert after(snapshot, result)[:, 0] == pytest.approx([0.0] * 3, abs=1e-15)
+            assert not result.path[0].endswith("open")
 
 
 @pytest.mark.parametrize("choice", ["plastic", "capped"])

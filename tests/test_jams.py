@@ -1,0 +1,110 @@
+"""Friction that presses contacts into their surfaces: on the way there, and several at once."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from runs import ENGINES, engine
+
+from contacts.kind import automaton
+from contacts.scene import Scene
+from statechart.automaton import UNBOUNDED, Flow
+from statechart.document import read_text, validate
+from statechart.simulate import Simulator
+from statechart.trace import Clock, Outcome, Trace
+
+ROD = """\
+kind: scene
+name: rod
+parameters: {k: 0.03, mu: 1.5, phi: 1.2, omega: 1, v: 3}
+gravity: 1
+bodies:
+  rod:
+    mass: 1
+    inertia: k
+    start: {x: sin(phi), y: cos(phi), angle: -phi, dx: v + cos(phi)*omega, dy: -sin(phi)*omega,
+            dangle: -omega}
+surfaces: {floor: {height: 0}}
+contacts:
+  end: {point: {body: rod, at: [0, -1]}, surface: floor, friction: mu, restitution: 0}
+"""
+# A heavy ball slides off a light one: friction at both contacts wedges the light one in.
+WEDGE = """\
+kind: scene
+name: wedge
+parameters: {mu: 1.5, m: 30, lean: 1.2, v: -1, w: 1}
+gravity: 1
+bodies:
+  low: {mass: 1, start: {y: 0.5, dx: v}}
+  high:
+    mass: m
+    start: {x: sin(lean), y: 0.5 + cos(lean), dx: v + w*cos(lean), dy: -w*sin(lean)}
+surfaces:
+  floor: {height: 0}
+  shell: {circle: [0, 0], radius: 1, body: low}
+contacts:
+  ground: {point: {body: low, at: [0, -0.5]}, surface: floor, friction: mu, restitution: 0}
+  between: {point: {body: high}, surface: shell, friction: mu, restitution: 0}
+"""
+
+
+@cache
+def simulator(text: str, name: str) -> Simulator:
+    return Simulator(automaton(validate(read_text(text), Scene)), engine(name))
+
+
+def jam(trace: Trace) -> int:
+    return next(i for i, jump in enumerate(trace.jumps) if jump.cause == "jam")
+
+
+@pytest.mark.parametrize("k", [0.03, 0.001])
+def test_a_force_without_bound_stops_the_slip_where_p_vanishes(k: float) -> None:
+    trace = simulator(ROD, "taylor").run({"k": k}, until=2.0)
+    jump = trace.jumps[jam(trace)]
+    _, _, angle, *rates = jump.before
+    # p = (1 + s (s - mu c sign(slip)) / k) / m, in sine and cosine of the angle.
+    s, c = math.sin(angle), math.cos(angle)
+    slip = rates[0] + rates[2] * c
+    assert k + s * (s - 1.5 * c * math.copysign(1.0, slip)) == pytest.approx(0.0, abs=1e-8)
+    dx, dy, turn = jump.after[3:]
+    assert dx + turn * c == pytest.approx(0.0, abs=1e-8)
+    assert dy + turn * s == pytest.approx(0.0, abs=1e-8)
+    normal, tangential = jump.impulse["end"]
+    assert abs(tangential) == pytest.approx(1.5 * normal, rel=1e-12)
+    assert jump.energy is not None
+    assert jump.energy[1] < jump.energy[0]
+    assert any("without bound" in warning for warning in trace.warnings)
+
+
+def test_stop_says_that_the_force_grew_without_bound() -> None:
+    stopping = simulator(ROD + "paradox: stop\n", "taylor")
+    trace = stopping.run({}, until=2.0, throw=False)
+    assert trace.outcome is Outcome.NO_CONSISTENT_MODE
+    assert "the force of end grows without bound; Painleve" in trace.message
+
+
+def test_a_flow_that_ends_for_another_reason_is_no_jam() -> None:
+    built = simulator(ROD, "taylor").automaton
+    setup = built.laws.setup({}, 2.2e-16)
+    flow, state = built.laws.begin(setup)
+    assert flow.mode == ("slide+",)
+    assert built.laws.jump(setup, Clock(), 0, Flow(*flow), state, (UNBOUNDED,)) is None
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_contacts_that_jam_each_other_are_stopped_at_once(name: str) -> None:
+    trace = simulator(WEDGE, name).run({}, until=0.1)
+    jump = trace.jumps[jam(trace)]
+    assert set(jump.impulse) == {"ground", "between"}
+    for normal, tangential in jump.impulse.values():
+        assert normal > 0.0
+        assert abs(tangential) <= 1.5 * normal * (1 + 1e-12)
+    assert jump.energy is not None
+    assert jump.energy[1] < jump.energy[0]
+    low, high = np.split(jump.after[4:], 2)
+    assert low[1] == pytest.approx(0.0, abs=1e-13)
+    assert (high - low) @ [math.sin(1.2), math.cos(1.2)] >= -1e-13
+    assert any("friction jams ground, between" in warning for warning in trace.warnings)
