@@ -202,14 +202,13 @@ def advance(
                 on_steps(reached, total)
             if finished:
                 horizon *= _GROWTH
+                end = min(reached + horizon, duration)
             if following is ended:
                 begin = Begin.MOVED if finished else Begin.ON
                 count = min(count + count // 2, _LONGEST_CHUNK)
             else:
                 # Chunks as long as this one stay near enough to be brought back.
                 begin = Begin.MOVED
-            if begin is not Begin.ON:
-                end = min(reached + horizon, duration)
     except (SimulationError, KeyboardInterrupt) as error:
         failure = error
     path.count = kept

@@ -259,9 +259,11 @@ class _Run:
             self.arcs.append(
                 Arc(flow.mode, flow.flow, self.clock, len(self.jumps), times, coefficients)
             )
-        if elapsed > 0.0:
-            self.horizon = _AHEAD * elapsed
         self.clock = self.clock.later(elapsed)
+        if elapsed > 0.0:
+            # A mode may flow on from where a margin fell, without a jump.
+            since = self.jumps[-1].t if self.jumps else 0.0
+            self.horizon = _AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
         self.flow = Flow(
             flow.mode,
