@@ -14,16 +14,29 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from statechart.declaration import Declaration
 
-__all__ = ["ORDERS", "Errors", "Point", "Setting", "Slope", "Study", "fingerprint", "ordered"]
+__all__ = ["SLOPES", "Errors", "Point", "Setting", "Slope", "Study", "fingerprint", "ordered"]
 
-ORDERS: Mapping[str, int] = {"RK45": 5, "DOP853": 8, "Radau": 5, "impulse": 1}
-"""Order of a family of settings: the error falls with this power of the step, and with it of the
-evaluations. Taylor's method and LSODA change theirs as they go."""
+Quantity = Literal["error", "steps"]
 
-# A slope is fitted to points between these errors: above (time stepping comes to its order sooner
-# than the others), a method has not come to its order yet; below, in multiples of what the
-# reference resolves, rounding is in the way.
-_COARSEST, _STEPPING_COARSEST, _RESOLVED = 1e-4, 1e-1, 20.0
+SLOPES: Mapping[str, Mapping[Quantity, float]] = {
+    "RK45": {"error": 1.0, "steps": -1.0 / 5.0},
+    "DOP853": {"error": 1.0, "steps": -1.0 / 8.0},
+    "impulse": {"error": 1.0},
+}
+"""Powers of the tolerance (of the step, where it is fixed) that error and steps of a family follow.
+
+SciPy keeps the error of every step, of order p in its length, at the tolerance and goes on with
+the better of its two solutions: the steps are as long as tol^(1/p), p = 5 for RK45 and 8 for
+DOP853, and the error of all of them is of order h^p = tol (Hairer, Norsett, Wanner, "Solving
+Ordinary Differential Equations I", section II.4). Steps are those accepted: the part that is
+rejected falls with the tolerance. The theory of a fixed step is order 1 (Moreau, Jean)."""
+
+# What a slope of the error is fitted to: above, the error is as large as the motion; below, in
+# multiples of what the reference resolves, rounding is in the way.
+_SATURATED, _RESOLVED = 1e-1, 20.0
+# A slope of the steps is fitted where a flow takes at least so many: its first step and its last,
+# which an event cuts short, are no matter of the tolerance.
+_STEPS_PER_FLOW = 5.0
 _LEAST_POINTS = 3
 
 _Time = Annotated[float, Field(ge=0)]
@@ -126,10 +139,12 @@ class Point(_Record):
         Median time of a run, compiling apart.
     repeats : int
         How many runs that is the median of.
-    compiling : float or None
-        How much longer the first run took; None where it was the only one.
+    compiling : float
+        How much longer the first run took.
     steps, evaluations : int
         Of the integrator and of the rates; evaluations are 0 where they are not counted.
+    flows : int
+        Number of arcs of the run.
     """
 
     setting: Setting
@@ -141,30 +156,33 @@ class Point(_Record):
     errors: Errors
     seconds: _Time
     repeats: int
-    compiling: float | None
+    compiling: _Time
     steps: int
     evaluations: int
+    flows: int
 
 
 class Slope(_Record):
-    """How the cost of a family of settings grows as its error falls.
+    """A straight line, in logarithms, through points of a family of settings.
 
     Attributes
     ----------
     family : str
         See `Setting.family`.
-    order : float
-        The error falls with this power of the evaluations (of the inverse of the step, where the
-        step is fixed); a straight line through `points` points, in logarithms.
-    theory : int
-        What it should be.
+    of : str
+        What follows the fineness, the tolerance or the step: error, or steps (accepted ones).
+    slope : float
+        With which power.
+    theory : float
+        What it should be, see `SLOPES`.
     points : int
         How many points it was fitted to.
     """
 
     family: str
-    order: float
-    theory: int
+    of: Quantity
+    slope: float
+    theory: float
     points: int
 
 
@@ -193,7 +211,7 @@ class Study(_Record):
         Setting -> why it was not run.
     """
 
-    format: Literal["statechart trade 1"] = "statechart trade 1"
+    format: Literal["statechart trade 2"] = "statechart trade 2"
     model: str
     fingerprint: str
     until: float
@@ -266,34 +284,32 @@ class Study(_Record):
         return {family: (missed[family], count) for family, count in told.items()}
 
     def slopes(self) -> tuple[Slope, ...]:
-        """Fit the orders of the families that have enough points to fit."""
-        least = _RESOLVED * (self.resolution.largest or 0.0)
+        """Fit the slopes of the families that have enough points to fit, where a theory holds."""
         found = []
-        for family in dict.fromkeys(p.setting.family for p in self.points):
-            usable = []
-            most = _STEPPING_COARSEST if family == "impulse" else _COARSEST
-            for point in self.points:
-                error = self.error(point)
-                work = 1.0 / point.setting.step if point.setting.step else point.evaluations
-                if (
-                    point.setting.family == family in ORDERS
-                    and point.same_modes
-                    and work > 0
-                    and error is not None
-                    and least < error < most
-                ):
-                    usable.append((math.log(work), math.log(error)))
-            if len(usable) < _LEAST_POINTS:
-                continue
-            work_error = np.array(usable)
-            # The error is what scatters; both are centred, so that the slope is its own.
-            order = -float(
-                np.polynomial.polynomial.polyfit(work_error[:, 0], work_error[:, 1], 1)[1]
-            )
-            found.append(
-                Slope(family=family, order=order, theory=ORDERS[family], points=len(usable))
-            )
+        for family, theories in SLOPES.items():
+            for of, theory in theories.items():
+                fitted = self.fitted(family, of)
+                if len(fitted) < _LEAST_POINTS:
+                    continue
+                x, y = np.log(np.array(fitted)).T
+                slope = float(np.polynomial.polynomial.polyfit(x, y, 1)[1])
+                found.append(
+                    Slope(family=family, of=of, slope=slope, theory=theory, points=len(fitted))
+                )
         return tuple(found)
+
+    def fitted(self, family: str, of: Quantity) -> list[tuple[float, float]]:
+        """Return (fineness, error or steps) of the points that a slope is fitted to."""
+        points = [p for p in self.points if p.setting.family == family and p.same_modes]
+        if of == "steps":
+            return [
+                (p.setting.fineness, float(p.steps))
+                for p in points
+                if p.steps >= _STEPS_PER_FLOW * p.flows
+            ]
+        least = _RESOLVED * (self.resolution.largest or 0.0)
+        pairs = [(p.setting.fineness, self.error(p)) for p in points]
+        return [(x, e) for x, e in pairs if e is not None and least < e < _SATURATED]
 
     def choose(
         self,
@@ -329,7 +345,7 @@ class Study(_Record):
             if accuracy is not None:
                 fits, rank = error <= accuracy, point.seconds
             else:
-                took = 2.0 * (point.seconds + (point.compiling or 0.0))
+                took = 2.0 * (point.seconds + point.compiling)
                 fits, rank = took <= (budget or 0.0), error
             if fits and (best is None or rank < best[0]):
                 best = (rank, setting)

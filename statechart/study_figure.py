@@ -1,4 +1,4 @@
-"""A study as a picture: error against time and against evaluations, both logarithmic."""
+"""A study as a picture: error against what it costs and against what was asked for."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,51 +28,58 @@ _INK, _GRID = "#333333", "#E6E6E6"
 
 
 def figure(study: Study) -> Figure:
-    """Draw a study.
+    """Draw a study: errors above, against the time of a run and against evaluations of the rates.
 
-    Left, errors against the time of a run, with the Pareto front; right, against evaluations of
-    the rates (steps, where the step is fixed), with the slopes that were fitted. Hollow: the run
-    took other modes than the reference. Where the motion is chaotic, the time at which runs leave
-    the reference stands in the place of errors.
+    Below, errors and accepted steps against the tolerance (the step as a part of the run, where
+    it is fixed), with the slopes that were fitted and the error that equals the tolerance. On the
+    left above, the Pareto front. Hollow: the run took other modes than the reference. Where the
+    motion is chaotic, the time at which runs leave the reference stands in the place of errors.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     with rc_context(STYLE):
-        drawing = Figure(figsize=(9.0, 4.2), layout="constrained")
-        left, right = drawing.subplots(1, 2, sharey=True)
-        families = list(dict.fromkeys(p.setting.family for p in study.points))
-        for place, family in enumerate(families):
-            colour, marker = LINES[place % len(LINES)], _MARKERS[place % len(_MARKERS)]
+        drawing = Figure(figsize=(9.0, 6.4), layout="constrained")
+        axes = drawing.subplots(2, 2)
+        (times, works), (promises, steps) = axes
+        for place, family in enumerate(_families(study)):
+            look = _Look(LINES[place % len(LINES)], _MARKERS[place % len(_MARKERS)])
             points = [p for p in study.points if p.setting.family == family]
-            _draw(left, study, points, [p.seconds for p in points], colour, marker, family)
-            _draw(right, study, points, [_work(p) for p in points], colour, marker, family)
+            heights = [_height(study, p) for p in points]
+            fineness = [_fineness(study, p) for p in points]
+            _draw(times, points, [p.seconds for p in points], heights, look, family)
+            _draw(works, points, [_work(p) for p in points], heights, look)
+            _draw(promises, points, fineness, heights, look)
+            if family not in ("impulse", "accuracy"):
+                _draw(steps, points, fineness, [float(p.steps) for p in points], look)
+            for slope in study.slopes() if study.parted is None else ():
+                if slope.family == family:
+                    _slope(promises if slope.of == "error" else steps, study, slope, look.colour)
         if study.parted is None:
-            _front(left, study)
-            for slope in study.slopes():
-                colour = LINES[families.index(slope.family) % len(LINES)]
-                _slope(right, study, slope, colour)
-            left.set_ylabel("relative error")
-            resolution = study.resolution.largest
-            for ax in (left, right):
+            _front(times, study)
+            promises.axline(
+                (1e-6, 1e-6), slope=1.0, color=_INK, linewidth=0.6, linestyle=(0, (1, 2))
+            )
+            for ax in (times, works, promises):
+                ax.set_ylabel("relative error")
                 ax.set_yscale("log")
-                if resolution:
-                    ax.axhspan(resolution / 10.0, resolution, color=_GRID, zorder=0)
+                if study.resolution.largest:
+                    least = study.resolution.largest
+                    ax.axhspan(least / 10.0, least, color=_GRID, zorder=0)
         else:
-            left.set_ylabel("time at which the run leaves the reference")
-            for ax in (left, right):
+            for ax in (times, works, promises):
+                ax.set_ylabel("time at which the run leaves the reference")
                 ax.axhline(study.parted, color=_INK, linewidth=0.8, linestyle=(0, (1, 2)))
+        steps.set_ylabel("accepted steps")
+        steps.set_yscale("log")
         for ax, label in (
-            (left, "time of a run, s"),
-            (right, "evaluations of the rates (impulse: steps)"),
+            (times, "time of a run, s"),
+            (works, "evaluations of the rates (impulse: steps)"),
+            (promises, "tolerance or accuracy (impulse: step, part of the run)"),
+            (steps, "tolerance"),
         ):
-            ax.set_xscale("log")
-            ax.set_xlabel(label)
-            ax.grid(visible=True, color=_GRID, linewidth=0.6)
-            ax.set_axisbelow(True)
-            for side in ("top", "right"):
-                ax.spines[side].set_visible(False)
-        handles, labels = left.get_legend_handles_labels()
+            _dress(ax, label)
+        handles, labels = times.get_legend_handles_labels()
         if handles:
             drawing.legend(handles, labels, loc="outside right center")
         drawing.suptitle(study.model, x=0.01, ha="left", fontsize=10, fontweight="bold")
@@ -86,12 +94,16 @@ def write(folder: Path | str, study: Study) -> None:
     StatechartError
         If they cannot be written.
     """
+    from matplotlib import rc_context
+
     folder = Path(folder)
     drawing = figure(study)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for kind in ("svg", "png"):
-            write_atomic(folder / f"trade.{kind}", render(drawing, kind))
+            # Letters as text: half the size of the file.
+            with rc_context({"svg.fonttype": "none"}):
+                write_atomic(folder / f"trade.{kind}", render(drawing, kind))
         write_atomic(folder / "trade.csv", _csv(study).encode())
     except OSError as error:
         raise StatechartError(f"cannot write to {folder}: {error.strerror or error}") from error
@@ -105,7 +117,7 @@ def _csv(study: Study) -> str:
     writer.writerow(
         ["engine", "method", "tolerance", "accuracy", "step", "outcome", "same_modes", "diverged",
          "parted", "error", "state", "times", "outputs", "energy", *kinds, "seconds", "repeats",
-         "compiling", "steps", "evaluations", "kept"]
+         "compiling", "steps", "evaluations", "flows", "kept"]
     )  # fmt: skip
     for p in study.points:
         s, e = p.setting, p.errors
@@ -113,15 +125,46 @@ def _csv(study: Study) -> str:
             [s.engine, s.method, s.tolerance, s.accuracy, s.step, p.outcome, p.same_modes,
              p.diverged, p.parted, study.error(p), e.state, e.times, e.outputs, e.energy,
              *(e.violations.get(name) for name in kinds), p.seconds, p.repeats, p.compiling,
-             p.steps, p.evaluations, study.kept(p)]
+             p.steps, p.evaluations, p.flows, study.kept(p)]
         )  # fmt: skip
     return stream.getvalue()
+
+
+@dataclass(frozen=True)
+class _Look:
+    """How a family is drawn."""
+
+    colour: str
+    marker: str
+
+
+def _families(study: Study) -> list[str]:
+    return list(dict.fromkeys(p.setting.family for p in study.points))
+
+
+def _dress(ax: Axes, label: str) -> None:
+    from matplotlib.ticker import NullLocator
+
+    ax.set_xscale("log")
+    ax.set_xlabel(label)
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.grid(visible=True, color=_GRID, linewidth=0.6)
+    ax.set_axisbelow(True)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
 
 
 def _work(point: Point) -> float:
     """Return evaluations; steps, where they are fixed; not a number where neither is counted."""
     count = point.steps if point.setting.step else point.evaluations
     return float(count) if count else math.nan
+
+
+def _fineness(study: Study, point: Point) -> float:
+    """Return the tolerance or accuracy; the step as a part of the run."""
+    step = point.setting.step
+    return point.setting.fineness if step is None else step / (study.until or 1.0)
 
 
 def _height(study: Study, point: Point) -> float:
@@ -131,28 +174,26 @@ def _height(study: Study, point: Point) -> float:
 
 def _draw(
     ax: Axes,
-    study: Study,
     points: Sequence[Point],
-    costs: Sequence[float],
-    colour: str,
-    marker: str,
-    family: str,
+    places: Sequence[float],
+    heights: Sequence[float],
+    look: _Look,
+    family: str = "",
 ) -> None:
-    heights = [_height(study, point) for point in points]
-    ax.plot(costs, heights, color=colour, linewidth=0.8, alpha=0.6)
+    ax.plot(places, heights, color=look.colour, linewidth=0.8, alpha=0.6)
     for same in (True, False):
         chosen = [
-            (cost, height)
-            for point, cost, height in zip(points, costs, heights, strict=True)
-            if point.same_modes is same and math.isfinite(cost) and math.isfinite(height)
+            (place, height)
+            for point, place, height in zip(points, places, heights, strict=True)
+            if point.same_modes is same and math.isfinite(place) and math.isfinite(height)
         ]
         if chosen:
             ax.plot(
                 *zip(*chosen, strict=True),
-                marker,
+                look.marker,
                 markersize=5,
-                color=colour,
-                markerfacecolor=colour if same else "white",
+                color=look.colour,
+                markerfacecolor=look.colour if same else "white",
                 label=family if same else f"{family}, other modes",
             )
 
@@ -171,25 +212,20 @@ def _front(ax: Axes, study: Study) -> None:
 
 
 def _slope(ax: Axes, study: Study, slope: Slope, colour: str) -> None:
-    """Draw the line of a fitted order beside the points of its family, with its number."""
-    points = [
-        (_work(p), _height(study, p))
-        for p in study.points
-        if p.setting.family == slope.family and p.same_modes
-    ]
-    works = np.array([w for w, h in points if math.isfinite(w) and math.isfinite(h)])
-    heights = np.array([h for w, h in points if math.isfinite(w) and math.isfinite(h)])
-    middle = len(works) // 2
-    span = np.array([works.min(), works.max()])
-    line = heights[middle] * (span / works[middle]) ** -slope.order
-    inside = np.clip(line, heights.min(), heights.max())
-    ends = works[middle] * (inside / heights[middle]) ** (-1.0 / slope.order)
-    ax.plot(ends, inside, color=colour, linewidth=0.9, linestyle=(0, (4, 2)))
+    """Draw a fitted line through the points that it was fitted to, with its power."""
+    x, y = np.log(np.array(study.fitted(slope.family, slope.of))).T
+    if slope.family == "impulse":
+        x = x - math.log(study.until or 1.0)
+    ends = np.array([x.min(), x.max()])
+    line = np.exp(y.mean() + slope.slope * (ends - x.mean()))
+    ends = np.exp(ends)
+    ax.plot(ends, line, color=colour, linewidth=1.2, linestyle=(0, (4, 2)))
     ax.annotate(
-        f"{slope.order:.1f}",
-        (ends[1], inside[1]),
+        f"{slope.slope:.2f}",
+        (ends[0], line[0]),
         textcoords="offset points",
-        xytext=(4, 2),
+        xytext=(-4, -3),
+        ha="right",
         color=colour,
         fontsize=8,
     )

@@ -31,7 +31,7 @@ def text(study: Study) -> str:
                 str(point.evaluations or ""),
                 str(point.steps),
                 _seconds(point.seconds),
-                "" if point.compiling is None else _seconds(point.compiling),
+                _seconds(point.compiling),
             )
         )
     return "".join(f"{line}\n" for line in _head(study)) + "\n" + table(rows) + _foot(study)
@@ -65,10 +65,10 @@ def _foot(study: Study) -> str:
     if refused:
         lines.append("said that they did not reach it: " + ", ".join(refused))
     for slope in study.slopes():
-        against = "the step" if slope.family == "impulse" else "1/evaluations"
+        fineness = "the step" if slope.family == "impulse" else "the tolerance"
         lines.append(
-            f"order of {slope.family}: {slope.order:.2f} (theory {slope.theory}), "
-            f"error against {against}, {slope.points} points"
+            f"{slope.of} of {slope.family}: {fineness} to the power {slope.slope:.3g} "
+            f"(theory {slope.theory:.3g}), {slope.points} points"
         )
     lines += [f"left out: {label}: {why}" for label, why in study.left_out.items()]
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
