@@ -30,8 +30,8 @@ _INK, _GRID = "#333333", "#E6E6E6"
 def figure(study: Study) -> Figure:
     """Draw a study: errors above, against the time of a run and against evaluations of the rates.
 
-    Below, errors and accepted steps against the tolerance (the step as a part of the run, where
-    it is fixed), with the slopes that were fitted and the error that equals the tolerance. On the
+    Below, errors and accepted steps against the tolerance (the step, where it is fixed), with the
+    slopes that were fitted and the error that equals the tolerance. On the
     left above, the Pareto front. Hollow: the run took other modes than the reference. Where the
     motion is chaotic, the time at which runs leave the reference stands in the place of errors.
     """
@@ -46,7 +46,7 @@ def figure(study: Study) -> Figure:
             look = _Look(LINES[place % len(LINES)], _MARKERS[place % len(_MARKERS)])
             points = [p for p in study.points if p.setting.family == family]
             heights = [_height(study, p) for p in points]
-            fineness = [_fineness(study, p) for p in points]
+            fineness = [p.setting.fineness for p in points]
             _draw(times, points, [p.seconds for p in points], heights, look, family)
             _draw(works, points, [_work(p) for p in points], heights, look)
             _draw(promises, points, fineness, heights, look)
@@ -75,7 +75,7 @@ def figure(study: Study) -> Figure:
         for ax, label in (
             (times, "time of a run, s"),
             (works, "evaluations of the rates (impulse: steps)"),
-            (promises, "tolerance or accuracy (impulse: step, part of the run)"),
+            (promises, "tolerance or accuracy (impulse: step)"),
             (steps, "tolerance"),
         ):
             _dress(ax, label)
@@ -161,12 +161,6 @@ def _work(point: Point) -> float:
     return float(count) if count else math.nan
 
 
-def _fineness(study: Study, point: Point) -> float:
-    """Return the tolerance or accuracy; the step as a part of the run."""
-    step = point.setting.step
-    return point.setting.fineness if step is None else step / (study.until or 1.0)
-
-
 def _height(study: Study, point: Point) -> float:
     found = study.error(point) if study.parted is None else point.parted
     return math.nan if found is None else found
@@ -214,8 +208,6 @@ def _front(ax: Axes, study: Study) -> None:
 def _slope(ax: Axes, study: Study, slope: Slope, colour: str) -> None:
     """Draw a fitted line through the points that it was fitted to, with its power."""
     x, y = np.log(np.array(study.fitted(slope.family, slope.of))).T
-    if slope.family == "impulse":
-        x = x - math.log(study.until or 1.0)
     ends = np.array([x.min(), x.max()])
     line = np.exp(y.mean() + slope.slope * (ends - x.mean()))
     ends = np.exp(ends)
