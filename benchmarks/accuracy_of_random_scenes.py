@@ -20,6 +20,7 @@ import numpy as np
 from statechart.accuracy import difference
 from statechart.document import read_text
 from statechart.errors import StatechartError
+from statechart.outputs import Outputs
 from statechart.run import Result, Runner
 
 __all__ = [
@@ -187,7 +188,15 @@ class Judges:
 
 
 def _apart(one: Result, other: Result) -> float:
-    return difference(one.trace, other.trace, one.outputs, other.outputs, brief=ACCURACY)[0]
+    sizes = Outputs(one.observer).sizes(one.trace)
+    return difference(
+        one.trace,
+        other.trace,
+        one.outputs,
+        other.outputs,
+        sizes_of_outputs=sizes,
+        brief=ACCURACY,
+    )[0]
 
 
 def requests(count: int, seed: int) -> dict[str, list[Judgement]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from contacts.classify import choose
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot
+from statechart.errors import SimulationError
 
 __all__ = ["rests_of_bounces"]
 
@@ -45,15 +46,25 @@ def rests_of_bounces(
     """
     rests: dict[int, float] = {}
     accelerations: Array | None = None
+    slow = setup.tolerances["speed"]
+    # What lies on its surface stays there: it carries its part of a body that bounces elsewhere.
+    lying = [
+        shut and contact.gap_rate <= slow
+        for shut, contact in zip(closed, snapshot.contacts, strict=True)
+    ]
     slow, fast = setup.tolerances["speed"], _FAST * setup.scales.speed
     for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
         rebound, e = contact.gap_rate, law.restitution
         if not closed[i] or not 0.0 < e < 1.0 or not slow < rebound <= fast:
             continue
         if accelerations is None:
-            none = [False] * len(setup.contacts)
-            free = choose(snapshot, setup.contacts, none, setup.scales, 0.0, 0.0).taken
-            accelerations = free.accelerations
+            tie = 0.5 * setup.tolerances["force"] / setup.scales.force
+            try:
+                choice = choose(snapshot, setup.contacts, lying, setup.scales, tie, 2.0 * slow)
+            except SimulationError:
+                # No mode between the bounces: nothing is known of them.
+                return {}
+            accelerations = choice.taken.accelerations
         falling = -(float(contact.jacobian[0] @ accelerations) + contact.bias_n)
         if falling <= 0.0:
             continue

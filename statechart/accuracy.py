@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +42,8 @@ class Difference:
     times : float
         Of the times of the events that both have and of the end, relative to the end.
     outputs : float
-        Of the outputs, relative to themselves. Counts are not compared, as a Zeno sequence has
-        any number of jumps.
+        Of the outputs, relative to their sizes (see `statechart.outputs.Outputs.sizes`). Counts
+        are not compared, as a Zeno sequence has any number of jumps.
     diverged : float or None
         When they first took different modes or ended for different reasons; None if they did
         not.
@@ -65,6 +66,7 @@ def compare(
     coarse_outputs: Mapping[str, Output],
     fine_outputs: Mapping[str, Output],
     *,
+    sizes_of_outputs: Mapping[str, Output] = MappingProxyType({}),
     brief: float = 0.0,
 ) -> Difference:
     """Compare two runs; a number that is not finite in both must be the same.
@@ -75,6 +77,8 @@ def compare(
         Two runs of one model from one start.
     coarse_outputs, fine_outputs : mapping
         Their outputs.
+    sizes_of_outputs : mapping
+        From `Outputs.sizes` of one of the runs; what it does not have is as large as itself.
     brief : float
         As in `paired`.
     """
@@ -97,9 +101,9 @@ def compare(
     times = [(coarse.t_end, fine.t_end)] if same_end else []
     times += [(one.t, other.t) for one, other in pairs]
     outputs = (
-        _relative(a, b, max(abs(a), abs(b)), nothing)
+        _relative(a, b, max(abs(a), abs(b), size), nothing)
         for name, one in coarse_outputs.items()
-        for a, b in _numbers(one, fine_outputs[name])
+        for a, b, size in _numbers(one, fine_outputs[name], sizes_of_outputs.get(name, 0.0))
     )
     return Difference(
         state if same_end else math.inf,
@@ -115,13 +119,21 @@ def difference(
     coarse_outputs: Mapping[str, Output],
     fine_outputs: Mapping[str, Output],
     *,
+    sizes_of_outputs: Mapping[str, Output] = MappingProxyType({}),
     brief: float = 0.0,
 ) -> tuple[float, float | None]:
     """Return the largest relative difference of two runs, and when they took different modes.
 
     See `compare`; the difference is inf where they did, and the time None where they did not.
     """
-    found = compare(coarse, fine, coarse_outputs, fine_outputs, brief=brief)
+    found = compare(
+        coarse,
+        fine,
+        coarse_outputs,
+        fine_outputs,
+        sizes_of_outputs=sizes_of_outputs,
+        brief=brief,
+    )
     return found.largest, found.diverged
 
 
@@ -264,11 +276,12 @@ def _repeats(jump: Jump, end: Jump) -> bool:
     return jump.region == end.region and not _accumulates(jump)
 
 
-def _numbers(one: Output, other: Output) -> Iterable[tuple[float, float]]:
+def _numbers(one: Output, other: Output, size: Output) -> Iterable[tuple[float, float, float]]:
     if isinstance(one, list) and isinstance(other, list):
-        return zip(one, other, strict=False)
+        sizes = size if isinstance(size, list) else [0.0] * len(one)
+        return zip(one, other, sizes, strict=False)
     if isinstance(one, float) and isinstance(other, float):
-        return [(one, other)]
+        return [(one, other, size if isinstance(size, float) else 0.0)]
     return []
 
 

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from statechart.accuracy import difference
 from statechart.errors import DeclarationError
@@ -80,7 +81,17 @@ class Answer:
     warnings: tuple[str, ...] = ()
 
 
-_Made = tuple[Trace, Mapping[str, Output]]
+class _Made(NamedTuple):
+    """A run, its outputs and how large they are."""
+
+    trace: Trace
+    outputs: Mapping[str, Output]
+    sizes: Mapping[str, Output]
+
+    @classmethod
+    def of(cls, observer: Observer, trace: Trace) -> _Made:
+        outputs = Outputs(observer)
+        return cls(trace, outputs.of(trace), outputs.sizes(trace))
 
 
 class _Runs:
@@ -111,9 +122,9 @@ class _Runs:
         has no influence. So where they agree well a third, from a start that is off by the
         tolerance, shows how much an error so small is magnified.
         """
-        now = trace, Outputs(observer).of(trace)
+        now = _Made.of(observer, trace)
         if self._last is not None:
-            before = self._last[0]
+            before = self._last.trace
             estimate = self._difference(
                 self._last, now, f"at the tolerances {before.tolerance:.2g} and"
             )
@@ -125,21 +136,28 @@ class _Runs:
     def _magnified(self, now: _Made) -> float:
         """Return the difference from a run whose start is off; 0 where there is none."""
         try:
-            observer, trace = self.make(now[0].tolerance, nudged=True)
+            observer, trace = self.make(now.trace.tolerance, nudged=True)
         except DeclarationError:
             # Off by so much, the start is no start.
             return 0.0
         if trace.outcome in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
             return 0.0
-        found = trace, Outputs(observer).of(trace)
+        found = _Made.of(observer, trace)
         return self._difference(found, now, "from starts that differ by the tolerance")
 
     def _difference(self, one: _Made, other: _Made, how: str) -> float:
-        found, diverged = difference(one[0], other[0], one[1], other[1], brief=self._brief)
+        found, diverged = difference(
+            one.trace,
+            other.trace,
+            one.outputs,
+            other.outputs,
+            sizes_of_outputs=other.sizes,
+            brief=self._brief,
+        )
         self.diverged = (
             ""
             if diverged is None
-            else f"runs {how} {other[0].tolerance:.2g} take different modes: accuracy is "
+            else f"runs {how} {other.trace.tolerance:.2g} take different modes: accuracy is "
             f"undefined from t = {diverged:.17g} on"
         )
         return found

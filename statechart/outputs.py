@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from statechart.declaration import Count, Event, Integral, Maximum, Minimum, Value
 from statechart.events import happened
 from statechart.observe import Observer
@@ -83,17 +86,55 @@ class Outputs:
             found |= zip(self._integrals, totals.tolist(), strict=True)
         return {name: found[name] for name in self._names}
 
+    def sizes(self, trace: Trace) -> dict[str, Result]:
+        """Return how large outputs are, in the form of `of`: what their errors are relative to.
+
+        Of a value, the largest magnitude that its formula had at the start, at the jumps up to
+        its moment and then: where a body comes back to zero, the value there is rounding. The
+        others are as large as themselves, and left out.
+        """
+        found: dict[str, Result] = {}
+        for name, output, when, events in self._at:
+            largest = self._largest(trace, output.value)
+            chosen = {id(jump) for jump in self._chosen(trace, when, events)}
+            sizes = [
+                size
+                for jump, size in zip(trace.jumps, largest[1:].tolist(), strict=True)
+                if id(jump) in chosen
+            ]
+            found[name] = sizes if when == "each" else sizes[0] if sizes else None
+        for name, formula in self._end.items():
+            last = abs(float(self.observer.final(trace, [formula])[0]))
+            found[name] = float(np.fmax(self._largest(trace, formula)[-1], last))
+        return found
+
+    def _largest(self, trace: Trace, formula: str | int | float) -> NDArray[np.float64]:
+        """Return the largest magnitude (m + 1,) of a formula at the start, and up to every jump."""
+        values = [self.observer.initial(trace, [formula])]
+        if trace.jumps:
+            sides = [
+                self.observer.at(trace, [formula], trace.jumps, before=before)[:, 0]
+                for before in (True, False)
+            ]
+            values.append(np.fmax(*map(np.abs, sides)))
+        magnitudes = np.abs(np.concatenate(values))
+        magnitudes[~np.isfinite(magnitudes)] = 0.0
+        return np.maximum.accumulate(magnitudes)
+
     def _at_jumps(
         self, trace: Trace, output: Value, when: str, events: tuple[Event, ...]
     ) -> float | list[float] | None:
-        jumps = self._jumps(trace, events)
-        if when != "each":
-            jumps = jumps[:1] if when == "first" else jumps[-1:]
+        jumps = self._chosen(trace, when, events)
         if not jumps:
             return [] if when == "each" else None
         table = self.observer.at(trace, [output.value], jumps, before=output.before)
         values: list[float] = table[:, 0].tolist()
         return values if when == "each" else values[0]
+
+    def _chosen(self, trace: Trace, when: str, events: tuple[Event, ...]) -> list[Jump]:
+        """Return the first, the last or each of the jumps that are one of `events`."""
+        jumps = self._jumps(trace, events)
+        return jumps if when == "each" else jumps[:1] if when == "first" else jumps[-1:]
 
     def _jumps(self, trace: Trace, events: tuple[Event, ...]) -> list[Jump]:
         """Return the jumps that are one of `events`: by their cause, or by the state entered."""

@@ -193,6 +193,12 @@ class _Run:
     observer: Observer
     trace: Trace
     outputs: Mapping[str, Output]
+    sizes: Mapping[str, Output]
+
+    @classmethod
+    def of(cls, observer: Observer, trace: Trace) -> _Run:
+        outputs = Outputs(observer)
+        return cls(observer, trace, outputs.of(trace), outputs.sizes(trace))
 
     def energies(self, jumps: Sequence[Jump]) -> Array | None:
         """Return the energy (m + 1,) before each of some jumps and at the end, if there is one."""
@@ -271,7 +277,7 @@ class _Bench:
         if found.trace.outcome is Outcome.INTERRUPTED:
             return None
         seconds = statistics.median(times)
-        run = _Run(found.observer, found.trace, Outputs(found.observer).of(found.trace))
+        run = _Run.of(found.observer, found.trace)
         errors, diverged = self.errors(reference, run)
         return Point(
             setting=setting,
@@ -291,7 +297,14 @@ class _Bench:
 
     def errors(self, reference: _Run, run: _Run) -> tuple[Errors, float | None]:
         """Return the errors of a run, and when it took other modes than the reference."""
-        found = compare(reference.trace, run.trace, reference.outputs, run.outputs, brief=BRIEF)
+        found = compare(
+            reference.trace,
+            run.trace,
+            reference.outputs,
+            run.outputs,
+            sizes_of_outputs=reference.sizes,
+            brief=BRIEF,
+        )
         pairs, _ = paired(reference.trace, run.trace, brief=BRIEF)
         ours = run.energies([other for _, other in pairs])
         theirs = reference.energies([one for one, _ in pairs])
@@ -328,7 +341,7 @@ def _reference(bench: _Bench, mark: str) -> tuple[_Run, Study]:
         if not trace.outcome.succeeded:
             failures.append(f"{setting.label}: {trace.message}")
             continue
-        runs.append((setting, _Run(observer, trace, Outputs(observer).of(trace))))
+        runs.append((setting, _Run.of(observer, trace)))
         if len(runs) == 2:
             break
     else:

@@ -210,3 +210,16 @@ def test_margins_are_the_least_values_of_their_modes(stick: Observer) -> None:
     edge = cone_n * (0.2 * pinned.columns["tip.V"] + pinned.columns["tip.H"])[rows]
     assert margins["tip.mu V + H"] == pytest.approx(edge.min(), abs=1e-13)
     assert -1e-11 < margins["tip.mu V - H"] <= 0.0
+
+
+def test_an_output_is_as_large_as_its_formula_was_up_to_its_moment() -> None:
+    scene = load(MODELS / "stick_slip_block.yaml")
+    assert isinstance(scene, Scene)
+    block = Observer(Simulator(automaton(scene), Taylor(2.2e-16)))
+    trace = run(block, until=12.0)
+    made = Outputs(block)
+    values, sizes = made.of(trace), made.sizes(trace)
+    # Where the block comes back towards its start it has moved farther before.
+    assert sizes["t_first_slip"] == values["t_first_slip"] == trace.jumps[0].t
+    places = [abs(float(jump.after[0])) for jump in trace.jumps]
+    assert sizes["x_end"] == max(*places, abs(float(trace.final[0])))
