@@ -111,3 +111,18 @@ def test_it_falls_over_when_tilted_beyond_its_diagonal(engine: str, factor: floa
     overturned = trace.jumps[-1].fired == ("overturned",)
     assert overturned is (factor > 1.0)
     assert any(jump.region == "left" for jump in trace.jumps) is (factor < 1.0)
+
+
+def test_its_mirror_image_rocks_as_the_image(engine: str) -> None:
+    one = run(MODEL, engine, until=7.7, **GIVEN)
+    other = run(MODEL, engine, until=7.7, **{**GIVEN, "theta0": -GIVEN["theta0"]})
+    assert [jump.t for jump in other.jumps] == pytest.approx([j.t for j in one.jumps], abs=1e-12)
+    names = {"left": "right", "right": "left"}
+    assert [jump.region for jump in other.jumps] == [names[jump.region] for jump in one.jumps]
+    assert other.final == pytest.approx(one.final * [-1, 1, -1, -1, 1, -1], abs=1e-11)
+
+
+def test_upright_it_stands(engine: str) -> None:
+    trace = run(MODEL, engine, until=5.0, theta0=0.0)
+    assert trace.modes == (("pin", "pin"),)
+    assert trace.final == pytest.approx([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], abs=1e-15)
