@@ -45,6 +45,7 @@ from contacts.snapshot import Snapshot
 
 __all__ = [
     "OPEN_LOAD",
+    "SINGULAR",
     "Candidate",
     "ContactLaw",
     "Undetermined",
@@ -71,7 +72,8 @@ _WORDS = {
     OUTSIDE: "|H| = {:.6g} > mu V",
     AGAINST: "slip would accelerate at {:.3g} against it",
 }
-_SINGULAR = "its equations do not determine the motion"
+SINGULAR = "its equations do not determine the motion"
+"""Why a mode is undetermined in which a body without mass or inertia is held by nothing."""
 OPEN_LOAD = "how the contacts share the load changes the motion"
 """Why a mode is undetermined that more than geometry leaves open: feet of different friction."""
 _UNSOLVED = {
@@ -197,7 +199,7 @@ class _Solved(Sequence["Candidate | Undetermined"]):
     def _make(self, k: int) -> Candidate | Undetermined:
         states, outcome = self._combinations[k], self._outcomes[k]
         if outcome not in _DETERMINED:
-            return states, _UNSOLVED.get(outcome, _SINGULAR)
+            return states, _UNSOLVED.get(outcome, SINGULAR)
         violation, contact, which, number = self._verdicts[k]
         broken = (self._laws[int(contact)].name if self._laws else "", int(which), number)
         return Candidate(states, self._accelerations[k], self._forces[k], violation, broken)

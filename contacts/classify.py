@@ -8,12 +8,13 @@ several), and judged by its own inequalities; above, Lemke's algorithm finds one
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property, lru_cache
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 from contacts.candidates import (
     OPEN_LOAD,
+    SINGULAR,
     Candidate,
     ContactLaw,
     Undetermined,
@@ -29,7 +30,7 @@ from contacts.sharing import OWN
 from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import AmbiguousMode, NoConsistentMode
 
-__all__ = ["Candidate", "Choice", "ContactLaw", "candidates", "choose"]
+__all__ = ["Candidate", "Choice", "Considered", "ContactLaw", "candidates", "choose"]
 
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.
 _ENUMERATED = 4
@@ -45,21 +46,20 @@ _UNCHECKED = (
 
 
 class Considered(Mapping[str, str]):
-    """Every mode tried and why it was taken or not; put into words when first read."""
+    """Every mode considered and why it was taken or not; put into words when first read.
 
-    def __init__(
-        self,
-        laws: Sequence[ContactLaw],
-        tried: Sequence[Candidate | Undetermined],
-        taken: Candidate,
-        tie: float,
-    ) -> None:
-        self._parts = laws, tried, taken, tie
+    Parameters
+    ----------
+    words : callable
+        Returns them.
+    """
+
+    def __init__(self, words: Callable[[], Mapping[str, str]]) -> None:
+        self._make = words
 
     @cached_property
-    def _words(self) -> dict[str, str]:
-        laws, tried, taken, tie = self._parts
-        return {_label(laws, c): "taken" if c is taken else _verdict(c, tie) for c in tried}
+    def _words(self) -> Mapping[str, str]:
+        return self._make()
 
     def __getitem__(self, label: str) -> str:
         return self._words[label]
@@ -69,6 +69,15 @@ class Considered(Mapping[str, str]):
 
     def __len__(self) -> int:
         return len(self._words)
+
+
+def _verdicts(
+    laws: Sequence[ContactLaw],
+    tried: Sequence[Candidate | Undetermined],
+    taken: Candidate | None,
+    tie: float,
+) -> dict[str, str]:
+    return {_label(laws, c): "taken" if c is taken else _verdict(c, tie) for c in tried}
 
 
 class Choice(NamedTuple):
@@ -128,12 +137,15 @@ def choose(
         tried = candidates(snapshot, laws, options, closed, still, scales, tie)
         agreeing = consistent(tried, tie)
     if not agreeing:
-        considered = {_label(laws, c): _verdict(c, tie) for c in tried}
-        raise NoConsistentMode(
-            "no mode of the contacts agrees with the state; "
-            + "; ".join(f"{label}: {why}" for label, why in considered.items())
-            + ("; only modes that Lemke's algorithm ends in were tried" if many else "")
+        refused = _verdicts(laws, tried, None, tie)
+        only = "only modes that Lemke's algorithm ends in were tried" if many else ""
+        words = (
+            "no mode of the contacts agrees with the state",
+            *(f"{label}: {why}" for label, why in refused.items()),
+            only,
+            *_advice(laws, closed, tried),
         )
+        raise NoConsistentMode("; ".join(filter(None, words)), considered=refused)
     taken, others = agreeing[0], []
     if len(agreeing) > 1:
         taken = min(agreeing, key=lambda c: (c.violation > _NEARLY * tie, openness(c)))
@@ -160,7 +172,27 @@ def choose(
     if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken)} taken"
     notes = (*((_UNCHECKED,) if many else ()), *_indeterminate(laws, taken))
-    return Choice(taken, Considered(laws, tried, taken, tie), warning, notes)
+    considered = Considered(partial(_verdicts, laws, tried, taken, tie))
+    return Choice(taken, considered, warning, notes)
+
+
+def _advice(
+    laws: Sequence[ContactLaw], closed: Sequence[bool], tried: Sequence[Candidate | Undetermined]
+) -> Iterator[str]:
+    """Yield what in the declaration keeps a state from having a mode, and what to do."""
+    rough = [
+        law.name
+        for law, shut in zip(laws, closed, strict=True)
+        if shut and "pin" in law.states and not any(s.startswith("slide") for s in law.states)
+    ]
+    if rough:
+        yield (
+            f"{', '.join(rough)} may not slip, and that can take a force that no surface gives: "
+            "let go, the point would accelerate into the surface (McGeer's paradox); "
+            "list slide among the modes, with a friction"
+        )
+    if any(not isinstance(c, Candidate) and c[1] == SINGULAR for c in tried):
+        yield "what no contact holds has no mass or inertia of its own: give it some"
 
 
 def _opens(taken: Candidate, other: Candidate | Undetermined, closed: Sequence[bool]) -> bool:

@@ -25,7 +25,7 @@ from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot, SnapshotTape
 from statechart.automaton import Edge, Flow, Margin, Projector, Region, Setup, State, plain
-from statechart.firing import Guard, Listening, Watch, guards
+from statechart.firing import Guard, Listening, Watch, considered, guards
 from statechart.trace import Clock, Jump, Key
 
 __all__ = ["ControlGuards", "ControlledLaws", "controller", "listening"]
@@ -111,6 +111,7 @@ class ControlledLaws:
             for contact in mechanics.scene.contacts.values()
             for text in (contact.friction, contact.restitution)
         )
+        self._considered = {r.name: considered(r) for r in regions if r.name in self._controllers}
         self._listening = listening(mechanics.scene, regions)
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
@@ -165,6 +166,7 @@ class ControlledLaws:
             state,
             fired,
             path=() if taken.on is None else (f"on {taken.on}",),
+            considered=self._considered[name][firing.transition],
             energy=(energy, energy),
         )
         pending = self._listening.heard(firing.pending, jump)

@@ -7,7 +7,8 @@ way to it. An impact without collision ends it (Lecornu 1905; Genot and Brogliat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,8 +31,9 @@ _HARDLY = 1e-6
 _NOTHING = 1e-9
 
 
-class Jam(Exception):  # noqa: N818 -- not an error: friction presses contacts into their surfaces
-    """No mode agrees with the state, and an impact without collision resolves it.
+@dataclass(frozen=True)
+class Jam:
+    """Contacts that friction presses in: an impact without collision resolves it.
 
     Attributes
     ----------
@@ -41,25 +43,17 @@ class Jam(Exception):  # noqa: N818 -- not an error: friction presses contacts i
         They.
     sliding : tuple of str
         The mode in which they do.
+    considered : mapping
+        Mode -> why it does not agree with the state.
     """
 
-    def __init__(
-        self,
-        snapshot: Snapshot,
-        laws: Sequence[ContactLaw],
-        places: Sequence[int],
-        why: str,
-        still_below: float,
-    ) -> None:
-        super().__init__(f"{why}; resolved by an impact without collision")
-        self.why = why
-        self.places = tuple(places)
-        self.sliding: Key = tuple(
-            closed_state(law, contact, still_below)
-            if i in places
-            else OFF if contact.gap == np.inf else "free"
-            for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True))
-        )  # fmt: skip
+    why: str
+    places: tuple[int, ...]
+    sliding: Key
+    considered: Mapping[str, str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return f"{self.why}; resolved by an impact without collision"
 
 
 def closed_state(law: ContactLaw, contact: PerContact, still_below: float) -> str:
@@ -97,7 +91,7 @@ def jammed(
                 [f"friction jams {names}", *(str(found[i]) for i in group if i in found)]
             )
         if why:
-            return Jam(snapshot, laws, group, why, still_below)
+            return Jam(why, tuple(group), _sliding(snapshot, laws, group, still_below))
     return None
 
 
@@ -116,7 +110,7 @@ def unbounded(
         paradox = found.get(group[0])
         if len(group) == 1 and paradox is not None and paradox.b < 0.0:
             why = f"the force of {paradox.contact} grows without bound; {paradox}"
-            return Jam(snapshot, laws, group, why, still_below)
+            return Jam(why, tuple(group), _sliding(snapshot, laws, group, still_below))
     return None
 
 
@@ -159,6 +153,17 @@ def without_collision(
         path = "plastic " + ", ".join(f"{laws[i].name}:{found.states[i]}" for i in places)
     before, after = (float(0.5 * v @ snapshot.mass @ v) for v in (snapshot.velocity, velocity))
     return Impacts(velocity, impulses, (path,), before, after, 1.0, unknown)
+
+
+def _sliding(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int], still_below: float
+) -> Key:
+    return tuple(
+        closed_state(law, contact, still_below)
+        if i in places
+        else OFF if contact.gap == np.inf else "free"
+        for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True))
+    )  # fmt: skip
 
 
 def _at_once(

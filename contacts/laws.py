@@ -6,18 +6,19 @@ import copy
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contacts.bounces import rests_of_bounces
-from contacts.classify import Choice, ContactLaw, choose
+from contacts.classify import Choice, Considered, ContactLaw
 from contacts.closing import check_joints
+from contacts.decision import decide, explained
 from contacts.gates import Gates, hidden
-from contacts.jams import Jam, closed_state, jammed, unbounded, without_collision
+from contacts.jams import Jam, closed_state, unbounded, without_collision
 from contacts.mechanics import Mechanics
 from contacts.modes import OFF, OPEN
-from contacts.painleve import paradoxes
 from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.simultaneous import Impacts, impacts
@@ -129,10 +130,9 @@ class SceneLaws:
             state = landed(key, snapshot, state, setup.tolerances)
         if state is not setup.initial:
             snapshot = hidden(self._tape.at(setup.values, state, 0.0), off)
-        try:
-            choice = self._choose(setup, snapshot, touching)
-        except Jam as jam:
-            return self._flow(setup, jam.sliding, settled=False), state
+        choice = decide(setup, snapshot, touching, self._paradox)
+        if isinstance(choice, Jam):
+            return self._flow(setup, choice.sliding, settled=False), state
         self._check_declared(choice, touching, failing)
         taken = choice.taken
         settled = not any(
@@ -166,7 +166,7 @@ class SceneLaws:
             setup.bands,
         )
         if switched:
-            return self._switch(clock, j, flow, state, fired, snapshot, switched)
+            return self._switch(setup, clock, j, flow, state, fired, snapshot, switched)
         snapshot = hidden(snapshot, flow.mode)
         # Between steps a dense output leaves the constraints by its own error: a contact that the
         # flow kept closed is judged as closed.
@@ -191,11 +191,10 @@ class SceneLaws:
         touching = [
             shut and c.gap_rate <= slow for shut, c in zip(closed, snapshot.contacts, strict=True)
         ]
-        try:
-            choice = self._choose(setup, snapshot, touching)
-        except Jam as jam:
-            hit = [*jam.places]
-            return self._impact(setup, clock, j, flow, state, fired, snapshot, hit, closed, jam)
+        choice = decide(setup, snapshot, touching, self._paradox)
+        if isinstance(choice, Jam):
+            hit = [*choice.places]
+            return self._impact(setup, clock, j, flow, state, fired, snapshot, hit, closed, choice)
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
@@ -261,9 +260,8 @@ class SceneLaws:
         )
         if rest > 0.0 and height > (_LOW if slides else _LOW_AT_REST):
             return None
-        try:
-            choice = self._choose(setup, snapshot, shut)
-        except Jam:
+        choice = decide(setup, snapshot, shut, self._paradox)
+        if isinstance(choice, Jam):
             return None
         after = landed(choice.taken.states, snapshot, state, setup.tolerances)
         energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
@@ -320,10 +318,9 @@ class SceneLaws:
         # A sequence of impacts may leave an approach behind: then it is asked again.
         settled = not any(shut and rate < -slow for shut, rate in zip(closed, rates, strict=True))
         if any(touching):
-            try:
-                choice = self._choose(setup, following, touching)
-            except Jam as next_jam:
-                moving, settled = next_jam.sliding, False
+            choice = decide(setup, following, touching, self._paradox)
+            if isinstance(choice, Jam):
+                moving, settled = choice.sliding, False
             else:
                 considered, moving, notes = choice.considered, choice.taken.flow, choice.notes
                 warnings += [choice.warning] if choice.warning else []
@@ -359,7 +356,17 @@ class SceneLaws:
                 if normal != 0.0 or tangential != 0.0
             },
             path=result.path,
-            considered=considered,
+            considered=Considered(
+                partial(
+                    explained,
+                    {} if jam is None else jam.considered,
+                    laws,
+                    following.contacts,
+                    closed,
+                    touching,
+                    considered,
+                )
+            ),
             energy=(before, left),
             skipped=rest or 0.0,
         )
@@ -368,6 +375,7 @@ class SceneLaws:
 
     def _switch(
         self,
+        setup: Setup,
         clock: Clock,
         j: int,
         flow: Flow,
@@ -381,38 +389,31 @@ class SceneLaws:
         for place, target in switched.items():
             mode[place] = moving[place] = target
         place = next(iter(switched))
+        name, goes = self._names[place], mode[place] == OFF
+        reason = "its conditions hold, and its gap is open"
+        if goes:
+            margins = [margin.name for margin in self._mechanics.gates(name)]
+            failing = [margin for margin in margins if margin in fired]
+            failing = failing or [self._gates.failing(setup.values, state, clock.high)[place]]
+            reason = f"does not hold: {failing[0].removeprefix(f'{name}: ')}"
         jump = Jump(
             clock.high,
             j,
-            self._names[place],
-            "disable" if mode[place] == OFF else "enable",
+            name,
+            "disable" if goes else "enable",
             flow.mode,
             tuple(mode),
             state,
             state,
             fired,
+            considered={
+                f"{name}:{flow.mode[place]}": reason,
+                f"{name}:{mode[place]}": "taken",
+            },
             energy=(snapshot.energy, snapshot.energy),
         )
         following = flow._replace(mode=tuple(mode), flow=tuple(moving), warning="", settled=False)
         return jump, following
-
-    def _choose(self, setup: SceneSetup, snapshot: Snapshot, touching: list[bool]) -> Choice:
-        tie = 0.5 * setup.tolerances["force"] / setup.scales.force
-        still = 2.0 * setup.tolerances["speed"]
-        try:
-            choice = choose(snapshot, setup.contacts, touching, setup.scales, tie, still)
-        except NoConsistentMode as error:
-            jam = jammed(snapshot, setup.contacts, touching, still)
-            if self._paradox == "impact" and jam is not None:
-                raise jam from error
-            found = paradoxes(snapshot, setup.contacts, touching, still)
-            reports = "".join(f"; {paradox}" for paradox in found.values())
-            raise NoConsistentMode(f"{error}{reports}") from None
-        if choice.warning:
-            found = paradoxes(snapshot, setup.contacts, touching, still)
-            warning = "; ".join([choice.warning, *map(str, found.values())])
-            choice = choice._replace(warning=warning)
-        return choice
 
     def _energy(self, setup: SceneSetup, state: Array, time: float) -> float:
         return self._tape.at(setup.values, state, time).energy

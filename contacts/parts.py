@@ -23,6 +23,7 @@ __all__ = [
     "Pair",
     "Path",
     "Point",
+    "Resolution",
     "Simultaneous",
     "Surface",
 ]
@@ -32,6 +33,9 @@ Pair = tuple[FormulaText, FormulaText]
 
 Simultaneous = Literal["plastic", "capped", "sequential"]
 """What coupled contacts do that are hit at once."""
+
+Resolution = Literal["impact", "stop"]
+"""What follows where no mode of a sliding contact agrees with the state."""
 
 _DeclaredMode = Annotated[
     ContactMode,

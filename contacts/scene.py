@@ -18,6 +18,7 @@ from contacts.parts import (
     Pair,
     Path,
     Point,
+    Resolution,
     Simultaneous,
     Surface,
 )
@@ -59,7 +60,7 @@ class Scene(Declaration):
         description="What contacts do that are hit together: plastic, Newton's law as far as the "
         "energy allows (capped), or one after another by their own laws (sequential).",
     )
-    paradox: Literal["impact", "stop"] = Field(
+    paradox: Resolution = Field(
         default="impact",
         description="What follows where no mode of a sliding contact agrees with the state "
         "(Painleve): an impact without collision, or the end of the run.",

@@ -21,7 +21,7 @@ from statechart.chart import Chart, Transition
 from statechart.chart import Region as DeclaredRegion
 from statechart.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
-from statechart.firing import Guard, Listening, Watch, guards
+from statechart.firing import Guard, Listening, Watch, considered, guards
 from statechart.formula import parse, parse_relation
 from statechart.parameters import Parameters
 from statechart.tape import Tape, compile_tape
@@ -150,6 +150,7 @@ class ChartLaws:
         self._regions = tuple(chart.regions)
         self._watches: dict[Key, Watch] = {}
         self._updates: dict[tuple[int, int], Tape] = {}
+        self._considered = tuple(map(considered, regions))
         self._listening = Listening(
             regions,
             {
@@ -218,7 +219,18 @@ class ChartLaws:
                 index, after = limit, self._updated(setup, clock, place, limit, state)
         taken = transitions[index]
         target = (*flow.mode[:place], taken.target, *flow.mode[place + 1 :])
-        jump = Jump(clock.high, j, name, taken.name, flow.mode, target, state, after, fired)
+        jump = Jump(
+            clock.high,
+            j,
+            name,
+            taken.name,
+            flow.mode,
+            target,
+            state,
+            after,
+            fired,
+            considered=self._considered[place][index],
+        )
         held = {region: end for region, end in flow.held.items() if region != name}
         following = flow._replace(
             mode=target,

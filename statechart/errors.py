@@ -28,6 +28,7 @@ point at the field concerned; `statechart.document.validate` turns it into a `De
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -206,9 +207,26 @@ class SimulationError(StatechartError):
 
 
 class NoConsistentMode(SimulationError):
-    """No mode explains the state."""
+    """No mode explains the state.
+
+    Parameters
+    ----------
+    message, trace
+        As for `SimulationError`.
+    considered : mapping, optional
+        Mode -> why it does not.
+    """
 
     outcome = "NO_CONSISTENT_MODE"
+
+    def __init__(
+        self,
+        message: str,
+        trace: object | None = None,
+        considered: Mapping[str, str] | None = None,
+    ) -> None:
+        super().__init__(message, trace)
+        self.considered = dict(considered or {})
 
 
 class AmbiguousMode(SimulationError):

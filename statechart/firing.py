@@ -31,7 +31,7 @@ from statechart.tape import compile_tape
 from statechart.trace import Jump, Key
 from statechart.transitions import BaseTransition
 
-__all__ = ["Firing", "Guard", "Listening", "Watch", "guards"]
+__all__ = ["Firing", "Guard", "Listening", "Watch", "considered", "guards"]
 
 Array = NDArray[np.float64]
 
@@ -99,6 +99,20 @@ def guards(place: int, name: str, transitions: Sequence[BaseTransition], state: 
         )
         for index, transition, relation in found
     ]
+
+
+def considered(region: Region) -> tuple[dict[str, str], ...]:
+    """Return, for each transition of a region that is taken, what else could have been, and why."""
+    return tuple(
+        {
+            f"{other.cause}->{other.target}": "taken"
+            if other is edge
+            else f"not due, or declared later: {other.guard}"
+            for other in region.edges
+            if other.source == edge.source
+        }
+        for edge in region.edges
+    )
 
 
 class Watch:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from runs import SOUND, run
 
 from statechart.cli import main
 from statechart.document import read_text
@@ -112,3 +113,39 @@ def test_the_command_line_explains_and_what_it_saves_can(
 def test_a_run_without_events_has_nothing_to_explain() -> None:
     runner = Runner(read_text(BAR.replace("time: 0.45", "time: 0.1")))
     assert explanation(runner.run().report(explain=True)) == ""
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_every_jump_says_what_was_taken_and_why_nothing_else_was(name: str) -> None:
+    trace = run(name, "taylor", until=3.0)
+    for jump in trace.jumps:
+        if jump.cause == "stop":
+            continue
+        reasons = [*jump.considered.values()]
+        assert sum(reason.startswith("taken") for reason in reasons) >= 1, jump
+        assert all(reasons)
+
+
+def test_a_jam_says_why_no_mode_agreed_and_what_the_impact_left() -> None:
+    jump = run("painleve_rod", "taylor", until=0.1).jumps[0]
+    assert jump.cause == "jam"
+    assert "before the impact tip: V = -" in jump.considered["tip:slide+"]
+    assert jump.considered["tip:free"].startswith("taken: it leaves its surface at")
+    assert "before the impact tip: it would accelerate" in jump.considered["tip:free"]
+
+
+def test_what_may_not_slip_and_cannot_hold_is_told_what_to_do(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["run", "no_slip_pencil"]) == 1
+    shown = capsys.readouterr()
+    assert "tip may not slip, and that can take a force that no surface gives" in shown.out
+    assert "list slide among the modes" in shown.out
+
+
+def test_a_body_without_inertia_that_takes_off_is_told_what_it_lacks(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    fast = ["--set", "gamma=0.2", "--set", "omega0=2.5"]
+    assert main(["run", "rimless_wheel", *fast]) == 1
+    assert "has no mass or inertia of its own: give it some" in capsys.readouterr().out

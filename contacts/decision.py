@@ -1,0 +1,78 @@
+"""The mode that a state calls for, or what resolves it where no mode does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from contacts.classify import Choice, ContactLaw, choose
+from contacts.jams import Jam, jammed
+from contacts.modes import OFF
+from contacts.painleve import paradoxes
+from contacts.parts import Resolution
+from contacts.setup import SceneSetup
+from contacts.snapshot import PerContact, Snapshot
+from statechart.errors import NoConsistentMode
+
+__all__ = ["decide", "explained"]
+
+
+def decide(
+    setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool], paradox: Resolution
+) -> Choice | Jam:
+    """Return the mode that the touching contacts take, or the jam that has to come first.
+
+    Raises
+    ------
+    NoConsistentMode, AmbiguousMode
+        With every candidate and its reason, and the paradoxes met.
+    """
+    tie = 0.5 * setup.tolerances["force"] / setup.scales.force
+    still = 2.0 * setup.tolerances["speed"]
+    try:
+        choice = choose(snapshot, setup.contacts, touching, setup.scales, tie, still)
+    except NoConsistentMode as error:
+        jam = jammed(snapshot, setup.contacts, touching, still)
+        if paradox == "impact" and jam is not None:
+            return replace(jam, considered=error.considered)
+        found = paradoxes(snapshot, setup.contacts, touching, still)
+        reports = "".join(f"; {one}" for one in found.values())
+        raise NoConsistentMode(f"{error}{reports}", considered=error.considered) from None
+    if choice.warning:
+        found = paradoxes(snapshot, setup.contacts, touching, still)
+        warning = "; ".join([choice.warning, *map(str, found.values())])
+        choice = choice._replace(warning=warning)
+    return choice
+
+
+def explained(
+    before: Mapping[str, str],
+    laws: Sequence[ContactLaw],
+    contacts: Sequence[PerContact],
+    closed: Sequence[bool],
+    touching: Sequence[bool],
+    after: Mapping[str, str],
+) -> dict[str, str]:
+    """Return what was considered at an impact: mode or state -> why it was taken or not.
+
+    Parameters
+    ----------
+    before : mapping
+        What did not agree with the state, where that is why there is an impact.
+    laws, contacts : sequence
+        Per contact, after the impact.
+    closed, touching : sequence of bool
+        Which contacts took part, and which of them the impact does not throw off.
+    after : mapping
+        What was considered for those.
+    """
+    found = {label: f"before the impact {why}" for label, why in before.items()}
+    for law, contact, hit, stays in zip(laws, contacts, closed, touching, strict=True):
+        if hit and not stays:
+            rises = f"it leaves its surface at {contact.gap_rate:.3g}"
+            for state in law.states:
+                if state != OFF:
+                    label = f"{law.name}:{state}"
+                    words = f"taken: {rises}" if state == "free" else rises
+                    found[label] = "; ".join(filter(None, (words, found.get(label))))
+    return {**found, **after}
