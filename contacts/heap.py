@@ -23,7 +23,7 @@ from contacts.scales import Scales
 from contacts.scene import Scene
 from contacts.setup import SceneSetup, scene_parameters
 from contacts.shapes import copies
-from contacts.stepped_scene import widened
+from contacts.stepped_scene import softened_remark, widened
 from statechart.automaton import (
     Automaton,
     Edge,
@@ -333,6 +333,7 @@ class SteppedHeap:
         self._keys = np.zeros((_PER_BODY * count, 2), dtype=np.int64)
         self._memory = np.zeros((_PER_BODY * count, MEMORY))
         self._remembered = 0
+        self._softened = 0
         self._counts = np.zeros(2, dtype=np.int64)
         self._least = np.full(count, np.inf)
 
@@ -345,6 +346,11 @@ class SteppedHeap:
             if np.isfinite(gap)
         }
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader must know of the run."""
+        return softened_remark(self._softened)
+
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps; see `SteppedScene.steps`."""
         bodies = len(self._names)
@@ -356,14 +362,14 @@ class SteppedHeap:
         struck = np.zeros((count, bodies), dtype=np.bool_)
         gaps = np.full((count, bodies), np.inf)
         approach, closing = np.zeros(count), np.zeros(count)
-        given, done = np.zeros(0), 0
+        given, done, softened = np.zeros(0), 0, False
         while done < count:
             taken, status, self._remembered, delassus, least, cones = step_heap(
                 self._vertices, self._firsts, self._radii, self.sizes, self._inverse,
                 self.gravity, self._surfaces, self._pairs, self._materials, h, now,
-                self._keys, self._memory, self._remembered, given, states[done + 1 :],
-                solved[done:], impulses[done:], codes[done:], struck[done:], gaps[done:],
-                approach[done:], closing[done:], self._counts,
+                self._keys, self._memory, self._remembered, given, softened,
+                states[done + 1 :], solved[done:], impulses[done:], codes[done:], struck[done:],
+                gaps[done:], approach[done:], closing[done:], self._counts,
             )  # fmt: skip
             done += taken
             if status == DONE:
@@ -372,10 +378,17 @@ class SteppedHeap:
                 if status == NOT_FINITE:
                     raise NonFinite("a coordinate became infinite or undefined")
                 if taken:
-                    given = np.zeros(0)
+                    given, softened = np.zeros(0), False
                 if len(given) > _MOST_GIVEN:
                     raise UnsolvedImpulses("solutions of a step are not those of its problems")
-                given = np.concatenate([given, self._harder(status, delassus, least, cones)])
+                try:
+                    found = self._harder(status, delassus, least, cones)
+                    given = np.concatenate([given, found])
+                except UnsolvedImpulses:
+                    if softened:
+                        raise
+                    given, softened = np.zeros(0), True
+                    self._softened += 1
             except SimulationError:
                 if done == 0:
                     raise

@@ -13,17 +13,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from contacts.island_kernels import compliance, island_of, push, swept, velocity
 from contacts.kernels import FREE, PIN, SLIDE
 from contacts.polygons import FOUND, against_surface, between, place
-from contacts.step_kernels import (
-    LOOSEST,
-    UNKNOWNS,
-    capped,
-    impulses_of,
-    problem,
-    solve_contacts,
-    step_residual,
-)
+from contacts.step_kernels import UNKNOWNS, solve_impacts
 
 __all__ = ["DONE", "HARD", "MEMORY", "NOT_FINITE", "step_heap"]
 
@@ -37,145 +30,11 @@ DONE, HARD, NOT_FINITE = range(3)
 MEMORY = 5
 """What is kept of a contact from step to step: level, lasting, impulses, number of its basis."""
 
-_PIVOTS = 20
 _SLOW = 2.0
 # Points of contact that a pair can have: a polygon on a surface has as many as corners.
 _POINTS = 16
 # Islands of more contacts are swept.
 _DENSE = 40
-_SWEEPS = 2000
-# Largest change of a velocity in a sweep that ends it, relative to the velocities.
-_SWEPT = 1e-9
-
-
-@_kernel
-def _island(parents: Ints, body: int) -> int:
-    while parents[body] != body:
-        parents[body] = parents[parents[body]]
-        body = parents[body]
-    return body
-
-
-@_kernel
-def _velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
-    total = 0.0
-    for side in range(2):
-        b = bodies[i, side]
-        if b >= 0:
-            for k in range(3):
-                total += rows[i, d, 3 * side + k] * rates[b, k]
-    return total
-
-
-@_kernel
-def _push(
-    bodies: Ints, rows: Array, inverse: Array, rates: Array, i: int, d: int, amount: float
-) -> None:
-    for side in range(2):
-        b = bodies[i, side]
-        if b >= 0:
-            for k in range(3):
-                rates[b, k] += inverse[b, k] * rows[i, d, 3 * side + k] * amount
-
-
-@_kernel
-def _compliance(bodies: Ints, rows: Array, inverse: Array, i: int, d: int, j: int, e: int) -> float:
-    """Return the velocity of contact i along d per unit impulse of contact j along e."""
-    total = 0.0
-    for side in range(2):
-        b = bodies[i, side]
-        if b < 0:
-            continue
-        for other in range(2):
-            if bodies[j, other] == b:
-                for k in range(3):
-                    total += rows[i, d, 3 * side + k] * inverse[b, k] * rows[j, e, 3 * other + k]
-    return total
-
-
-@_kernel
-def _sweep(
-    members: Ints,
-    bodies: Ints,
-    rows: Array,
-    inverse: Array,
-    cones: Array,
-    wanted: Array,
-    rates: Array,
-    impulses: Array,
-) -> bool:
-    """Sweep until nothing changes; `rates` and `impulses` are changed in place."""
-    size = len(members)
-    own = np.empty((size, 3))
-    for a in range(size):
-        i = members[a]
-        own[a, 0] = _compliance(bodies, rows, inverse, i, 0, i, 0)
-        own[a, 1] = _compliance(bodies, rows, inverse, i, 1, i, 1)
-        own[a, 2] = _compliance(bodies, rows, inverse, i, 0, i, 1)
-        _push(bodies, rows, inverse, rates, i, 0, impulses[i, 0])
-        _push(bodies, rows, inverse, rates, i, 1, impulses[i, 1])
-    for _ in range(_SWEEPS):
-        change, largest = 0.0, 0.0
-        for a in range(size):
-            i = members[a]
-            normal = _velocity(bodies, rows, rates, i, 0) + wanted[i, 0]
-            slip = _velocity(bodies, rows, rates, i, 1) + wanted[i, 1]
-            before_n, before_t = impulses[i, 0], impulses[i, 1]
-            # Both rows of a contact that sticks, solved together; else the edge of its cone.
-            wn, wt, wx = own[a]
-            cone_n, cone_t = max(cones[i, 0], 2.0**-12), cones[i, 1]
-            free_n = normal - wn * before_n - wx * before_t
-            free_t = slip - wx * before_n - wt * before_t
-            pn, pt = 0.0, 0.0
-            if free_n < 0.0:
-                det = wn * wt - wx * wx
-                if cone_t > 0.0 and det > 0.0:
-                    pn = (-wt * free_n + wx * free_t) / det
-                    pt = (wx * free_n - wn * free_t) / det
-                if cone_t == 0.0:
-                    pn, pt = -free_n / wn, 0.0
-                elif det <= 0.0 or pn < 0.0 or cone_n * abs(pt) > cone_t * pn:
-                    sign = math.copysign(cone_t / cone_n, pt)
-                    whole = wn + sign * wx
-                    pn = -free_n / whole if whole > 0.0 else -free_n / wn
-                    pt = sign * pn
-            impulses[i, 0], impulses[i, 1] = pn, pt
-            dn, dt = pn - before_n, pt - before_t
-            if dn != 0.0:
-                _push(bodies, rows, inverse, rates, i, 0, dn)
-            if dt != 0.0:
-                _push(bodies, rows, inverse, rates, i, 1, dt)
-            change = max(change, wn * abs(dn), wt * abs(dt))
-            largest = max(largest, wn * pn)
-        if change <= _SWEPT * largest:
-            return True
-    return False
-
-
-@_kernel
-def _swept(
-    members: Ints,
-    bodies: Ints,
-    rows: Array,
-    inverse: Array,
-    cones: Array,
-    wanted: Array,
-    loose: Array,
-    pushes: Array,
-    sliding: NDArray[np.bool_],
-    guesses: NDArray[np.bool_],
-) -> bool:
-    """Solve an island by sweeps from the impulses of the step before."""
-    part = pushes.copy()
-    if not _sweep(members, bodies, rows, inverse, cones, wanted, loose.copy(), part):
-        return False
-    for i in members:
-        pushes[i, 0], pushes[i, 1] = part[i, 0], part[i, 1]
-        edge = cones[i, 0] * abs(part[i, 1]) - cones[i, 1] * part[i, 0]
-        sliding[i] = edge >= -1e-9 * (part[i, 0] + abs(part[i, 1]))
-        for u in range(UNKNOWNS):
-            guesses[i, u] = False
-    return True
 
 
 @_kernel
@@ -202,6 +61,7 @@ def step_heap(
     memory: Array,
     remembered: int,
     given: Array,
+    softened: bool,
     states: Array,
     solved: Array,
     impulses: Array,
@@ -238,6 +98,8 @@ def step_heap(
         Contacts of the step before: pair and feature; see `MEMORY`.
     given : (4 m,)
         Solutions of problems of the first step that were not solved before.
+    softened : bool
+        See `step_scene`.
     states, solved, impulses, codes, struck, gaps, approach, closing
         As `step_scene`, per body instead of per contact; `solved` has accelerations alone.
     counts : (2,)
@@ -338,17 +200,18 @@ def step_heap(
                             rx, ry = x - centres[c, 0], y - centres[c, 1]
                             rows[m, d, 3], rows[m, d, 4] = -ux, -uy
                             rows[m, d, 5] = -(rx * uy - ry * ux)
-                        before[m, d] = _velocity(bodies, rows, old, m, d)
-                        free[m, d] = _velocity(bodies, rows, loose, m, d)
-                    if gap > 0.0 and not lasting:
-                        level = 0.0
+                        before[m, d] = velocity(bodies, rows, old, m, d)
+                        free[m, d] = velocity(bodies, rows, loose, m, d)
+                    if not lasting:
+                        # What has come out does not go as deep again.
+                        level = min(max(level, gap), 0.0)
                     nearing = -before[m, 0]
                     slow = max(_SLOW * abs(free[m, 0] - before[m, 0]), _SLOW * fall)
                     above = gap - level
                     hit[m] = False
                     wanted[m, 0] = wanted[m, 1] = 0.0
                     # What is slow is let in before it arrives: others may push it there now.
-                    soon = above + h * (free[m, 0] - slow) <= 0.0
+                    soon = gap <= 0.0 or above + h * (free[m, 0] - slow) <= 0.0
                     if lasting or (nearing <= slow and soon):
                         if above < 0.0 and not lasting:
                             level, above = gap, 0.0
@@ -381,71 +244,54 @@ def step_heap(
         parents = np.arange(b_count)
         for i in range(m):
             if bodies[i, 1] >= 0:
-                one, other = _island(parents, bodies[i, 0]), _island(parents, bodies[i, 1])
-                parents[one] = other
+                one = island_of(parents, bodies[i, 0])
+                parents[one] = island_of(parents, bodies[i, 1])
         owners = np.empty(m, np.int64)
         for i in range(m):
-            owners[i] = _island(parents, bodies[i, 0])
+            owners[i] = island_of(parents, bodies[i, 0])
         rates = loose.copy()
         for island in range(b_count):
             members = np.nonzero(owners == island)[0]
             size = len(members)
             if size == 0:
                 continue
-            rebounds = False
-            for a in range(size):
-                rebounds = rebounds or (hit[members[a]] and elastic[members[a]] > 0.0)
-            if size > _DENSE and _swept(
+            soften = softened and k == 0
+            if soften:
+                wanted[members, 0] = np.maximum(wanted[members, 0], 0.0)
+            if size > _DENSE and swept(
                 members, bodies, rows, inverse, cones, wanted, loose, pushes, sliding, guesses
             ):
                 counts[1] += 1
                 continue
             delassus = np.zeros((2 * size, 2 * size))
-            least, unforced = np.empty((size, 2)), np.empty((size, 2))
+            unforced = np.empty((size, 2))
             ours, start = np.empty((size, 2)), np.empty((size, 2))
             guess = np.empty(UNKNOWNS * size, np.bool_)
             for a in range(size):
                 i = members[a]
                 for d in range(2):
                     unforced[a, d] = free[i, d]
-                    least[a, d] = free[i, d] + wanted[i, d]
                     ours[a, d], start[a, d] = cones[i, d], before[i, d]
                     for q in range(size):
                         for e in range(2):
-                            delassus[2 * a + d, 2 * q + e] = _compliance(
+                            delassus[2 * a + d, 2 * q + e] = compliance(
                                 bodies, rows, inverse, i, d, members[q], e
                             )
                 for u in range(UNKNOWNS):
                     guess[UNKNOWNS * a + u] = guesses[i, u]
-            limit = 50 + _PIVOTS * UNKNOWNS * size
-            good, z, basis_found = False, given, given > 0.0
-            if k == 0 and len(given) >= UNKNOWNS * size:
-                # Whose solution is which, the residual tells.
-                matrix, vector = problem(delassus, least, ours)
-                for first in range(0, len(given) - UNKNOWNS * size + 1, UNKNOWNS):
-                    z = given[first : first + UNKNOWNS * size].copy()
-                    if step_residual(matrix, vector, z) <= LOOSEST:
-                        good, basis_found = True, z > 0.0
-                        break
-            if not good:
-                good, z, basis_found = solve_contacts(delassus, least, ours, guess, limit)
+            rebounds = hit[members] & (elastic[members] > 0.0)
+            good, z, basis_found, chosen, least = solve_impacts(
+                delassus, start, unforced, wanted[members], ours, rebounds, guess,
+                given if k == 0 else given[:0], soften,
+            )  # fmt: skip
             if not good:
                 # All but degenerate: the sweeps need no basis.
                 counts[1] += 1
-                if not _swept(members, bodies, rows, inverse, cones, wanted, loose, pushes,
+                if not swept(members, bodies, rows, inverse, cones, wanted, loose, pushes,
                               sliding, guesses):  # fmt: skip
                     _restore(state, old, h, n)
                     return k, HARD, remembered, delassus, least, ours
                 continue
-            chosen = impulses_of(z)
-            if rebounds:
-                soft = least.copy()
-                for a in range(size):
-                    if hit[members[a]]:
-                        soft[a, 0] = unforced[a, 0]
-                good, plastic, _ = solve_contacts(delassus, soft, ours, guess, limit)
-                if good:
-                    chosen, _ = capped(delassus, start, unforced, impulses_of(plastic), chosen)
             for a in range(size):
                 i = members[a]
                 pushes[i, 0], pushes[i, 1] = chosen[a, 0], chosen[a, 1]
@@ -456,9 +302,9 @@ def step_heap(
         for i in range(m):
             for d in range(2):
                 if pushes[i, d] != 0.0:
-                    _push(bodies, rows, inverse, rates, i, d, pushes[i, d])
+                    push(bodies, rows, inverse, rates, i, d, pushes[i, d])
                     if not hit[i]:
-                        _push(bodies, rows, inverse, steady, i, d, pushes[i, d])
+                        push(bodies, rows, inverse, steady, i, d, pushes[i, d])
             pressed = pushes[i, 0] > 0.0
             lasts = pressed and not (hit[i] and elastic[i] > 0.0)
             keys[i, 0], keys[i, 1] = new_keys[i, 0], new_keys[i, 1]

@@ -54,6 +54,11 @@ class Stepped(Protocol):
         """The least values seen."""
         ...
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader must know of the run."""
+        ...
+
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps."""
         ...
@@ -345,7 +350,7 @@ class _Run:
             tolerances=tolerances,
             engine="impulse",
             tolerance=math.nan,
-            warnings=(*self.setup.warnings, *warnings),
+            warnings=(*self.setup.warnings, *warnings, *self.stepped.remarks),
             counts={
                 "steps": self.taken,
                 "evaluations": self.taken,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from contacts.kernels import FREE, OFF, PIN, SLIDE
 from contacts.step_equations import CONTACT, JOINT, back, factored
 from contacts.step_forces import borne_mode, jammed, resting, shared_forces
-from contacts.step_kernels import UNKNOWNS, capped, impulses_of, solve_contacts
+from contacts.step_kernels import UNKNOWNS, impulses_of, solve_contacts, solve_impacts
 from statechart.kernels import tape_values
 
 __all__ = ["BAD_INERTIA", "DONE", "HARD", "NOT_FINITE", "step_scene"]
@@ -90,6 +90,7 @@ def step_scene(
     light: NDArray[np.bool_],
     bases: NDArray[np.bool_],
     given: Array,
+    softened: bool,
     states: Array,
     solved: Array,
     impulses: Array,
@@ -138,6 +139,8 @@ def step_scene(
         Positive unknowns of the last problem.
     given : (4 m,) or (0,)
         A solution of the first step's problem.
+    softened : bool
+        Whether no contact is made to part in the first step: nothing else solves it.
     states : (k, 2 n), solved : (k, n + joints + 2 c + u)
     impulses : (k, c, 2), codes, struck, shared, gaps : (k, c)
         To be filled: state after each step; accelerations, forces of joints and of contacts that
@@ -192,14 +195,15 @@ def step_scene(
                 before[i, d] = free[i, d] = numbers[row + 2 * n + 3 + d]
                 for j in range(n):
                     free[i, d] += numbers[row + d * n + j] * change[j]
-            if gap > 0.0 and not closed[i]:
-                level[i] = 0.0
+            if not closed[i]:
+                # What has come out does not go as deep again.
+                level[i] = min(max(level[i], gap), 0.0)
             nearing = -before[i, 0]
             slow = _SLOW * abs(free[i, 0] - before[i, 0])
             above = gap - level[i]
             bias = 0.5 * h * numbers[row + 2 * n]
             # What is slow is let in before it arrives: others may push it there in this step.
-            soon = above + h * (free[i, 0] + bias - slow) <= 0.0
+            soon = gap <= 0.0 or above + h * (free[i, 0] + bias - slow) <= 0.0
             if closed[i] or (nearing <= slow and soon):
                 active[i] = True
                 if above < 0.0 and not closed[i]:
@@ -244,8 +248,7 @@ def step_scene(
                             value += numbers[row + d * n + j] * columns[b, j]
                         delassus[2 * a + d, b] = value
             ours, start_at = cones[which], before[which]
-            unforced = free[which]
-            least = unforced + wanted[which]
+            least = free[which] + wanted[which]
             guess = np.zeros(UNKNOWNS * m, np.bool_)
             for a in range(m):
                 for u in range(UNKNOWNS):
@@ -255,24 +258,13 @@ def step_scene(
                     if ours[a, 1] > 0.0:
                         guess[UNKNOWNS * a + (1 if least[a, 1] < 0.0 else 2)] = True
                         guess[UNKNOWNS * a + 3] = True
-            if k == 0 and len(given) == UNKNOWNS * m:
-                z, basis = given, given > 0.0
-            else:
-                good, z, basis = solve_contacts(delassus, least, ours, guess, _pivots(m))
-                if not good:
-                    return k, HARD, delassus, least, ours
-            pushes = impulses_of(z)
-            rebounds = False
-            for a in range(m):
-                rebounds = rebounds or (hit[which[a]] and restitution[which[a]] > 0.0)
-            if rebounds:
-                soft = least.copy()
-                for a in range(m):
-                    if hit[which[a]]:
-                        soft[a, 0] = unforced[a, 0]
-                good, plastic, _ = solve_contacts(delassus, soft, ours, guess, _pivots(m))
-                if good:
-                    pushes, _ = capped(delassus, start_at, unforced, impulses_of(plastic), pushes)
+            rebounds = hit[which] & (restitution[which] > 0.0)
+            good, z, basis, pushes, least = solve_impacts(
+                delassus, start_at, free[which], wanted[which], ours, rebounds, guess,
+                given if k == 0 else given[:0], softened and k == 0,
+            )  # fmt: skip
+            if not good:
+                return k, HARD, delassus, least, ours
             sudden = hit[which]
             for a in range(m):
                 i = which[a]

@@ -22,6 +22,7 @@ __all__ = [
     "impulses_of",
     "problem",
     "solve_contacts",
+    "solve_impacts",
     "step_residual",
     "symmetric_scales",
 ]
@@ -207,6 +208,87 @@ def solve_contacts(
             if step_residual(matrix, vector, z) <= RESIDUAL:
                 return True, z, basis
     return False, np.zeros(size), basis
+
+
+@_kernel
+def _without_rounding(velocities: Array, size: float) -> None:
+    """Set to zero what is rounding of velocities as large as `size`."""
+    for i in range(len(velocities)):
+        for d in range(2):
+            if abs(velocities[i, d]) <= _ROUNDING * size:
+                velocities[i, d] = 0.0
+
+
+@_kernel
+def _known(
+    delassus: Array, free: Array, cones: Array, guess: Bools, limit: int, given: Array
+) -> tuple[bool, Array, Bools]:
+    """Return what `solve_contacts` does, where `given` holds no solution of the problem."""
+    size = UNKNOWNS * len(cones)
+    if len(given) >= size:
+        # Whose solution is which, the residual tells.
+        matrix, vector = problem(delassus, free, cones)
+        for first in range(0, len(given) - size + 1, UNKNOWNS):
+            z = given[first : first + size].copy()
+            if step_residual(matrix, vector, z) <= LOOSEST:
+                return True, z, z > 0.0
+    return solve_contacts(delassus, free, cones, guess, limit)
+
+
+@_kernel
+def solve_impacts(
+    delassus: Array,
+    before: Array,
+    free: Array,
+    wanted: Array,
+    cones: Array,
+    rebounds: Bools,
+    guess: Bools,
+    given: Array,
+    softened: bool,
+) -> tuple[bool, Array, Bools, Array, Array]:
+    """Return (solved, z, basis, impulses, least velocities) of the contacts of a step.
+
+    Restitution that would add energy is reduced. Where contacts oppose each other there need be no
+    impulses that make all of them part as they should: `softened`, none is asked to part. Then rest
+    is allowed, and there are some (Anitescu and Potra 1997).
+
+    Parameters
+    ----------
+    delassus : (2 m, 2 m)
+    before, free : (m, 2)
+        Velocities before the step, and after it without impulses.
+    wanted : (m, 2)
+        What these may not fall below, negated.
+    cones : (m, 2)
+    rebounds : (m,) array of bool
+        Whose `wanted` is that of restitution.
+    guess : (4 m,) array of bool
+    given : (k,)
+        Solutions of problems that `solve_contacts` did not solve.
+    softened : bool
+    """
+    limit = 50 + 20 * UNKNOWNS * len(cones)
+    least = free + wanted
+    soft = least.copy()
+    for a in range(len(cones)):
+        if softened:
+            soft[a, 0] = free[a, 0] + max(wanted[a, 0], 0.0)
+        elif rebounds[a]:
+            soft[a, 0] = free[a, 0]
+    size = max(np.abs(free).max(), np.abs(before).max())
+    _without_rounding(least, size)
+    _without_rounding(soft, size)
+    if softened:
+        good, z, basis = _known(delassus, soft, cones, guess, limit, given)
+        return good, z, basis, impulses_of(z), soft
+    good, z, basis = _known(delassus, least, cones, guess, limit, given)
+    pushes = impulses_of(z)
+    if good and rebounds.any():
+        calm, plastic, _ = solve_contacts(delassus, soft, cones, guess, limit)
+        if calm:
+            pushes, _ = capped(delassus, before, free, impulses_of(plastic), pushes)
+    return good, z, basis, pushes, least
 
 
 @_kernel

@@ -21,7 +21,7 @@ from contacts.step_kernels import LOOSEST, UNKNOWNS, problem, step_residual
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, UnsolvedImpulses
 from statechart.tape import Tape, compile_tape
 
-__all__ = ["SteppedScene", "SteppedTape", "widened"]
+__all__ = ["SteppedScene", "SteppedTape", "softened_remark", "widened"]
 
 Array = NDArray[np.float64]
 
@@ -143,6 +143,7 @@ class SteppedScene:
             np.full((count, 2), np.inf),
         )
         self._kept = self._memory.copy()
+        self._softened = 0
 
     def switch(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Go on with other forces and coefficients."""
@@ -175,6 +176,11 @@ class SteppedScene:
                     found[f"{name}.{what}"] = float(value)
         return found
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader must know of the run."""
+        return softened_remark(self._softened)
+
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps from `state` (2 n,).
 
@@ -200,13 +206,13 @@ class SteppedScene:
         approach, closing = np.zeros(count), np.zeros(count)
         self._kept = self._memory.copy()
         memory = self._memory
-        given, done = np.zeros(0), 0
+        given, done, softened = np.zeros(0), 0, False
         while done < count:
             taken, status, delassus, least, cones = step_scene(
                 tape.code, tape.constants, tape.outputs, source.damped, self._values,
                 self._cones, self._restitution, source.held, source.slips, r, self._near,
                 start + done * h, h, now, memory.level, memory.closed, memory.off, memory.light,
-                memory.bases, given, states[done + 1 :], solved[done:], impulses[done:],
+                memory.bases, given, softened, states[done + 1 :], solved[done:], impulses[done:],
                 codes[done:], struck[done:], shared[done:], gaps[done:], approach[done:],
                 closing[done:],
             )  # fmt: skip
@@ -216,7 +222,15 @@ class SteppedScene:
             try:
                 if status != HARD:
                     raise _failure(status)
-                given = widened(delassus, least, cones)
+                if taken:
+                    softened = False
+                try:
+                    given = widened(delassus, least, cones)
+                except UnsolvedImpulses:
+                    if softened:
+                        raise
+                    given, softened = np.zeros(0), True
+                    self._softened += 1
             except (UnsolvedImpulses, SingularMode, NonFinite):
                 if done == 0:
                     raise
@@ -275,6 +289,16 @@ class SteppedScene:
         for k, values in enumerate((normal, inside)):
             seen = np.where((codes != FREE) & (codes != OFF), values, np.inf).min(axis=0)
             memory.least[:, k] = np.minimum(memory.least[:, k], seen)
+
+
+def softened_remark(steps: int) -> tuple[str, ...]:
+    """Say in how many steps impacts did not rebound."""
+    if not steps:
+        return ()
+    return (
+        f"in {steps} steps no impulses were found that make all contacts part as Newton's law of "
+        "impact asks: what was hit then did not rebound",
+    )
 
 
 def widened(delassus: Array, free: Array, cones: Array) -> Array:

@@ -127,3 +127,15 @@ def test_contacts_of_two_squares_agree_with_their_corners(x, y, one_angle, other
         n = found[0, :2]
         separation = (one @ n).min() - (other @ n).max()
         assert found[:count, 4].min() >= separation - 1e-9
+
+
+def test_a_hundred_grains_collapse_without_sinking_into_each_other():
+    runner = Runner("granular_column")
+    trace = runner.run({"n": 100}, until=0.3).trace
+    assert trace.outcome is Outcome.HORIZON
+    # As deep as a step at the fastest approach, not a tenth of a grain.
+    assert min(trace.margins.values()) >= -trace.tolerances["gap"]
+
+
+def test_dice_overlap_by_less_than_a_step_at_their_fastest_approach(dice):
+    assert min(dice.trace.margins.values()) >= -dice.trace.tolerances["gap"]

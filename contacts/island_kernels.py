@@ -1,0 +1,161 @@
+"""Islands of bodies that touch each other: contacts one by one, and swept over (Gauss-Seidel).
+
+Islands too large for a dense problem are swept contact by contact until nothing changes (Moreau and
+Jean's contact dynamics).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from contacts.step_kernels import UNKNOWNS
+
+__all__ = ["compliance", "island_of", "push", "swept", "velocity"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_kernel = njit(cache=True, no_cfunc_wrapper=True)
+
+_SWEEPS = 2000
+# Largest change of a velocity in a sweep that ends it, relative to the velocities; and in the last
+# sweep, where contacts are so nearly redundant that they go on exchanging impulses.
+_SWEPT, _SWEPT_LAST = 1e-9, 1e-6
+
+
+@_kernel
+def island_of(parents: Ints, body: int) -> int:
+    """Return the body that stands for an island (union-find, paths halved in place)."""
+    while parents[body] != body:
+        parents[body] = parents[parents[body]]
+        body = parents[body]
+    return body
+
+
+@_kernel
+def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
+    """Return the velocity of contact i along d (0: normal, 1: tangential)."""
+    total = 0.0
+    for side in range(2):
+        b = bodies[i, side]
+        if b >= 0:
+            for k in range(3):
+                total += rows[i, d, 3 * side + k] * rates[b, k]
+    return total
+
+
+@_kernel
+def push(
+    bodies: Ints, rows: Array, inverse: Array, rates: Array, i: int, d: int, amount: float
+) -> None:
+    """Apply an impulse of contact i along d: `rates` (b, 3) are changed in place."""
+    for side in range(2):
+        b = bodies[i, side]
+        if b >= 0:
+            for k in range(3):
+                rates[b, k] += inverse[b, k] * rows[i, d, 3 * side + k] * amount
+
+
+@_kernel
+def compliance(bodies: Ints, rows: Array, inverse: Array, i: int, d: int, j: int, e: int) -> float:
+    """Return the velocity of contact i along d per unit impulse of contact j along e."""
+    total = 0.0
+    for side in range(2):
+        b = bodies[i, side]
+        if b < 0:
+            continue
+        for other in range(2):
+            if bodies[j, other] == b:
+                for k in range(3):
+                    total += rows[i, d, 3 * side + k] * inverse[b, k] * rows[j, e, 3 * other + k]
+    return total
+
+
+@_kernel
+def _sweep(
+    members: Ints,
+    bodies: Ints,
+    rows: Array,
+    inverse: Array,
+    cones: Array,
+    wanted: Array,
+    rates: Array,
+    impulses: Array,
+) -> bool:
+    """Sweep until nothing changes; `rates` and `impulses` are changed in place."""
+    size = len(members)
+    own = np.empty((size, 3))
+    for a in range(size):
+        i = members[a]
+        own[a, 0] = compliance(bodies, rows, inverse, i, 0, i, 0)
+        own[a, 1] = compliance(bodies, rows, inverse, i, 1, i, 1)
+        own[a, 2] = compliance(bodies, rows, inverse, i, 0, i, 1)
+        push(bodies, rows, inverse, rates, i, 0, impulses[i, 0])
+        push(bodies, rows, inverse, rates, i, 1, impulses[i, 1])
+    change, largest = 0.0, 0.0
+    for _ in range(_SWEEPS):
+        change, largest = 0.0, 0.0
+        for a in range(size):
+            i = members[a]
+            normal = velocity(bodies, rows, rates, i, 0) + wanted[i, 0]
+            slip = velocity(bodies, rows, rates, i, 1) + wanted[i, 1]
+            before_n, before_t = impulses[i, 0], impulses[i, 1]
+            # Both rows of a contact that sticks, solved together; else the edge of its cone.
+            wn, wt, wx = own[a]
+            cone_n, cone_t = max(cones[i, 0], 2.0**-12), cones[i, 1]
+            free_n = normal - wn * before_n - wx * before_t
+            free_t = slip - wx * before_n - wt * before_t
+            pn, pt = 0.0, 0.0
+            if free_n < 0.0:
+                det = wn * wt - wx * wx
+                if cone_t > 0.0 and det > 0.0:
+                    pn = (-wt * free_n + wx * free_t) / det
+                    pt = (wx * free_n - wn * free_t) / det
+                if cone_t == 0.0:
+                    pn, pt = -free_n / wn, 0.0
+                elif det <= 0.0 or pn < 0.0 or cone_n * abs(pt) > cone_t * pn:
+                    sign = math.copysign(cone_t / cone_n, pt)
+                    whole = wn + sign * wx
+                    pn = -free_n / whole if whole > 0.0 else -free_n / wn
+                    pt = sign * pn
+            impulses[i, 0], impulses[i, 1] = pn, pt
+            dn, dt = pn - before_n, pt - before_t
+            if dn != 0.0:
+                push(bodies, rows, inverse, rates, i, 0, dn)
+            if dt != 0.0:
+                push(bodies, rows, inverse, rates, i, 1, dt)
+            change = max(change, wn * abs(dn), wt * abs(dt))
+            largest = max(largest, wn * pn)
+        if change <= _SWEPT * largest:
+            return True
+    return change <= _SWEPT_LAST * largest
+
+
+@_kernel
+def swept(
+    members: Ints,
+    bodies: Ints,
+    rows: Array,
+    inverse: Array,
+    cones: Array,
+    wanted: Array,
+    loose: Array,
+    pushes: Array,
+    sliding: NDArray[np.bool_],
+    guesses: NDArray[np.bool_],
+) -> bool:
+    """Solve an island by sweeps from the impulses of the step before."""
+    part = pushes.copy()
+    if not _sweep(members, bodies, rows, inverse, cones, wanted, loose.copy(), part):
+        return False
+    for i in members:
+        pushes[i, 0], pushes[i, 1] = part[i, 0], part[i, 1]
+        edge = cones[i, 0] * abs(part[i, 1]) - cones[i, 1] * part[i, 0]
+        sliding[i] = edge >= -1e-9 * (part[i, 0] + abs(part[i, 1]))
+        for u in range(UNKNOWNS):
+            guesses[i, u] = False
+    return True
