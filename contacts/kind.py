@@ -137,6 +137,29 @@ def _violations(scene: BaseModel, observer: Observer, trace: Trace) -> Mapping[s
     return violations(scene, observer, trace)
 
 
+def _omitted(scene: BaseModel) -> Mapping[str, str]:
+    """Return what the scene does without, and why."""
+    if not isinstance(scene, Scene):
+        raise TypeError(f"a Scene was expected, not {type(scene).__name__}")
+    found = {}
+    for name, body in scene.bodies.items():
+        if body.position is None and body.inertia is None:
+            found[f"the angle of {name}"] = "it has no inertia declared: a particle"
+        elif body.position is not None:
+            found[f"coordinates of {name}"] = "its position follows from those of the scene"
+    for name, contact in scene.contacts.items():
+        missing = [mode for mode in ("free", "slide", "pin") if mode not in contact.kinds]
+        for mode in missing:
+            found[f"{mode} of {name}"] = "not among its modes"
+        if contact.frictionless:
+            found[f"friction of {name}"] = "frictionless: one slide, without direction"
+        elif "slide" not in contact.kinds:
+            found[f"the coefficient of friction of {name}"] = "it may not slide"
+        if "free" not in contact.kinds:
+            found[f"restitution of {name}"] = "it is never free"
+    return found
+
+
 _STARTER = """\
 # A rod dropped on the floor: one body, one contact. Run it with
 #   statechart run NAME.yaml
@@ -209,4 +232,5 @@ SCENE = Kind(
     _alternatives,
     _feasibility,
     violations=_violations,
+    omitted=_omitted,
 )

@@ -49,6 +49,8 @@ class Kind:
     violations : callable, optional
         From a model, an observer and a trace: by how much what must hold does not, each relative
         to the model's own scales (constraints, cones of friction).
+    omitted : callable, optional
+        From a model: what it could have had and does not require, and why.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Kind:
     alternatives: Callable[[BaseModel], Mapping[str, BaseModel]] | None = None
     feasibility: Callable[[Automaton, Setup, NDArray[np.float64], float], Feasibility] | None = None
     violations: Callable[[BaseModel, Observer, Trace], Mapping[str, float]] | None = None
+    omitted: Callable[[BaseModel], Mapping[str, str]] | None = None
 
 
 def kinds() -> Mapping[str, EntryPoint]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from statechart.automaton import Setup
 from statechart.enclosure import lowest
+from statechart.inventory import built, left_out
 from statechart.observe import Observer
 from statechart.outputs import outputs
 from statechart.simulate import Simulator
@@ -58,7 +59,8 @@ def report(
         `model`, `outcome`, `message`, `t_end`, `engine`, `certified`, `evidence`,
         `error_estimate`, `asked`, `condition` (the largest of the events'), `modes_total`
         (directions of sliding told apart), `modes_declared` (as users count), `modes_built`,
-        `modes` (in the order visited), `indeterminate` (modes whose motion leaves quantities of
+        `built` (modes with unknowns, guards and evidence), `left_out` (what, and why), `modes`
+        (in the order visited), `indeterminate` (modes whose motion leaves quantities of
         regions open, and which), `events`, `final`, `outputs`, `margins`, `warnings`, `counts`,
         `timings`, `parameters`, `tolerances`.
     """
@@ -85,6 +87,8 @@ def report(
         "modes_total": automaton.modes_total,
         "modes_declared": automaton.modes_declared,
         "modes_built": trace.counts.get("modes_built", 0),
+        "built": built(observer, trace),
+        "left_out": left_out(automaton, trace),
         "modes": [dict(zip(trace.regions, key, strict=True)) for key in trace.modes],
         "indeterminate": [
             {"mode": dict(zip(trace.regions, key, strict=True)), "regions": names}

@@ -1,0 +1,88 @@
+"""What a run built, and what it left out and why: only what the model requires is there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from statechart.automaton import HELD, Automaton, Setup, plain
+from statechart.observe import Observer
+from statechart.simulate import Simulator
+from statechart.trace import Trace
+
+__all__ = ["built", "left_out"]
+
+
+def built(observer: Observer, trace: Trace) -> dict[str, Any]:
+    """Return what a run built.
+
+    Returns
+    -------
+    dict
+        `modes`: of each that was integrated its `mode`, how many `unknowns` its equations solve
+        for, and its `guards` with the evidence of how each was decided; where steps need no modes,
+        none. `unknowns`: how many there are at most, in a mode or a step. `recognised`: how many
+        modes were told from the steps.
+    """
+    automaton = observer.automaton
+    simulator = observer.simulator
+    if not isinstance(simulator, Simulator):
+        return {
+            "modes": [],
+            "unknowns": len(automaton.unknowns),
+            "recognised": len(set(trace.modes)),
+        }
+    values = np.array(list(trace.parameters.values()))
+    setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
+    modes: dict[tuple[str, ...], dict[str, Any]] = {}
+    for arc in trace.arcs:
+        if HELD in arc.flow:
+            continue
+        mode = simulator.compiled(arc.flow, setup).mode
+        # Contacts that are open have forces that are zero: they are no unknowns.
+        solved = [s for s, e in mode.definitions if s in automaton.unknowns and e != 0]
+        modes[plain(arc.flow)] = {
+            "mode": dict(zip(trace.regions, plain(arc.flow), strict=True)),
+            "unknowns": len(solved),
+            "guards": {m.name: trace.evidence.get(m.name, "") for m in mode.margins},
+        }
+    return {
+        "modes": list(modes.values()),
+        "unknowns": max((mode["unknowns"] for mode in modes.values()), default=0),
+        "recognised": 0,
+    }
+
+
+def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
+    """Return what a run did without: `what`, and `why`."""
+    from statechart.kinds import kind
+
+    found = []
+    total, made = automaton.modes_total, trace.counts.get("modes_built", 0)
+    if trace.step is not None:
+        found.append(
+            {
+                "what": f"the equations of all {total} modes",
+                "why": "a step solves for all contacts at once, and modes are told from it",
+            }
+        )
+        found.append(
+            {
+                "what": "guards and the location of events",
+                "why": "events are at steps, or half-way",
+            }
+        )
+    elif made < total:
+        found.append(
+            {
+                "what": f"the equations of {total - made} of {total} modes",
+                "why": "the run did not enter them",
+            }
+        )
+    omitted = kind(str(getattr(automaton.declaration, "kind", ""))).omitted
+    if omitted is not None:
+        found += [
+            {"what": what, "why": why} for what, why in omitted(automaton.declaration).items()
+        ]
+    return found
