@@ -23,7 +23,7 @@ from pathlib import Path
 
 CONTACTS = (1, 2, 4, 8, 12, 16, 20)
 BODIES = (1, 3, 10, 30, 100)
-EVENTS, STEPS = ("taylor",), ("impulse", 1e-3)
+STEPS = ("impulse", 1e-3)
 _SLOWEST = 300.0
 
 
