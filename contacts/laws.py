@@ -133,7 +133,7 @@ class SceneLaws:
         choice = decide(setup, snapshot, touching, self._paradox)
         if isinstance(choice, Jam):
             return self._flow(setup, choice.sliding, settled=False), state
-        self._check_declared(choice, touching, failing)
+        self._check_declared(choice, snapshot, touching, failing)
         taken = choice.taken
         settled = not any(
             shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
@@ -431,7 +431,9 @@ class SceneLaws:
         remaining = math.inf if rest is None else rest
         return Flow(mode, flow or mode, remaining, warning, settled, notes, tolerances=setup.bands)
 
-    def _check_declared(self, choice: Choice, touching: list[bool], failing: Sequence[str]) -> None:
+    def _check_declared(
+        self, choice: Choice, snapshot: Snapshot, touching: list[bool], failing: Sequence[str]
+    ) -> None:
         for name, declared in self._modes.items():
             place = self._names.index(name)
             found = choice.taken.states[place]
@@ -440,9 +442,11 @@ class SceneLaws:
                     (
                         reason
                         for label, reason in choice.considered.items()
-                        if f"{name}:{declared}" in label.split()
+                        if {f"{name}:{declared}{way}" for way in ("", "+", "-")} & {*label.split()}
                     ),
-                    "its gap is closed" if touching[place] else "its gap is open or opening",
+                    f"its point slips at {snapshot.contacts[place].slip:.3g}"
+                    if touching[place]
+                    else "its gap is open or opening",
                 )
                 if found == OFF:
                     why = f"the condition {failing[place]} fails"

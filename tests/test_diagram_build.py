@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from runs import automaton, run
 
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
@@ -127,3 +128,14 @@ def test_modes_that_are_not_possible_say_why_unless_the_run_went_there() -> None
     went = replace(trace, start_mode=("slide+", "pin"), jumps=())
     shown = build(runner.automaton, start, went, found)
     assert {node.name for node in shown.nodes if node.infeasible} == {"pin slide"}
+
+
+def test_regions_that_differ_by_a_number_share_one_chart():
+    trace = run("rimless_wheel", "taylor", until=2.0)
+    diagram = build(automaton("rimless_wheel"), trace.start_mode, trace)
+    groups = dict.fromkeys(node.group for node in diagram.nodes)
+    assert list(groups) == [
+        "modes of the run",
+        "s0, s1, s2, s3",
+        "s4, s5, s6, ... s15 (12 in all); numbers of s4",
+    ]

@@ -22,6 +22,7 @@ from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationError, DeclarationProblem, NoConsistentMode
 from statechart.observe import Observer
 from statechart.outputs import Outputs
+from statechart.run import Runner
 from statechart.simulate import Simulator
 from statechart.testing import Subject
 from statechart.trace import Outcome, Trace
@@ -485,3 +486,30 @@ def test_a_hinged_table_on_more_feet_than_needed_lands_flat_and_rests(name: str)
     assert found["weight"] == pytest.approx(2 * 2 * 9.81, abs=1e-9)
     assert found["left"] == pytest.approx(2 * 9.81, abs=1e-9)
     assert found["hinge"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("start", "mode", "why"),
+    [
+        ("{y: 1}", "slide", "slip would accelerate"),
+        ("{y: 1, dx: 1}", "pin", "its point slips at 1"),
+        ("{y: 2}", "pin", "its gap is open or opening"),
+    ],
+)
+def test_a_declared_mode_that_the_start_contradicts_says_why(
+    start: str, mode: str, why: str
+) -> None:
+    text = f"""\
+kind: scene
+name: block
+gravity: 9.81
+bodies: {{b: {{mass: 1, inertia: 1, start: {start}}}}}
+surfaces: {{ground: {{height: 0}}}}
+contacts:
+  foot: {{point: {{body: b, at: [0, -1]}}, surface: ground, friction: 0.5, restitution: 0}}
+modes: {{foot: {mode}}}
+stop: {{time: 1}}
+"""
+    with pytest.raises(DeclarationError, match=f"cannot start in mode {mode!r}: .*{why}") as caught:
+        Runner(read_text(text, "a.yaml")).run()
+    assert (caught.value.source, caught.value.line) == ("a.yaml", 8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from itertools import product
@@ -17,6 +18,7 @@ __all__ = ["build", "needs_run"]
 _MOST_MODES = 16
 # Of more regions alike than this not all are named.
 _MOST_NAMES = 8
+_NUMBER = re.compile(r"\d+(\.\d+)?")
 
 _Ends = tuple[Key, Key, str]
 
@@ -144,6 +146,8 @@ def _visited(automaton: Automaton, trace: Trace) -> Diagram:
     for regions in _alike(automaton.regions):
         region = regions[0]
         group = ", ".join(_cut([r.name for r in regions]))
+        if any(other.edges != region.edges for other in regions):
+            group += f"; numbers of {region.name}"
         nodes += [Node(f"{region.name}:{s}", s, group=group) for s in region.states]
         links += [
             Link(
@@ -163,10 +167,14 @@ def _visited(automaton: Automaton, trace: Trace) -> Diagram:
 
 
 def _alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
-    """Return regions whose charts are the same together."""
-    found: dict[tuple[tuple[str, ...], tuple[Edge, ...]], list[Region]] = {}
+    """Return regions together whose charts are the same but for numbers."""
+    found: dict[tuple[tuple[str, ...], tuple[tuple[str, ...], ...]], list[Region]] = {}
     for region in regions:
-        found.setdefault((region.states, region.edges), []).append(region)
+        edges = (
+            (e.cause, e.source, e.target, _NUMBER.sub("#", e.guard), _NUMBER.sub("#", e.reset))
+            for e in region.edges
+        )
+        found.setdefault((region.states, tuple(edges)), []).append(region)
     return found.values()
 
 
