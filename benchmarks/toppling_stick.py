@@ -8,7 +8,8 @@ Three programs, side by side in one process, once compiled:
 - a loop hand-written with SciPy's `solve_ivp` and its events, by its default method RK45 and by
   DOP853; the tolerance of each is the loosest that reaches the same final error of 1e-9.
 
-Times are of the process, medians of repeats that take turns.
+Times are of the process, medians of repeats that take turns; ratios are medians of the ratios in
+one turn. Last comes where the time of a run goes.
 
 Run with ``python benchmarks/toppling_stick.py``.
 """
@@ -22,12 +23,15 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import heyoka as hy
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from statechart import simulate
 from statechart.document import load
+from statechart.engines import taylor
 from statechart.engines.taylor import Taylor
 from statechart.kinds import kind
 from statechart.observe import Observer
@@ -35,7 +39,7 @@ from statechart.outputs import Outputs
 from statechart.simulate import Simulator
 
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "toppling_stick.json"
-ROUNDS, SLOW, TURN = 20, 1, 20
+ROUNDS, SLOW, TURN = 40, 3, 10
 Found = tuple[float, float, float, float, float]  # critical angle, slips, omega, time
 
 
@@ -180,8 +184,8 @@ def hand_written_scipy(
     return run
 
 
-def medians(functions: Sequence[Callable[[], object]], rounds: int) -> list[float]:
-    """Return the median process time of each function in microseconds; they take turns.
+def turns(functions: Sequence[Callable[[], object]], rounds: int) -> list[list[float]]:
+    """Return the process times of each function in microseconds, a median for every turn.
 
     A turn is `TURN` runs in a row, so that each runs with its own code in the processor's caches,
     as it does in a sweep.
@@ -189,11 +193,58 @@ def medians(functions: Sequence[Callable[[], object]], rounds: int) -> list[floa
     times: list[list[float]] = [[] for _ in functions]
     for _ in range(rounds):
         for function, spent in zip(functions, times, strict=True):
+            turn = []
             for _ in range(TURN):
                 begin = time.process_time()
                 function()
-                spent.append(time.process_time() - begin)
-    return [statistics.median(spent) * 1e6 for spent in times]
+                turn.append(time.process_time() - begin)
+            spent.append(statistics.median(turn) * 1e6)
+    return times
+
+
+def ratio(times: Sequence[float], others: Sequence[float]) -> float:
+    """Return the median of the ratios turn by turn: a clock that drifts does not matter."""
+    return statistics.median(a / b for a, b in zip(times, others, strict=True))
+
+
+def shares(simulator: Simulator, trace: Callable[[], object]) -> dict[str, float]:
+    """Return what a run spends where, in microseconds; medians, the timers' own time included."""
+    laws = simulator.automaton.laws
+    places: list[tuple[str, Any, str]] = [
+        ("numbers of the run (parameters, scales, tolerances)", laws, "setup"),
+        ("first mode", laws, "begin"),
+        ("flows: compiled steps and search", taylor, "taylor_flow"),
+        ("flows: what is around them", simulate._Run, "_flow"),
+        ("jumps: classification, evidence", laws, "jump"),
+        ("the trace", simulate._Run, "trace"),
+    ]
+    spent = {what: 0.0 for what, _, _ in places}
+
+    def timed(what: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            begin = time.perf_counter()
+            result = function(*args)
+            spent[what] += time.perf_counter() - begin
+            return result
+
+        return call
+
+    kept = [getattr(owner, name) for _, owner, name in places]
+    for (what, owner, name), function in zip(places, kept, strict=True):
+        setattr(owner, name, timed(what, function))
+    found: dict[str, list[float]] = {what: [] for what in [*spent, "the rest"]}
+    for _ in range(ROUNDS * TURN):
+        spent.update(dict.fromkeys(spent, 0.0))
+        begin = time.perf_counter()
+        trace()
+        whole = time.perf_counter() - begin
+        spent["flows: what is around them"] -= spent["flows: compiled steps and search"]
+        for what, seconds in spent.items():
+            found[what].append(seconds)
+        found["the rest"].append(whole - sum(spent.values()))
+    for (_, owner, name), function in zip(places, kept, strict=True):
+        setattr(owner, name, function)
+    return {what: statistics.median(seconds) * 1e6 for what, seconds in found.items()}
 
 
 def error(found: Found, cell: dict[str, float]) -> float:
@@ -232,12 +283,20 @@ def main() -> None:
                 break
         rows.append((f"hand-written, solve_ivp {method} rtol {rtol:g}", partial(scipy, theta0)))
     found = [function() for _, function in rows]
-    # What takes milliseconds needs fewer rounds.
-    spent = medians([f for _, f in rows[:3]], ROUNDS) + medians([f for _, f in rows[3:]], SLOW)
+    # What takes milliseconds needs fewer rounds; the trace takes part in both.
+    hand, traced, full = turns([f for _, f in rows[:3]], ROUNDS)
+    beside, *slow = turns([f for _, f in [rows[1], *rows[3:]]], SLOW)
+    lines = [(hand, hand, traced), (traced, hand, traced), (full, hand, traced)]
+    lines += [(times, None, beside) for times in slow]
     print(f"{'program':42} {'us':>10} {'to heyoka':>10} {'to trace':>10} {'error':>9}")
-    for (name, _), us, result in zip(rows, spent, found, strict=True):
+    for (name, _), (times, first, second), result in zip(rows, lines, found, strict=True):
         shown = f"{error(result, cell):9.1e}" if isinstance(result, tuple) else ""
-        print(f"{name:42} {us:10.1f} {us / spent[0]:10.2f} {us / spent[1]:10.2f} {shown:>9}")
+        to_first = "" if first is None else f"{ratio(times, first):10.2f}"
+        us = statistics.median(times)
+        print(f"{name:42} {us:10.1f} {to_first:>10} {ratio(times, second):10.2f} {shown:>9}")
+    print("\nwhere a run with its trace spends its time")
+    for what, us in shares(simulator, trace).items():
+        print(f"  {what:54} {us:8.1f} us")
 
 
 if __name__ == "__main__":

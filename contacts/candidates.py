@@ -7,7 +7,6 @@ explain its motion (`contacts.sharing`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from typing import NamedTuple, overload
@@ -44,6 +43,7 @@ from contacts.sharing import Share, share
 from contacts.snapshot import Snapshot
 
 __all__ = [
+    "CODES",
     "OPEN_LOAD",
     "SINGULAR",
     "Candidate",
@@ -51,6 +51,7 @@ __all__ = [
     "Undetermined",
     "by_lemke",
     "candidates",
+    "cones",
     "consistent",
     "openness",
     "same_motion",
@@ -58,7 +59,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_CODES = {
+CODES = {
     "free": FREE,
     OFF: FREE,
     "pin": PIN,
@@ -91,8 +92,7 @@ _SAME_MOTION = 1e-9
 _EXACT = 1e-13
 
 
-@dataclass(frozen=True)
-class ContactLaw:
+class ContactLaw(NamedTuple):
     """What a contact may do.
 
     Attributes
@@ -167,14 +167,17 @@ class _Solved(Sequence["Candidate | Undetermined"]):
         self,
         laws: Sequence[ContactLaw],
         combinations: Sequence[tuple[str, ...]],
-        outcomes: Sequence[int],
+        outcomes: NDArray[np.int64],
         accelerations: Array,
         forces: Array,
-        verdicts: Sequence[Sequence[float]],
+        verdicts: Array,
+        only: int,
+        tie: float,
     ) -> None:
         self._laws, self._combinations = laws, combinations
         self._outcomes, self._verdicts = outcomes, verdicts
         self._accelerations, self._forces = accelerations, forces
+        self._only, self._tie = only, tie
         self._made: dict[int, Candidate | Undetermined] = {}
 
     def __len__(self) -> int:
@@ -197,21 +200,17 @@ class _Solved(Sequence["Candidate | Undetermined"]):
         return made
 
     def _make(self, k: int) -> Candidate | Undetermined:
-        states, outcome = self._combinations[k], self._outcomes[k]
+        states, outcome = self._combinations[k], self._outcomes.item(k)
         if outcome not in _DETERMINED:
             return states, _UNSOLVED.get(outcome, SINGULAR)
-        violation, contact, which, number = self._verdicts[k]
+        violation, contact, which, number = self._verdicts[k].tolist()
         broken = (self._laws[int(contact)].name if self._laws else "", int(which), number)
         return Candidate(states, self._accelerations[k], self._forces[k], violation, broken)
 
     def consistent(self, tie: float) -> list[Candidate]:
         """Return what breaks no inequality by more than `tie`."""
-        found = (
-            self[k]
-            for k, (outcome, verdict) in enumerate(zip(self._outcomes, self._verdicts, strict=True))
-            if verdict[0] <= tie and outcome in _DETERMINED
-        )
-        return [one for one in found if isinstance(one, Candidate)]
+        tried = [self[self._only]] if tie == self._tie and self._only >= 0 else self
+        return [c for c in tried if isinstance(c, Candidate) and c.violation <= tie]
 
 
 def consistent(tried: Sequence[Candidate | Undetermined], tie: float) -> list[Candidate]:
@@ -269,32 +268,40 @@ def _solved(
     scales: Scales,
     tie: float,
 ) -> Sequence[Candidate | Undetermined]:
-    cones = np.array([(law.cone_n, law.cone_t) for law in laws], dtype=float).reshape(-1, 2)
-    status, accelerations, forces, verdicts = solve_modes(
+    edges = cones(tuple(laws))
+    count, contacts = codes.shape
+    status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
+    accelerations = np.empty((count, len(snapshot.forces)))
+    forces = np.empty((count, contacts, 2))
+    several, only = solve_modes(
         snapshot.mass,
         snapshot.forces,
         snapshot.jacobians,
         snapshot.biases,
-        cones,
+        edges,
         codes,
         _flags(tuple(closed)),
         _flags(tuple(still)),
         scales.force,
         scales.acceleration,
+        status,
+        accelerations,
+        forces,
+        verdicts,
+        tie,
     )
-    outcomes = status.tolist()
-    solved = _Solved(laws, combinations, outcomes, accelerations, forces, verdicts.tolist())
-    if REDUNDANT not in outcomes:
+    solved = _Solved(laws, combinations, status, accelerations, forces, verdicts, only, tie)
+    if several == 0:
         return solved
     found = [*solved]
-    redundant = [k for k, outcome in enumerate(outcomes) if outcome == REDUNDANT]
-    _explain(snapshot, cones, codes, found, redundant, scales, tie)
+    redundant = np.flatnonzero(status == REDUNDANT).tolist()
+    _explain(snapshot, edges, codes, found, redundant, scales, tie)
     return found
 
 
 def _explain(
     snapshot: Snapshot,
-    cones: Array,
+    edges: Array,
     codes: NDArray[np.int64],
     found: list[Candidate | Undetermined],
     redundant: Sequence[int],
@@ -320,7 +327,7 @@ def _explain(
             _within(codes[k], code) and same_motion(one, candidate, scales, _EXACT)
             for one, code in failed
         ):
-            given = share(codes[k], snapshot, cones, candidate.forces, inward)
+            given = share(codes[k], snapshot, edges, candidate.forces, inward)
         if given is None or given.violation > tie * scales.force:
             failed.append((candidate, codes[k]))
             found[k] = candidate.states, _UNEXPLAINED
@@ -339,6 +346,12 @@ def _within(code: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
 
 
 @lru_cache(maxsize=1024)
+def cones(laws: tuple[ContactLaw, ...]) -> Array:
+    """Return the unit edges (c, 2) of the contacts' friction cones."""
+    return np.array([(law.cone_n, law.cone_t) for law in laws], dtype=float).reshape(-1, 2)
+
+
+@lru_cache(maxsize=1024)
 def _flags(marks: tuple[bool, ...]) -> NDArray[np.bool_]:
     return np.array(marks, dtype=np.bool_)
 
@@ -349,7 +362,7 @@ def _combinations(
 ) -> tuple[tuple[tuple[str, ...], ...], NDArray[np.int64]]:
     """Return every combination of states, in names and as the kernel numbers them."""
     combinations = tuple(product(*options))
-    return combinations, np.array([[_CODES[state] for state in s] for s in combinations], np.int64)
+    return combinations, np.array([[CODES[state] for state in s] for s in combinations], np.int64)
 
 
 def same_motion(
@@ -387,14 +400,14 @@ def by_lemke(
     modes only; they are solved and judged as any others. None: it found no solution.
     """
     group = [i for i, shut in enumerate(closed) if shut]
-    cones = np.array([(laws[i].cone_n, laws[i].cone_t) for i in group])
+    edges = np.array([(laws[i].cone_n, laws[i].cone_t) for i in group])
     slides = np.array([0.0 if still[i] else np.sign(snapshot.contacts[i].slip) for i in group])
     contacts, alone = delassus(snapshot.mass, snapshot.jacobians[group], snapshot.forces)
     free = snapshot.biases[group] + alone
-    solution = solve_lcp(*contact_problem(contacts, free, cones, slides))
+    solution = solve_lcp(*contact_problem(contacts, free, edges, slides))
     if solution.status is not LcpStatus.SOLVED:
         return []
-    forces = contact_impulses(solution.z, cones, slides)
+    forces = contact_impulses(solution.z, edges, slides)
     after = free + (contacts @ forces.ravel()).reshape(-1, 2)
     at_rest = np.abs(after) <= _SAME_MOTION * max(scales.acceleration, float(np.abs(after).max()))
     least = _SAME_MOTION * float(np.abs(forces).max())
@@ -407,11 +420,11 @@ def by_lemke(
             bears = max(V, abs(H)) > least
             if not at_rest[k, 0] or not (bears or closer):
                 continue
-            inside = cones[k, 1] * V - cones[k, 0] * abs(H) > least
+            inside = edges[k, 1] * V - edges[k, 0] * abs(H) > least
             along = slides[k] or (-H if bears and at_rest[k, 1] else after[k, 1])
             if still[i] and at_rest[k, 1] and (firmer or inside) and "pin" in options[i]:
                 states[i] = "pin"
-            elif cones[k, 1] == 0.0:
+            elif edges[k, 1] == 0.0:
                 states[i] = "slide"
             else:
                 states[i] = "slide+" if along > 0.0 else "slide-"
@@ -455,5 +468,5 @@ def _only(
     combinations = tuple(dict.fromkeys(modes))
     if not combinations:
         return []
-    codes = np.array([[_CODES[state] for state in states] for states in combinations])
+    codes = np.array([[CODES[state] for state in states] for states in combinations])
     return _solved(snapshot, laws, combinations, codes, closed, still, scales, tie)

@@ -26,7 +26,7 @@ from contacts.candidates import (
 )
 from contacts.modes import OFF
 from contacts.scales import Scales
-from contacts.sharing import OWN
+from contacts.sharing import OWN, Share
 from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import AmbiguousMode, NoConsistentMode
 
@@ -69,6 +69,9 @@ class Considered(Mapping[str, str]):
 
     def __len__(self) -> int:
         return len(self._words)
+
+    def __reduce__(self) -> tuple[type, tuple[dict[str, str]]]:
+        return dict, (dict(self),)
 
 
 def _verdicts(
@@ -171,7 +174,9 @@ def choose(
     # What a mode left open closes besides must not move away.
     if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken)} taken"
-    notes = (*((_UNCHECKED,) if many else ()), *_indeterminate(laws, taken))
+    notes: tuple[str, ...] = (_UNCHECKED,) if many else ()
+    if taken.share is not None:
+        notes += _indeterminate(laws, taken.share)
     considered = Considered(partial(_verdicts, laws, tried, taken, tie))
     return Choice(taken, considered, warning, notes)
 
@@ -203,10 +208,8 @@ def _opens(taken: Candidate, other: Candidate | Undetermined, closed: Sequence[b
     return all(mine == theirs or (shut and mine == "free") for mine, theirs, shut in pairs)
 
 
-def _indeterminate(laws: Sequence[ContactLaw], taken: Candidate) -> tuple[str, ...]:
-    if taken.share is None:
-        return ()
-    names = [law.name for law, zone in zip(laws, taken.share.zones, strict=True) if zone != OWN]
+def _indeterminate(laws: Sequence[ContactLaw], shared: Share) -> tuple[str, ...]:
+    names = [law.name for law, zone in zip(laws, shared.zones, strict=True) if zone != OWN]
     return (f"the forces of {', '.join(names)} are indeterminate: the smallest are shown",)
 
 

@@ -181,7 +181,10 @@ class _Problem:
         pressing = table == _PRESS
         twins = np.where(pressing, SLIDE, FREE)
         unjudged = np.zeros(2 * len(self.group), dtype=np.bool_)
-        status, changes, forces, _ = solve_modes(
+        status = np.empty(len(table), dtype=np.int64)
+        changes = np.empty((len(table), len(self.mass)))
+        forces = np.empty((len(table), 2 * len(self.group), 2))
+        solve_modes(
             self.mass,
             np.zeros(len(self.mass)),
             np.concatenate([self.jacobians, self.jacobians]),
@@ -192,6 +195,11 @@ class _Problem:
             unjudged,
             1.0,
             1.0,
+            status,
+            changes,
+            forces,
+            np.empty((len(table), 4)),
+            0.0,
         )
         table, changes = table[status == SOLVED], changes[status == SOLVED]
         forces = forces[status == SOLVED]

@@ -24,7 +24,8 @@ from contacts.modes import OPEN
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot, SnapshotTape
-from statechart.automaton import Edge, Flow, Margin, Projector, Region, Setup, State, plain
+from statechart.automaton import Edge, Flow, Margin, Region, Setup, State, plain
+from statechart.constraints import Constraints
 from statechart.firing import Guard, Listening, Watch, considered, guards
 from statechart.trace import Clock, Jump, Key
 
@@ -188,9 +189,9 @@ class ControlledLaws:
         jump, following = made
         return jump, self._joined(setup, clock, following, own, jump.after, flow.pending)
 
-    def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Projector | None:
+    def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
         """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
-        return self._contacts.projector(setup, flow[: self._count], start, anchor)
+        return self._contacts.constraints(setup, flow[: self._count], start, anchor)
 
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
         """Return the numbers at a state, the controllers in their initial states."""

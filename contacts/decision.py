@@ -27,10 +27,9 @@ def decide(
     NoConsistentMode, AmbiguousMode
         With every candidate and its reason, and the paradoxes met.
     """
-    tie = 0.5 * setup.tolerances["force"] / setup.scales.force
     still = 2.0 * setup.tolerances["speed"]
     try:
-        choice = choose(snapshot, setup.contacts, touching, setup.scales, tie, still)
+        choice = choose(snapshot, setup.contacts, touching, setup.scales, setup.tie, still)
     except NoConsistentMode as error:
         jam = jammed(snapshot, setup.contacts, touching, still)
         if paradox == "impact" and jam is not None:

@@ -38,6 +38,11 @@ class Gates:
         In the order of the values.
     states : mapping, optional
         Controller -> its state; those at the start by default.
+
+    Attributes
+    ----------
+    present : bool
+        Whether any contact has a condition.
     """
 
     def __init__(
@@ -48,7 +53,7 @@ class Gates:
     ) -> None:
         self._names = tuple(mechanics.scene.contacts)
         self._margins = [mechanics.gates(name) for name in self._names]
-        self._any = any(self._margins)
+        self.present = any(self._margins)
         self._tape = compile_tape(
             [margin.expression for gates in self._margins for margin in gates],
             variables=(*mechanics.q, *mechanics.v),
@@ -59,7 +64,7 @@ class Gates:
 
     def bands(self, values: Array, initial: Array, sizes: Array) -> dict[str, float]:
         """Return how near zero each condition counts as on the edge: name -> band."""
-        if not self._any:
+        if not self.present:
             return {}
         first = self._tape.at(initial, values, 0.0)
         change = np.abs(first)
@@ -111,7 +116,7 @@ class Gates:
             As `bands` returned them.
         """
         result: dict[int, str] = {}
-        if not self._any:
+        if not self.present:
             return result
         for i, found in enumerate(self._numbers(values, state, time)):
             if not found:
@@ -128,7 +133,7 @@ class Gates:
         return result
 
     def _numbers(self, values: Array, state: Array, time: float) -> list[list[tuple[float, str]]]:
-        if not self._any:
+        if not self.present:
             return [[] for _ in self._names]
         numbers = iter(self._tape.at(state, values, time).tolist())
         return [[(next(numbers), margin.name) for margin in gates] for gates in self._margins]

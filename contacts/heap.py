@@ -29,11 +29,11 @@ from statechart.automaton import (
     Edge,
     Flow,
     Margin,
-    Projector,
     Region,
     Setup,
     State,
 )
+from statechart.constraints import Constraints
 from statechart.declaration import TIME
 from statechart.errors import (
     DeclarationProblem,
@@ -150,7 +150,7 @@ class _ImpulseOnly:
     ) -> tuple[Jump, Flow] | None:
         raise Unsupported(_ONLY_IMPULSE)
 
-    def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Projector | None:
+    def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
         raise Unsupported(_ONLY_IMPULSE)
 
 

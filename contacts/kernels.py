@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from statechart.compiled import kernel, part
 
 __all__ = [
     "AGAINST",
@@ -26,6 +27,7 @@ __all__ = [
     "SOLVED",
     "UNDETERMINED",
     "independent",
+    "largest_sizes",
     "saddle",
     "solve_modes",
 ]
@@ -36,10 +38,6 @@ FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF = range(6)
 SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY, UNDETERMINED = range(6)
 INTO, PULLS, OUTSIDE, AGAINST = range(4)
 
-# What only kernels call needs nothing to be called by from Python, and compiles sooner without.
-_kernel = njit(cache=True, no_cfunc_wrapper=True)
-_inner = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)
-
 # A solution whose residual stays above this, relative to its terms, is refused.
 _RESIDUAL = 1e-8
 # Rows this close to dependent are: elimination would give forces that are huge and cancel.
@@ -48,14 +46,14 @@ _DEPENDENT = 1e-10
 _CONTRADICTED = 1e-9
 
 
-@_inner
+@part
 def _power_of_two(size: float) -> float:
     if size > 0.0 and math.isfinite(size):
         return math.ldexp(1.0, 1 - math.frexp(size)[1])
     return 1.0
 
 
-@_inner
+@part
 def _largest(values: Array) -> float:
     largest = 0.0
     for value in values:
@@ -63,25 +61,33 @@ def _largest(values: Array) -> float:
     return largest
 
 
-@_inner
-def _solve(matrix: Array, right: Array) -> tuple[int, Array]:
-    """Solve with equilibration by powers of two (exact), partial pivoting, two refinements."""
-    size = len(right)
-    column_scale = np.empty(size)
-    row_scale = np.empty(size)
-    scaled = matrix.copy()
+@part
+def _solve(scaled: Array, b: Array, x: Array) -> int:
+    """Solve ``scaled x = b`` with partial pivoting and two refinements.
+
+    Matrix and right side are equilibrated in place, by powers of two (exact).
+    """
+    size = len(b)
+    column_scale, y, residual = np.empty(size), np.empty(size), np.empty(size)
+    order = np.empty(size, np.int64)
     # Columns first: masses may span many decades.
     for k in range(size):
-        column_scale[k] = _power_of_two(_largest(scaled[:, k]))
+        largest = 0.0
         for i in range(size):
-            scaled[i, k] *= column_scale[k]
-    b, order = np.empty(size), np.empty(size, np.int64)
+            largest = max(largest, abs(scaled[i, k]))
+        scale = _power_of_two(largest)
+        for i in range(size):
+            scaled[i, k] *= scale
+        column_scale[k] = scale
     for i in range(size):
-        row_scale[i] = _power_of_two(_largest(scaled[i, :]))
+        largest = 0.0
         for k in range(size):
-            scaled[i, k] *= row_scale[i]
-        b[i] = right[i] * row_scale[i]
-        order[i] = i
+            largest = max(largest, abs(scaled[i, k]))
+        scale = _power_of_two(largest)
+        for k in range(size):
+            scaled[i, k] *= scale
+        b[i] *= scale
+        residual[i], order[i], x[i] = b[i], i, 0.0
     factors = scaled.copy()
     for k in range(size):
         best = k
@@ -90,7 +96,7 @@ def _solve(matrix: Array, right: Array) -> tuple[int, Array]:
                 best = i
         pivot = factors[best, k]
         if pivot == 0.0 or not math.isfinite(pivot):
-            return SINGULAR, b
+            return SINGULAR
         if best != k:
             for c in range(size):
                 factors[k, c], factors[best, c] = factors[best, c], factors[k, c]
@@ -101,8 +107,6 @@ def _solve(matrix: Array, right: Array) -> tuple[int, Array]:
             if factor != 0.0:
                 for c in range(k + 1, size):
                     factors[i, c] -= factor * factors[k, c]
-    x, y = np.zeros(size), np.empty(size)
-    residual = b.copy()
     for _ in range(3):
         for i in range(size):
             total = residual[order[i]]
@@ -121,23 +125,35 @@ def _solve(matrix: Array, right: Array) -> tuple[int, Array]:
             for c in range(size):
                 total -= scaled[i, c] * x[c]
             residual[i] = total
-    terms = y
+    terms, largest = y, 0.0
     for i in range(size):
+        if not math.isfinite(x[i]):
+            return SINGULAR
         terms[i] = abs(b[i])
         for c in range(size):
             terms[i] += abs(scaled[i, c] * x[c])
-        if not math.isfinite(x[i]):
-            return SINGULAR, b
+        largest = max(largest, terms[i])
     # A row whose own terms all vanish (V = 0 at mu = inf) is compared with the rounding of others.
-    rounding = 1e-14 * _largest(terms)
+    rounding = 1e-14 * largest
     for i in range(size):
         if abs(residual[i]) > _RESIDUAL * terms[i] + rounding:
-            return INEXACT, b
+            return INEXACT
         x[i] *= column_scale[i]
-    return SOLVED, x
+    return SOLVED
 
 
-@_kernel
+@kernel
+def largest_sizes(numbers: Array, begins: NDArray[np.int64], largest: Array) -> None:
+    """Write the largest finite absolute value of each group of numbers; 0 where it has none."""
+    for group in range(len(largest)):
+        size = 0.0
+        for i in range(begins[group], begins[group + 1]):
+            if size < abs(numbers[i]) < math.inf:
+                size = abs(numbers[i])
+        largest[group] = size
+
+
+@kernel
 def saddle(
     mass: Array, right: Array, rows: Array, columns: Array, constants: Array
 ) -> tuple[int, Array]:
@@ -155,10 +171,11 @@ def saddle(
         b[n + i] = constants[i]
         for k in range(n + m):
             matrix[n + i, k] = rows[i, k]
-    return _solve(matrix, b)
+    x = np.empty(n + m)
+    return _solve(matrix, b, x), x
 
 
-@_kernel
+@kernel
 def independent(rows: Array) -> tuple[int, NDArray[np.int64], NDArray[np.int64]]:
     """Return the rank, and the orders of rows and columns: the first `rank` are independent.
 
@@ -200,7 +217,7 @@ def independent(rows: Array) -> tuple[int, NDArray[np.int64], NDArray[np.int64]]
     return min(count, size), row_order, column_order
 
 
-@_inner
+@part
 def _dot(a: Array, b: Array) -> float:
     total = 0.0
     for i in range(len(a)):
@@ -208,18 +225,18 @@ def _dot(a: Array, b: Array) -> float:
     return total
 
 
-@_inner
+@part
 def _direction(code: int) -> float:
     return 1.0 if code == SLIDE_PLUS else -1.0 if code == SLIDE_MINUS else 0.0
 
 
-@_inner
+@part
 def _worse(verdict: Array, amount: float, contact: int, which: int, number: float) -> None:
     if amount > verdict[0]:
         verdict[0], verdict[1], verdict[2], verdict[3] = amount, contact, which, number
 
 
-@_inner
+@part
 def _judge(
     verdict: Array,
     accelerations: Array,
@@ -241,7 +258,7 @@ def _judge(
             _worse(verdict, -along / scale, c, AGAINST, along)
 
 
-@_inner
+@part
 def _judge_forces(
     verdict: Array, forces: Array, cones: Array, code: NDArray[np.int64], scale: float
 ) -> None:
@@ -257,8 +274,8 @@ def _judge_forces(
             _worse(verdict, -edge / scale, c, PULLS, V)
 
 
-@_inner
-def _accelerate(
+@part
+def _assemble(
     mass: Array,
     right: Array,
     rows: Array,
@@ -266,56 +283,50 @@ def _accelerate(
     columns: Array,
     first: NDArray[np.int64],
     bearing: NDArray[np.int64],
-    count: int,
-    rank: int,
-    acceleration_scale: float,
-    accelerations: Array,
-    amounts: Array,
-) -> int:
-    """Solve with `rank` of `count` rows and columns, by their orders; all rows must then hold."""
-    n = len(right)
-    matrix = np.zeros((n + rank, n + rank))
-    b = np.empty(n + rank)
+    matrix: Array,
+    b: Array,
+) -> None:
+    """Write the saddle point of the leading rows and columns, by their orders."""
+    n, size = len(right), len(b)
     for i in range(n):
         b[i] = right[i]
         for k in range(n):
             matrix[i, k] = mass[i, k]
-        for k in range(rank):
-            matrix[i, n + k] = -columns[bearing[k], i]
-            matrix[n + k, i] = rows[first[k], i]
-    for k in range(rank):
-        b[n + k] = constants[first[k]]
-    status, x = _solve(matrix, b)
-    if status != SOLVED:
-        return status
-    for i in range(n):
-        accelerations[i] = x[i]
-    for k in range(rank):
-        amounts[k] = x[n + k]
-    for k in range(rank, count):
-        row = rows[first[k]]
-        terms, missed = acceleration_scale, -constants[first[k]]
-        for i in range(n):
-            terms += abs(row[i] * x[i])
-            missed += row[i] * x[i]
-        if abs(missed) > _CONTRADICTED * terms:
-            return CONTRADICTORY
-    return SOLVED
+        for k in range(n, size):
+            matrix[i, k] = -columns[bearing[k - n], i]
+            matrix[k, i] = rows[first[k - n], i]
+    for k in range(n, size):
+        b[k] = constants[first[k - n]]
 
 
-@_kernel
+@part
+def _misses(row: Array, constant: float, accelerations: Array, scale: float) -> bool:
+    """Whether accelerations contradict a constraint that others imply."""
+    terms, missed = scale, -constant
+    for i in range(len(row)):
+        terms += abs(row[i] * accelerations[i])
+        missed += row[i] * accelerations[i]
+    return abs(missed) > _CONTRADICTED * terms
+
+
+@kernel
 def solve_modes(
     mass: Array,
     right: Array,
     jacobians: Array,
     biases: Array,
     cones: Array,
-    codes: Array,
-    closed: Array,
-    still: Array,
+    codes: NDArray[np.int64],
+    closed: NDArray[np.bool_],
+    still: NDArray[np.bool_],
     force_scale: float,
     acceleration_scale: float,
-) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    status: NDArray[np.int64],
+    accelerations: Array,
+    forces: Array,
+    verdicts: Array,
+    tie: float,
+) -> tuple[int, int]:
     """Solve every combination of contact modes, and judge it by its own inequalities.
 
     Parameters
@@ -332,32 +343,38 @@ def solve_modes(
         Whether the gap is closed; whether the slip is zero.
     force_scale, acceleration_scale : float
         For comparing violations.
-
-    Returns
-    -------
     status : (k,), accelerations : (k, n), forces : (k, c, 2)
-        Where the forces are not determined but the accelerations are (REDUNDANT), the forces are
-        one choice of those that explain the motion, and need not be in their cones.
+        To be filled, as are the verdicts: a kernel that makes the arrays it returns takes 3 us
+        for each of them. Where the forces are not determined but the accelerations are
+        (REDUNDANT), the forces are one choice of those that explain the motion, and need not be
+        in their cones.
     verdicts : (k, 4)
         Of the inequality broken most: by how much in the scales (<= 0: not at all), contact,
         which inequality (INTO, PULLS, OUTSIDE, AGAINST), its number. REDUNDANT ones are judged
         by their motion alone.
+    tie : float
+        Up to here a violation is none.
+
+    Returns
+    -------
+    redundant, agreeing : int
+        How many combinations are REDUNDANT; the place of the only one that is solved and not
+        violated, -1 where there is none or several.
     """
+    redundant, agreeing, found = 0, -1, 0
     count, contacts = codes.shape
     n = len(right)
-    status = np.empty(count, np.int64)
-    accelerations = np.zeros((count, n))
-    forces = np.zeros((count, contacts, 2))
-    verdicts = np.zeros((count, 4))
     rows, columns = np.empty((2 * contacts, n)), np.empty((2 * contacts, n))
-    constants, amounts = np.empty(2 * contacts), np.empty(2 * contacts)
-    owners, directions = np.empty(2 * contacts, np.int64), np.empty((2 * contacts, 2))
-    in_order = np.arange(2 * contacts)
+    constants, directions = np.empty(2 * contacts), np.empty((2 * contacts, 2))
+    owners, in_order = np.empty(2 * contacts, np.int64), np.arange(2 * contacts)
     for k in range(count):
-        verdicts[k, 0] = -np.inf
-        code = codes[k]
+        code, verdict, force = codes[k], verdicts[k], forces[k]
+        verdict[0], verdict[1], verdict[2], verdict[3] = -math.inf, 0.0, 0.0, 0.0
+        for i in range(n):
+            accelerations[k, i] = 0.0
         m = 0
         for c in range(contacts):
+            force[c, 0] = force[c, 1] = 0.0
             for d in range(0 if code[c] == FREE else 2 if code[c] == PIN else 1):
                 owners[m], constants[m] = c, -biases[c, d]
                 if code[c] == PIN:
@@ -379,37 +396,32 @@ def solve_modes(
                 continue
             if rank < m:
                 first, bearing = row_order, order
-        status[k] = _accelerate(
-            mass,
-            right,
-            rows,
-            constants,
-            columns,
-            first,
-            bearing,
-            m,
-            rank,
-            acceleration_scale,
-            accelerations[k],
-            amounts,
+        size = n + rank
+        matrix, b, x = np.zeros((size, size)), np.empty(size), np.empty(size)
+        _assemble(mass, right, rows, constants, columns, first, bearing, matrix, b)
+        status[k] = _solve(matrix, b, x)
+        if status[k] != SOLVED:
+            continue
+        for i in range(n):
+            accelerations[k, i] = x[i]
+        for i in range(rank, m):
+            if _misses(rows[first[i]], constants[first[i]], accelerations[k], acceleration_scale):
+                status[k] = CONTRADICTORY
+        if status[k] != SOLVED:
+            continue
+        for i in range(rank):
+            place = bearing[i]
+            force[owners[place], 0] += x[n + i] * directions[place, 0]
+            force[owners[place], 1] += x[n + i] * directions[place, 1]
+        _judge(
+            verdict, accelerations[k], jacobians, biases, code, closed, still, acceleration_scale
         )
-        if status[k] == SOLVED:
-            for i in range(rank):
-                c = owners[bearing[i]]
-                forces[k, c, 0] += amounts[i] * directions[bearing[i], 0]
-                forces[k, c, 1] += amounts[i] * directions[bearing[i], 1]
-            _judge(
-                verdicts[k],
-                accelerations[k],
-                jacobians,
-                biases,
-                code,
-                closed,
-                still,
-                acceleration_scale,
-            )
-            if rank == m:
-                _judge_forces(verdicts[k], forces[k], cones, code, force_scale)
-            else:
-                status[k] = REDUNDANT
-    return status, accelerations, forces, verdicts
+        if rank == m:
+            _judge_forces(verdict, force, cones, code, force_scale)
+        else:
+            status[k] = REDUNDANT
+            redundant += 1
+        if verdict[0] <= tie:
+            found += 1
+            agreeing = k if found == 1 else -1
+    return redundant, agreeing

@@ -23,7 +23,9 @@ from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.simultaneous import Impacts, impacts
 from contacts.snapshot import Snapshot, SnapshotTape
-from statechart.automaton import UNBOUNDED, Flow, Margin, Projector, Setup, plain
+from contacts.usual import usual_mode
+from statechart.automaton import UNBOUNDED, Flow, Margin, Setup, plain
+from statechart.constraints import Constraints
 from statechart.errors import DeclarationProblem, NoConsistentMode
 from statechart.parameters import Parameters
 from statechart.trace import Clock, Jump, Key
@@ -69,6 +71,8 @@ class SceneLaws:
         self.numbers = SceneNumbers(mechanics, parameters, stops)
         self._tape = SnapshotTape(mechanics, symbols)
         self._gates = self.numbers.gates
+        # Without joints and conditions, an instant may be a usual one.
+        self._plain = not mechanics.joint_rows and not self._gates.present
         self._projection = Projection(mechanics, symbols, self._tape)
 
     def under(self, tape: SnapshotTape, gates: Gates) -> SceneLaws:
@@ -93,6 +97,10 @@ class SceneLaws:
         """Return the first mode, checked against the declared one."""
         assert isinstance(setup, SceneSetup)
         state = setup.initial
+        if self._plain and not self._modes:
+            mode = usual_mode(setup, self._tape, state, 0.0, None)
+            if mode is not None:
+                return self._flow(setup, mode[0]), state
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
         failing = self._gates.failing(setup.values, state, 0.0)
@@ -153,6 +161,10 @@ class SceneLaws:
     ) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.classify`."""
         assert isinstance(setup, SceneSetup)
+        if self._plain and flow.mode == flow.flow and fired != (UNBOUNDED,):
+            mode = usual_mode(setup, self._tape, state, clock.high, flow.flow)
+            if mode is not None:
+                return self._usual(setup, clock, j, flow, state, fired, *mode)
         before = state
         snapshot = self._tape.at(setup.values, state, clock.high)
         switched = self._gates.switched(
@@ -223,6 +235,43 @@ class SceneLaws:
             setup, target, choice.taken.flow, warning=choice.warning, notes=choice.notes
         )
 
+    def _usual(
+        self,
+        setup: SceneSetup,
+        clock: Clock,
+        j: int,
+        flow: Flow,
+        state: Array,
+        fired: tuple[str, ...],
+        target: Key,
+        energy: float,
+    ) -> tuple[Jump, Flow] | None:
+        """Return the jump to the one mode that agrees with the state."""
+        if target == flow.mode:
+            return None
+
+        def considered() -> Mapping[str, str]:
+            snapshot, near = self._tape.at(setup.values, state, clock.high), setup.tolerances["gap"]
+            touching = [
+                c.gap <= near and c.gap_rate <= setup.tolerances["speed"] for c in snapshot.contacts
+            ]
+            choice = decide(setup, snapshot, touching, self._paradox)
+            return {} if isinstance(choice, Jam) else choice.considered
+
+        jump = Jump(
+            clock.high,
+            j,
+            *self._cause(flow.mode, target, False),
+            flow.mode,
+            target,
+            state,
+            state,
+            fired,
+            considered=Considered(considered),
+            energy=(energy, energy),
+        )
+        return jump, self._flow(setup, target)
+
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:
@@ -272,9 +321,9 @@ class SceneLaws:
         )
         return dataclasses.replace(jump, after=after, energy=energy, skipped=rest), following
 
-    def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Projector | None:
+    def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
         """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
-        return self._projection.projector(
+        return self._projection.constraints(
             plain(flow), start, anchor, setup.values, setup.tolerances
         )
 
@@ -303,8 +352,7 @@ class SceneLaws:
         rests = rests_of_bounces(setup, following, after, closed)
         if rests:
             laws = tuple(
-                dataclasses.replace(law, restitution=0.0) if i in rests else law
-                for i, law in enumerate(laws)
+                law._replace(restitution=0.0) if i in rests else law for i, law in enumerate(laws)
             )
             result = collided(laws)
             after = snapshot.moved(state, result.velocity)

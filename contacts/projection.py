@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -13,19 +12,21 @@ from contacts.joints import JointNumbers, well_posed
 from contacts.mechanics import Mechanics
 from contacts.modes import OPEN
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
-from statechart.automaton import Projector
+from statechart.constraints import Constraints
 from statechart.errors import NoConsistentMode
 from statechart.tape import compile_tape
 from statechart.trace import Key
 
-__all__ = ["Projection", "landed", "on_constraints"]
+__all__ = ["Projection", "landed", "landing", "on_constraints"]
 
 Array = NDArray[np.float64]
 
-# Constraints are projected once they are off by this part of their tolerance.
+# A state is brought onto the constraints of the mode entered from this part of their tolerance on.
 _DRIFT = 0.05
 # A velocity left over where a flow begins moves the point as long as the flow lasts.
 _CREEP = 5e-4
+# Weights of an open contact's numbers.
+_FREE = (0.0,) * 5
 _EPS = float(np.finfo(float).eps)
 # A distance that projection cannot reduce is rounding up to so many of those of its terms.
 _ROUNDINGS = 64.0
@@ -58,6 +59,8 @@ class Projection:
             outputs += [row.gap, row.gap_rate]
         self._joints = tuple(row.joint for row in mechanics.joint_rows)
         self._snapshots = snapshots
+        # Of the last tolerances: those of the runs of a sweep are often equal.
+        self._weighed: dict[Key, tuple[tuple[float, float] | None, Array]] = {}
         self._tape = compile_tape(
             outputs,
             variables=(*mechanics.q, *mechanics.v),
@@ -65,18 +68,17 @@ class Projection:
             time=mechanics.time,
         )
 
-    def projector(
+    def constraints(
         self,
         flow: Key,
         start: float,
         anchor: Array,
         values: Array,
         tolerances: Mapping[str, float],
-    ) -> Projector | None:
-        """Return what keeps the constraints of `flow` (see `statechart.automaton.Laws`).
+    ) -> Constraints:
+        """Return the constraints of `flow` (see `statechart.automaton.Laws`).
 
-        It leaves a state alone that is off by no more than a part of the tolerances, and raises
-        `NoConsistentMode` where the joints cannot be kept together.
+        Their projection raises `NoConsistentMode` where the joints cannot be kept together.
 
         Parameters
         ----------
@@ -91,47 +93,52 @@ class Projection:
         tolerances : mapping
             Of `gap` and `speed`.
         """
-        closed = [(i, name == "pin") for i, name in enumerate(flow) if name not in OPEN]
-        if not closed and not self._joints:
-            return None
-        then = self._tape.at(anchor, values, start).tolist() if "pin" in flow else []
-        near, slow = tolerances["gap"], tolerances["speed"]
-        held = 5 * len(flow)
+        near, slow = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
+        pinned = "pin" in flow
+        weights = self._weights(flow, near, slow)
+        targets = np.zeros(len(weights))
+        if pinned:
+            then = self._tape.at(anchor, values, start)
+            for i, name in enumerate(flow):
+                if name == "pin":
+                    targets[5 * i + 3 : 5 * i + 5] = then[5 * i + 3 : 5 * i + 5]
 
-        def distance(now: list[float]) -> float:
-            off = 0.0
-            if self._joints:
-                gaps, rates = now[held::2], now[held + 1 :: 2]
-                off = max(max(map(abs, gaps)) / near, max(map(abs, rates)) / slow)
-            for i, pinned in closed:
-                gap, gap_rate, slip, x, y = now[5 * i : 5 * i + 5]
-                off = max(off, abs(gap) / near, abs(gap_rate) / slow)
-                if pinned:
-                    moved = math.hypot(x - then[5 * i + 3], y - then[5 * i + 4])
-                    off = max(off, moved / near, abs(slip) / slow)
-            return off
-
-        def project(state: Array, local: float) -> tuple[Array, float]:
-            off = distance(self._tape.at(state, values, start + local).tolist())
-            # What is not finite is left to the guards to report.
-            if off <= _DRIFT or not math.isfinite(off):
-                return state, 0.0
-            snapshot, joints = self._snapshots.whole(values, state, start + local)
-            pins = self._snapshots.whole(values, anchor, start)[0] if then else None
+        def project(state: Array, time: float) -> Array:
+            snapshot, joints = self._snapshots.whole(values, state, time)
+            pins = self._snapshots.whole(values, anchor, start)[0] if pinned else None
             projected = _brought(flow, snapshot, joints, state, pins, ())
-            if joints is not None:
-                now = self._tape.at(projected, values, start + local).tolist()
-                left = distance(now)
-                if left > 0.5 * off:
-                    # An angle of many turns is rounded to more than the tolerances.
-                    terms = np.abs(joints.jacobian) @ np.abs(state[: len(state) // 2])
-                    if left * near <= _ROUNDINGS * _EPS * float(terms.max()):
-                        return state, 0.0
-                    if left > 1.0:
-                        raise self._broken(now[held::2], start + local)
-            return projected, off
+            if joints is None:
+                return projected
+            left = constraints.off(projected, values, time)
+            if left > 0.5 * constraints.off(state, values, time):
+                # An angle of many turns is rounded to more than the tolerances.
+                terms = np.abs(joints.jacobian) @ np.abs(state[: len(state) // 2])
+                if left <= near * _ROUNDINGS * _EPS * float(terms.max()):
+                    return state
+                if left > 1.0:
+                    gaps = self._tape.at(projected, values, time)[5 * len(flow) :: 2]
+                    raise self._broken(gaps.tolist(), time)
+            return projected
 
-        return project
+        constraints = Constraints(self._tape, targets, weights, project)
+        return constraints
+
+    def _weights(self, flow: Key, near: float, slow: float) -> Array:
+        key, weights = self._weighed.get(flow, (None, np.empty(0)))
+        if key == (near, slow):
+            return weights
+        listed: list[float] = []
+        for name in flow:
+            if name in OPEN:
+                listed += _FREE
+            elif name == "pin":
+                listed += (near, slow, slow, near, near)
+            else:
+                listed += (near, slow, 0.0, 0.0, 0.0)
+        listed += (near, slow) * len(self._joints)
+        weights = np.array(listed)
+        self._weighed[flow] = (near, slow), weights
+        return weights
 
     def _broken(self, gaps: Sequence[float], time: float) -> NoConsistentMode:
         widest = max(range(len(gaps)), key=lambda i: abs(gaps[i]))
@@ -139,6 +146,11 @@ class Projection:
             f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all be kept at "
             f"t = {time:.17g}: {self._joints[widest]!r} comes apart by {abs(gaps[widest]):.3g}"
         )
+
+
+def landing(tolerances: Mapping[str, float]) -> tuple[float, float]:
+    """Return how far off a mode's constraints gaps, and velocities, may be when it is entered."""
+    return _DRIFT * tolerances["gap"], _CREEP * tolerances["speed"]
 
 
 def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, float]) -> Array:
@@ -155,7 +167,7 @@ def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, 
     tolerances : mapping
         Of `gap` and `speed`.
     """
-    near, slow = _DRIFT * tolerances["gap"], _CREEP * tolerances["speed"]
+    near, slow = landing(tolerances)
     if snapshot.held is not None:
         joints = snapshot.held.joints
         if np.abs(joints.gaps).max() > near or np.abs(joints.rates).max() > slow:

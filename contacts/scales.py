@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from itertools import accumulate
 
 import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from contacts.kernels import largest_sizes
 from contacts.mechanics import Mechanics
 from statechart.formula import parse
 from statechart.tape import compile_tape
@@ -85,11 +86,13 @@ class ScaleTape:
         points = [mechanics.body_frame(name)[0] for name in scene.bodies]
         points += [mechanics.contact(name).point for name in scene.contacts]
         points += [mechanics.point(joint.point) for joint in scene.joints.values()]
-        self._components = 2 * len(points)
-        moves = [sp.diff(c, q) for q in mechanics.q for point in points for c in point]
-        groups = [lengths, speeds, masses, list(mechanics.gravity), pushes, [duration], moves]
-        ends = accumulate(map(len, groups), initial=0)
-        self._groups = [slice(begin, end) for begin, end in pairwise(ends)]
+        moves = [[sp.diff(c, q) for point in points for c in point] for q in mechanics.q]
+        mass = sp.Add(*map(sp.Abs, masses))
+        # Of each group the largest is wanted.
+        groups = [lengths, speeds, pushes, [mass], [duration], *([g] for g in mechanics.gravity)]
+        self._gravity = len(mechanics.gravity)
+        groups += moves
+        self._begins = np.array([*accumulate(map(len, groups), initial=0)])
         self._tape = compile_tape(
             [expression for group in groups for expression in group],
             variables=(*mechanics.q, *mechanics.v),
@@ -100,22 +103,19 @@ class ScaleTape:
 
     def at(self, values: Array, state: Array) -> Scales:
         """Return the scales of a run that starts at `state` (2 n,)."""
-        found = self._tape.at(state, values, 0.0).tolist()
-        numbers = [abs(x) if math.isfinite(x) else 0.0 for x in found]
-        lengths, speeds, masses, gravity, pushes, (duration,), moves = [
-            numbers[group] for group in self._groups
-        ]
-        length, speed = max(lengths, default=0.0), max(speeds, default=0.0)
-        acceleration = math.hypot(*gravity) or max(pushes, default=0.0)
+        sizes = np.empty(len(self._begins) - 1)
+        largest_sizes(self._tape.at(state, values, 0.0), self._begins, sizes)
+        largest = sizes.tolist()
+        length, speed, push, mass, duration = largest[:5]
+        moves = largest[5 + self._gravity :]
+        acceleration = math.hypot(*largest[5 : 5 + self._gravity]) or push
         if length == 0.0:
             length = max(speed * duration, acceleration * duration**2) or 1.0
         acceleration = max(acceleration, speed**2 / length)
         if acceleration == 0.0:
             acceleration = length / max(duration, 1e-300) ** 2
         speed = max(speed, math.sqrt(acceleration * length))
-        per = self._components
-        largest = [max(moves[i : i + per]) for i in range(0, len(moves), per)]
         # A coordinate that moves no point is an angle about a centre.
-        coordinates = [length / move if move > 0.0 else 1.0 for move in largest]
+        coordinates = [length / move if move > 0.0 else 1.0 for move in moves]
         sizes = np.array([*coordinates, *(size * (speed / length) for size in coordinates)])
-        return Scales(length, speed, acceleration, sum(masses) * acceleration, sizes)
+        return Scales(length, speed, acceleration, mass * acceleration, sizes)

@@ -17,7 +17,7 @@ from contacts.kernels import FREE, OFF, PIN, SLIDE
 from contacts.step_equations import CONTACT, JOINT, back, factored
 from contacts.step_forces import borne_mode, jammed, resting, shared_forces
 from contacts.step_kernels import UNKNOWNS, impulses_of, solve_contacts, solve_impacts
-from statechart.kernels import tape_values
+from statechart.kernels.tapes import tape_values
 
 __all__ = ["BAD_INERTIA", "DONE", "HARD", "NOT_FINITE", "step_scene"]
 

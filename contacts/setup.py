@@ -68,6 +68,11 @@ class SceneSetup(Setup):
     capture: float
     bands: Mapping[str, float]
 
+    @property
+    def tie(self) -> float:
+        """Up to this, in the scales, what breaks an inequality of a mode is a boundary case."""
+        return 0.5 * self.tolerances["force"] / self.scales.force
+
 
 def cones(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, tuple[sp.Expr, sp.Expr]]:
     """Return (cone_n, cone_t) per contact: symbols, or numbers where nothing is to be known."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -182,6 +183,10 @@ class SnapshotTape:
         for geometry in contacts:
             outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
             outputs += [*geometry.point, *geometry.tangent]
+        n, count = self.size, self.count
+        lengths = n * n, n + 1, 2 * n * count, 2 * count, _SCALARS * count
+        # Where mass matrix, forces and energy, Jacobians, biases and scalars end.
+        self._ends = tuple(accumulate(lengths))
         rows = mechanics.joint_rows
         self.joints = len(rows)
         self._blocks: tuple[Block, ...] = blocks(
@@ -210,31 +215,31 @@ class SnapshotTape:
         self, values: Array, state: Array, time: float
     ) -> tuple[Snapshot, JointNumbers | None]:
         """Return the numbers as if there were no joints, and those of the joints."""
-        n = self.size
+        n, count = self.size, self.count
+        square, at, end, further, last = self._ends
         numbers = self.tape.at(state, values, time)
-        count, at = self.count, n * n + n + 1
-        end = at + 2 * n * count
-        last = end + (2 + _SCALARS) * count
         jacobians = numbers[at:end].reshape(count, 2, n)
         listed = numbers[end:last].tolist()
-        biases, scalars = listed[: 2 * count], listed[2 * count :]
+        further -= end
         whole = Snapshot(
-            numbers[: n * n].reshape(n, n),
-            numbers[n * n : n * n + n],
+            numbers[:square].reshape(n, n),
+            numbers[square : at - 1],
             state[n:],
-            float(numbers[n * n + n]),
+            numbers.item(at - 1),
             tuple(
-                PerContact._make(
-                    (
-                        *scalars[_SCALARS * i : _SCALARS * (i + 1)],
-                        *biases[2 * i : 2 * i + 2],
-                        jacobians[i],
+                [
+                    PerContact._make(
+                        (
+                            *listed[further + _SCALARS * i : further + _SCALARS * (i + 1)],
+                            *listed[2 * i : 2 * i + 2],
+                            jacobian,
+                        )
                     )
-                )
-                for i in range(count)
+                    for i, jacobian in enumerate(jacobians)
+                ]
             ),
             jacobians,
-            numbers[end : end + 2 * count].reshape(count, 2),
+            numbers[end : end + further].reshape(count, 2),
         )
         if not self.joints:
             return whole, None

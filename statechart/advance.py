@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from statechart.automaton import Automaton, Projector
+from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.enclosure import Crossing, Search, Verdict, search
-from statechart.engine import Begin, Engine, Path
+from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Watch
 from statechart.errors import NonFinite, SimulationError, Undecided
-from statechart.kernels import cut_steps
+from statechart.kernels.polynomials import cut_steps
 from statechart.tape import Tape, compile_tape
 
 __all__ = ["Advance", "CompiledMode", "advance", "compile_mode"]
 
 Array = NDArray[np.float64]
 
-# Steps are made in chunks that grow by half, so that little is dropped behind an early event.
 _FIRST_CHUNK = 4
-_LONGEST_CHUNK = 64
 # A chunk may end this far off its constraints, in tolerances; inside it may be farther.
 _DRIFT = 0.2
 # The look-ahead in time grows likewise.
@@ -39,17 +38,23 @@ class CompiledMode:
         Equations and margins.
     guards : Tape
         Outputs: the margins, in order.
-    names, kinds : tuple of str
+    watched : tuple of (str, str)
         Name and kind of every margin.
+    names : tuple of str
+        The names.
     stepper : object
         The engine's own.
     """
 
     mode: Mode
     guards: Tape
+    watched: tuple[tuple[str, str], ...]
     names: tuple[str, ...]
-    kinds: tuple[str, ...]
     stepper: object
+
+    def kind(self, guard: int) -> str:
+        """Return the kind of a margin."""
+        return self.watched[guard][1]
 
 
 @dataclass(eq=False, slots=True)
@@ -89,8 +94,8 @@ def compile_mode(engine: Engine, automaton: Automaton, mode: Mode) -> CompiledMo
             time=automaton.time,
             definitions=mode.definitions,
         ),
+        tuple((margin.name, margin.kind) for margin in mode.margins),
         tuple(margin.name for margin in mode.margins),
-        tuple(margin.kind for margin in mode.margins),
         engine.compile(automaton, mode),
     )
 
@@ -99,14 +104,11 @@ def advance(
     engine: Engine,
     compiled: CompiledMode,
     path: Path,
+    watch: Watch,
     *,
-    parameters: Array,
-    tolerances: Array,
-    start: float,
     state: Array,
     duration: float,
     horizon: float,
-    project: Projector | None,
     on_steps: Callable[[float, int], None] | None,
 ) -> Advance:
     """Flow in one mode to the first event or to the end of `duration`.
@@ -119,13 +121,9 @@ def advance(
     engine, compiled
         Integrator and mode.
     path : Path
-        Takes the steps; what it held is dropped.
-    parameters : (p,) array
-        Values of the automaton's parameters.
-    tolerances : (g,) array
-        One per margin.
-    start : float
-        Absolute time.
+        Takes the steps.
+    watch : Watch
+        The flow's guards and constraints, its parameters, when it starts.
     state : (n,) array
         State there.
     duration : float
@@ -134,8 +132,6 @@ def advance(
         How far to look ahead at first; grows as the flow goes on. Where a flow is a polynomial
         (free flight) one step could span all of `duration`, and an event soon after its start
         would be lost in that step's rounding.
-    project : Projector or None
-        From `Laws.projector`.
     on_steps : callable or None
         Called with the local time reached and the steps taken, now and then (progress).
 
@@ -154,45 +150,39 @@ def advance(
         while reached < duration:
             path.count = kept
             ended = np.empty(len(state))
-            finished = engine.steps(
-                compiled.stepper,
-                path,
-                parameters,
-                start + reached,
-                state,
-                end - reached,
-                count,
-                begin,
-                ended,
-            )
+            made = engine.steps(compiled.stepper, path, watch, state, end, count, begin, ended)
             last = path.count
-            taken = last - kept
-            total += taken
-            if finished:
+            if made.finished:
                 path.times[last] = end
+            boxes += made.boxes
+            total += last - kept
+            if made.first > kept:
+                kept, state, reached = made.first, made.begun.copy(), path.times.item(made.first)
+            taken = last - kept
+            count = max(count, taken)
             local = path.times.item(last)
-            following, off = ended, 0.0
-            if project is not None:
-                following, off = project(ended, local)
+            following, found = ended, made.found
+            if found is None:
+                following, off = _constrained(watch, ended, local)
                 if off > _DRIFT and taken > 1:
                     # The chunk drifted off its constraints: again, in shorter ones.
                     count, begin = max(1, taken // 4), Begin.MOVED
                     continue
-            found = search(
-                compiled.guards,
-                tolerances,
-                path.times,
-                path.coefficients,
-                parameters,
-                start,
-                kept,
-                last,
-            )
-            boxes += found.boxes
+                found = search(
+                    watch.guards,
+                    watch.tolerances,
+                    path.times,
+                    path.coefficients,
+                    watch.parameters,
+                    watch.start,
+                    kept,
+                    last,
+                )
+                boxes += found.boxes
             if found.verdict is not Verdict.NONE:
-                crossing = _decide(found, compiled, tolerances, path, parameters, start + reached)
+                crossing = _decide(found, compiled, watch, path, reached)
                 graze = found.verdict is not Verdict.CROSSING
-                late = graze or compiled.kinds[crossing.guard] == "force"
+                late = graze or compiled.kind(crossing.guard) == "force"
                 at = crossing.crossed if late else crossing.time
                 path.count = cut_steps(path.times, path.coefficients, last, at, ended)
                 state = ended if path.count > 0 else initial
@@ -200,12 +190,12 @@ def advance(
             kept, state, reached = last, following, local
             if on_steps is not None:
                 on_steps(reached, total)
-            if finished:
+            if made.finished:
                 horizon *= _GROWTH
                 end = min(reached + horizon, duration)
             if following is ended:
-                begin = Begin.MOVED if finished else Begin.ON
-                count = min(count + count // 2, _LONGEST_CHUNK)
+                begin = Begin.MOVED if made.finished else Begin.ON
+                count = min(count + count // 2, LONGEST_CHUNK)
             else:
                 # Chunks as long as this one stay near enough to be brought back.
                 begin = Begin.MOVED
@@ -215,16 +205,26 @@ def advance(
     return Advance(state, None, False, boxes, total, failure)
 
 
+def _constrained(watch: Watch, state: Array, local: float) -> tuple[Array, float]:
+    """Return a state brought onto its constraints, and how far it was off; the same if near."""
+    time = watch.start + local
+    off = watch.constraints.off(state, watch.parameters, time)
+    # What is not finite is left to the guards to report.
+    if off <= NEAR or not math.isfinite(off):
+        return state, 0.0
+    following = watch.constraints.project(state, time)
+    return following, 0.0 if following is state else off
+
+
 def _decide(
     found: Search,
     compiled: CompiledMode,
-    tolerances: Array,
+    watch: Watch,
     path: Path,
-    parameters: Array,
-    time: float,
+    reached: float,
 ) -> Crossing:
     """Return the event that a search found or must be taken for one; raise where it is neither."""
-    where = found.crossing or found.undecided
+    where, time = found.crossing or found.undecided, watch.start + reached
     assert where is not None
     if found.verdict is Verdict.CROSSING:
         return where
@@ -239,9 +239,9 @@ def _decide(
     # the stick lies flat. A margin that is zero there to within its tolerance has been reached.
     terms = path.coefficients[where.step]
     state = (terms * where.s ** np.arange(terms.shape[1])).sum(axis=1)
-    margins = compiled.guards.values(state, parameters, time)
-    for guard, (value, tolerance) in enumerate(zip(margins, tolerances, strict=True)):
-        if compiled.kinds[guard] == "plain" and abs(value) <= tolerance:
+    margins = compiled.guards.values(state, watch.parameters, time)
+    for guard, (value, tolerance) in enumerate(zip(margins, watch.tolerances, strict=True)):
+        if compiled.kind(guard) == "plain" and abs(value) <= tolerance:
             return where._replace(guard=guard, crossed=where.time)
     name = names[where.guard] if where.guard >= 0 else "one of " + ", ".join(names)
     raise NonFinite(f"the guard {name} cannot be evaluated near t = {time:.17g}")

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from statechart.trace import Clock, Jump, Key
 
 if TYPE_CHECKING:
+    from statechart.constraints import Constraints
     from statechart.declaration import Declaration
     from statechart.stepping import TimeStepper
 
@@ -33,7 +34,6 @@ __all__ = [
     "Laws",
     "Loads",
     "Margin",
-    "Projector",
     "Region",
     "Setup",
     "State",
@@ -50,12 +50,6 @@ HELD = ""
 UNBOUNDED = "unbounded"
 """What ends a flow that cannot be continued, though no margin fell; the laws may know what follows
 (a force that has grown without bound)."""
-
-
-Projector = Callable[[NDArray[np.float64], float], tuple[NDArray[np.float64], float]]
-"""From a state and the time since the flow began to the state back on the flow's constraints (the
-same object where it is near enough), and how far it was off in tolerances: above 1 they were
-violated."""
 
 
 @lru_cache(maxsize=1024)
@@ -231,7 +225,7 @@ class Setup:
     @cached_property
     def zeros(self) -> frozenset[int]:
         """Places of the parameters that are exactly zero."""
-        return frozenset(i for i, value in enumerate(self.values.tolist()) if value == 0.0)
+        return frozenset(np.flatnonzero(self.values == 0.0).tolist())
 
 
 class Flow(NamedTuple):
@@ -334,10 +328,10 @@ class Laws(Protocol):
         """
         ...
 
-    def projector(
+    def constraints(
         self, setup: Setup, flow: Key, start: float, anchor: NDArray[np.float64]
-    ) -> Projector | None:
-        """Return what keeps the constraints of a flow, None where it has none.
+    ) -> Constraints:
+        """Return what the states of a flow satisfy.
 
         The flow begins in the state `anchor` at the time `start`.
         """

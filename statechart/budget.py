@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
-from statechart.engine import Begin, Engine, Path
+from statechart.engine import Begin, Engine, Path, Steps, Watch
 from statechart.errors import OutOfBudget
 
 __all__ = ["Allowance", "Limited"]
@@ -77,19 +77,16 @@ class Limited(Engine):
         self,
         stepper: object,
         path: Path,
-        parameters: Array,
-        start: float,
+        watch: Watch,
         state: Array,
-        duration: float,
+        until: float,
         count: int,
         begin: Begin,
         end: Array,
-    ) -> bool:
+    ) -> Steps:
         """Take steps, unless the time is over (see `Engine`)."""
-        self._allowance.check(start)
+        self._allowance.check(watch.start + path.times.item(path.count))
         self._engine.sizes = self.sizes
-        finished = self._engine.steps(
-            stepper, path, parameters, start, state, duration, count, begin, end
-        )
+        made = self._engine.steps(stepper, path, watch, state, until, count, begin, end)
         self.evaluations = self._engine.evaluations
-        return finished
+        return made

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from statechart.automaton import HELD, Automaton, Edge, Flow, Margin, Region, Setup, State
 from statechart.chart import Chart, Transition
 from statechart.chart import Region as DeclaredRegion
+from statechart.constraints import NO_CONSTRAINTS, Constraints
 from statechart.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.firing import Guard, Listening, Watch, considered, guards
@@ -270,8 +271,9 @@ class ChartLaws:
             held={**flow.held, jump.region: clock.later(rest)},
         )
 
-    def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> None:
+    def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
         """Return nothing: a chart has no constraints."""
+        return NO_CONSTRAINTS
 
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
         watch = self._watch(flow.flow)

@@ -277,7 +277,7 @@ def _scratch() -> Iterator[None]:
 
 
 def _runner(file: str, **options: Any) -> Runner:
-    from statechart.kernels import cached
+    from statechart.kernels.search import cached
     from statechart.run import Runner
 
     runner = Runner(file, **options)

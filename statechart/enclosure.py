@@ -19,13 +19,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from statechart import kernels
+from statechart.kernels.polynomials import integrate_outputs, sample_states
+from statechart.kernels.search import BUDGET, CROSSING, GRAZE, NON_FINITE, NONE
+from statechart.kernels.search import search as kernel
 from statechart.tape import Tape, plain
 
 __all__ = [
+    "BOXES",
     "Crossing",
     "Search",
     "Verdict",
+    "as_search",
     "first_crossing",
     "integrals",
     "lowest",
@@ -33,7 +37,8 @@ __all__ = [
     "search",
 ]
 
-_BUDGET = 100_000  # boxes; a search that is decided takes a handful a step
+BOXES = 100_000
+"""Most boxes of a search; one that is decided takes a handful a step."""
 
 
 class Verdict(Enum):
@@ -47,9 +52,9 @@ class Verdict(Enum):
 
 
 _VERDICTS = {
-    kernels.GRAZE: Verdict.GRAZE,
-    kernels.BUDGET: Verdict.BUDGET,
-    kernels.NON_FINITE: Verdict.NON_FINITE,
+    GRAZE: Verdict.GRAZE,
+    BUDGET: Verdict.BUDGET,
+    NON_FINITE: Verdict.NON_FINITE,
 }
 
 
@@ -111,7 +116,7 @@ def first_crossing(
     parameters: ArrayLike,
     start: float,
     *,
-    budget: int = _BUDGET,
+    budget: int = BOXES,
 ) -> Search:
     """Find the first place where an output of the tape falls below minus its tolerance.
 
@@ -169,34 +174,41 @@ def search(
     start: float,
     first: int,
     last: int,
-    budget: int = _BUDGET,
+    budget: int = BOXES,
 ) -> Search:
     """Return `first_crossing` in the steps [first, last); those before are known to be clear.
 
     For inner loops: arrays are float64, contiguous and of the right shape. Nothing is checked,
     and a wrong shape reads beyond the arrays.
     """
-    code, guard, step, s, time, crossed, boxes = kernels.search(
-        tape.code,
-        tape.constants,
-        tape.outputs,
-        tape.reads,
-        tape.n_fixed,
-        tolerances,
-        times,
-        coeffs,
-        parameters,
-        start,
-        first,
-        last,
-        budget,
+    return as_search(
+        kernel(
+            tape.code,
+            tape.constants,
+            tape.outputs,
+            tape.reads,
+            tape.n_fixed,
+            tolerances,
+            times,
+            coeffs,
+            parameters,
+            start,
+            first,
+            last,
+            budget,
+        )
     )
-    if code == kernels.NONE:
+
+
+def as_search(found: tuple[int, int, int, float, float, float, int]) -> Search:
+    """Return what the kernel found as a `Search`."""
+    code, guard, step, s, time, crossed, boxes = found
+    if code == NONE:
         return Search(Verdict.NONE, None, boxes)
-    found = Crossing(guard, step, s, time, crossed)
-    if code == kernels.CROSSING:
-        return Search(Verdict.CROSSING, found, boxes)
-    return Search(_VERDICTS[code], None, boxes, found)
+    place = Crossing(guard, step, s, time, crossed)
+    if code == CROSSING:
+        return Search(Verdict.CROSSING, place, boxes)
+    return Search(_VERDICTS[code], None, boxes, place)
 
 
 def lowest(
@@ -264,7 +276,7 @@ def integrals(
         If a shape does not fit.
     """
     times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
-    return kernels.integrate_outputs(
+    return integrate_outputs(
         tape.code,
         tape.constants,
         tape.outputs,
@@ -307,7 +319,7 @@ def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> NDArray[np.fl
             f"coeffs, times and tau have shapes {coeffs.shape}, {times.shape} and {tau.shape}, "
             "not (n_steps, n, degree + 1), (n_steps + 1,) and (m,) with a step at least"
         )
-    return kernels.sample_states(coeffs, times, tau)
+    return sample_states(coeffs, times, tau)
 
 
 def _arc(

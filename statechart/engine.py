@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
+from statechart.constraints import Constraints
+from statechart.enclosure import Search
 from statechart.tape import Tape, compile_tape
 
-__all__ = ["Begin", "Engine", "Path", "rates_tape"]
+__all__ = ["LONGEST_CHUNK", "NEAR", "Begin", "Engine", "Path", "Steps", "Watch", "rates_tape"]
 
 Array = NDArray[np.float64]
 
+LONGEST_CHUNK = 64
+"""Steps are made in chunks that grow by half, so that little is dropped behind an early event."""
+NEAR = 0.05
+"""A state may be this far off the constraints, in tolerances, before it is projected."""
+
 # Steps that a path has room for at first.
-_ROOM = 16
+_ROOM = 64
 
 
 class Path:
@@ -75,6 +83,56 @@ class Begin(Enum):
     ON = "the same flow, where it was left"
 
 
+class Watch(NamedTuple):
+    """A flow, and what it is watched for.
+
+    Attributes
+    ----------
+    guards : Tape
+        Outputs: the margins whose fall is an event.
+    tolerances : (g,) array
+        How far below zero each may go.
+    constraints : Constraints
+        What the states are to satisfy.
+    parameters : (p,) array
+        Values of the automaton's parameters.
+    start : float
+        When the flow begins.
+    """
+
+    guards: Tape
+    tolerances: Array
+    constraints: Constraints
+    parameters: Array
+    start: float
+
+
+class Steps(NamedTuple):
+    """What a call for steps made; the steps stand in the path.
+
+    Attributes
+    ----------
+    finished : bool
+        Whether the last one ends where they had to.
+    first : int
+        Where the last chunk of steps begins; in those before is no event, and they end on the
+        flow's constraints.
+    begun : (n,) array
+        The state there.
+    boxes : int
+        Looked at in the search for events.
+    found : Search or None
+        What the search of the last chunk found; None where it was not searched, as that depends
+        on whether its end is on the constraints.
+    """
+
+    finished: bool
+    first: int
+    begun: Array
+    boxes: int = 0
+    found: Search | None = None
+
+
 class Engine(ABC):
     """An integrator: it makes a mode's steps, and knows nothing of events.
 
@@ -107,15 +165,17 @@ class Engine(ABC):
         self,
         stepper: object,
         path: Path,
-        parameters: Array,
-        start: float,
+        watch: Watch,
         state: Array,
-        duration: float,
+        until: float,
         count: int,
         begin: Begin,
         end: Array,
-    ) -> bool:
+    ) -> Steps:
         """Take up to `count` steps, and append them to `path`.
+
+        An engine that can look for events itself may go on by further chunks of steps, as long as
+        there is nothing to be seen in those before.
 
         Parameters
         ----------
@@ -123,16 +183,14 @@ class Engine(ABC):
             What `compile` returned.
         path : Path
             The steps of this flow so far.
-        parameters : (p,) array
-            Values of the automaton's parameters.
-        start : float
-            Absolute time at which `state` holds.
+        watch : Watch
+            The flow, and what it is watched for.
         state : (n,) array
             Where to start; not modified.
-        duration : float
-            Do not step beyond ``start + duration``; the last step ends there exactly.
+        until : float
+            Do not step beyond this time of the flow; the last step ends there exactly.
         count : int
-            At most so many steps.
+            At most so many steps at first.
         begin : Begin
             How `state` follows from the last call with this stepper.
         end : (n,) array
@@ -140,8 +198,7 @@ class Engine(ABC):
 
         Returns
         -------
-        bool
-            Whether the last step ends at the end of `duration`.
+        Steps
 
         Raises
         ------

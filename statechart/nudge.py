@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from statechart.automaton import Automaton, Flow, Laws, Projector, Setup
+from statechart.automaton import Automaton, Flow, Laws, Setup
+from statechart.constraints import Constraints
 from statechart.trace import Clock, Jump, Key
 
 __all__ = ["nudged"]
@@ -57,5 +58,5 @@ class _Nudged:
     ) -> tuple[Jump, Flow] | None:
         return self._laws.accumulate(setup, clock, flow, jumps, rest)
 
-    def projector(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Projector | None:
-        return self._laws.projector(setup, flow, start, anchor)
+    def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
+        return self._laws.constraints(setup, flow, start, anchor)

@@ -87,7 +87,7 @@ class Parameters:
         numbers = np.array([known[name] for name in inputs])
         found = tape.at(_NO_VARIABLES, numbers, 0.0)
         parameters, further = found[: len(self.names)], found[len(self.names) :]
-        if any(map(math.isnan, found.tolist())):
+        if math.isnan(found.min(initial=0.0)):
             # Evaluated one by one, the formula at fault is named.
             evaluate_parameters(self._formulas, dict(overrides))
         return parameters, further

@@ -14,7 +14,7 @@ import sympy as sp
 from statechart.advance import CompiledMode, advance, compile_mode
 from statechart.automaton import HELD, UNBOUNDED, Automaton, Flow, Setup, plain
 from statechart.compose import build_mode
-from statechart.engine import Engine, Path
+from statechart.engine import Engine, Path, Watch
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure
 from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace
 from statechart.zeno import Accumulation, between
@@ -219,8 +219,8 @@ class _Run:
         assert flow is not None
         left = self.clock.until(self.until)
         remaining = flow.remaining
-        for end in flow.held.values():
-            remaining = min(remaining, between(self.clock, end))
+        if flow.held:
+            remaining = min(remaining, *(between(self.clock, end) for end in flow.held.values()))
         duration = min(left, remaining)
         if duration <= 0.0:
             return ("zeno",) if remaining <= 0.0 else ()
@@ -228,26 +228,22 @@ class _Run:
         if compiled is None:
             compiled = self.simulator.compiled(flow.flow, self.setup)
             self.entered[flow.flow] = compiled
-        tolerances, special = self.setup.tolerances, flow.tolerances
-        path = self.simulator.path
+        setup, start = self.setup, self.clock.high
+        tolerances, special = setup.tolerances, flow.tolerances
+        allowed = [
+            special[name] if name in special else tolerances[kind]
+            for name, kind in compiled.watched
+        ]
+        laws, path = self.simulator.automaton.laws, self.simulator.path
+        constraints = laws.constraints(setup, flow.flow, start, self.state)
         reached = advance(
             self.simulator.engine,
             compiled,
             path,
-            parameters=self.setup.values,
-            tolerances=np.array(
-                [
-                    special.get(name, tolerances[kind])
-                    for name, kind in zip(compiled.names, compiled.kinds, strict=True)
-                ]
-            ),
-            start=self.clock.high,
+            Watch(compiled.guards, np.array(allowed), constraints, setup.values, start),
             state=self.state,
             duration=duration,
             horizon=self.horizon,
-            project=self.simulator.automaton.laws.projector(
-                self.setup, flow.flow, self.clock.high, self.state
-            ),
             on_steps=self._show if self.simulator.progress else None,
         )
         self.boxes += reached.boxes
@@ -266,12 +262,7 @@ class _Run:
             self.horizon = _AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
         self.flow = Flow(
-            flow.mode,
-            flow.flow,
-            flow.remaining - elapsed,
-            held=flow.held,
-            tolerances=special,
-            terms=terms,
+            flow.mode, flow.flow, flow.remaining - elapsed, "", False, (), flow.held, special, terms
         )
         if isinstance(reached.failure, StepFailure | NonFinite):
             self.failure = reached.failure
@@ -396,7 +387,7 @@ class _Run:
         """
         assert self.flow is not None
         compiled = self.entered[self.flow.flow]
-        usual = self.setup.tolerances[compiled.kinds[compiled.names.index(margin)]]
+        usual = self.setup.tolerances[dict(compiled.watched)[margin]]
         wide = _WIDER * self.flow.tolerances.get(margin, usual)
         if wide > _WIDEST * usual:
             return False

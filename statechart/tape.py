@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 
 from statechart.errors import StatechartError
-from statechart.kernels import OPCODES, tape_table, tape_values
+from statechart.kernels.tapes import OPCODES, tape_table, tape_values
 
 __all__ = ["Tape", "compile_tape", "plain"]
 
@@ -59,8 +60,8 @@ class Tape:
     Attributes
     ----------
     code : ndarray of int32, shape (n_ops, 3)
-        Operation (`statechart.kernels.OPCODES`), left register, right register. One operand: the
-        right is 0; an integer power: the exponent.
+        Operation (`statechart.kernels.tapes.OPCODES`), left register, right register. One operand:
+        the right is 0; an integer power: the exponent.
     constants : ndarray of float64
         Numbers of the expressions.
     outputs : ndarray of int32
@@ -80,6 +81,11 @@ class Tape:
     n_parameters: int
     n_fixed: int
     reads: NDArray[np.int32]
+
+    @cached_property
+    def program(self) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int32]]:
+        """What kernels run: code, constants, outputs."""
+        return self.code, self.constants, self.outputs
 
     def values(self, state: ArrayLike, parameters: ArrayLike, time: float) -> NDArray[np.float64]:
         """Return the outputs at one point.
@@ -117,7 +123,7 @@ class Tape:
         For inner loops: nothing is checked, and a wrong shape reads beyond the arrays.
         """
         result = np.empty(len(self.outputs))
-        tape_values(self.code, self.constants, self.outputs, state, parameters, time, result)
+        tape_values(*self.program, state, parameters, time, result)
         return result
 
     def table(

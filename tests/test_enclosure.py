@@ -9,11 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_tape import P, T, X, Y, expressions, tape_of
 
-from statechart import kernels
 from statechart.enclosure import Verdict, first_crossing, integrals, lowest, sample
+from statechart.kernels.boxes import enclose, judge, prepare
+from statechart.kernels.intervals import wave
+from statechart.kernels.jets import run_jets
+from statechart.kernels.tapes import OPCODES
 from statechart.tape import compile_tape, plain
 
-NAMES = list(kernels.OPCODES)
+NAMES = list(OPCODES)
 
 
 def margin(expression, *, tolerance=0.0, coeffs=((0.0, 1.0),), times=(0.0, 1.0), **options):
@@ -34,12 +37,12 @@ def jets_over(tape, coeffs, parameters, times, start, m, w, order=2):
     values = np.concatenate([np.zeros(n + 1), parameters, tape.constants])
     jets = np.zeros((len(values) + len(tape.code), 6))
     jets[: len(values), 0] = jets[: len(values), 1] = values
-    kernels._jets(tape.code, 0, tape.n_fixed, len(values), jets, 2)
+    run_jets(tape.code, 0, tape.n_fixed, len(values), jets, 2)
     bounds = np.zeros(n)
-    assert kernels._prepare(coeffs, 0, tape.reads, bounds)
+    assert prepare(coeffs, 0, tape.reads, bounds)
     code = tape.code
     along = (code, len(values), tape.n_fixed, len(code), tape.reads, times, coeffs, start)
-    kernels._enclose(along, 0, bounds, m, w, order, jets)
+    enclose(along, 0, bounds, m, w, order, jets)
     return jets[tape.outputs]
 
 
@@ -152,7 +155,7 @@ def test_sine_and_cosine_are_enclosed_near_and_far(centre, radius):
     flint.ctx.prec = 1400
     low, high = centre - radius, centre + radius
     for sine in (True, False):
-        found = kernels._wave((low, high), sine)
+        found = wave((low, high), sine)
         assert -1.0 <= found[0] <= found[1] <= 1.0
         for x in np.linspace(low, high, 101):
             ball = flint.arb(float(x))
@@ -175,10 +178,10 @@ def test_the_enclosure_converges_with_the_third_power_of_the_width():
     for w in (0.08, 0.04, 0.02):
         jets = np.zeros((base + last, 6))
         jets[3:base, 0] = jets[3:base, 1] = tape.constants
-        kernels._jets(tape.code, 0, tape.n_fixed, base, jets, 2)
+        run_jets(tape.code, 0, tape.n_fixed, base, jets, 2)
         bounds, work = np.zeros(1), np.empty((1, 11))
-        kernels._prepare(coeffs, 0, tape.reads, bounds)
-        kernels._judge(along, tape.outputs, 0, bounds, 0.3 - w, 0.3 + w, jets, work)
+        prepare(coeffs, 0, tape.reads, bounds)
+        judge(along, tape.outputs, 0, bounds, 0.3 - w, 0.3 + w, jets, work)
         s = np.linspace(0.3 - w, 0.3 + w, 2001)
         misses.append(np.min(s**3 * np.cos(3 * s) - s) - work[0, 4])
     assert min(misses) > 0

@@ -4,9 +4,10 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from statechart import kernels
 from statechart.enclosure import first_crossing
 from statechart.errors import StatechartError
+from statechart.kernels.search import search
+from statechart.kernels.tapes import OPCODES, tape_table, tape_values
 from statechart.tape import compile_tape
 
 X, Y, P, Q, T = sp.symbols("x y p q t", real=True)
@@ -99,7 +100,7 @@ def test_a_table_is_values_row_by_row():
 
 
 def names(tape):
-    known = list(kernels.OPCODES)
+    known = list(OPCODES)
     return [known[op] for op in tape.code[:, 0]]
 
 
@@ -195,7 +196,7 @@ def test_wrong_shapes_are_refused():
 
 def test_another_model_and_other_kinds_of_arrays_compile_nothing():
     def compiled():
-        found = [kernels.tape_values, kernels.tape_table, kernels.search]
+        found = [tape_values, tape_table, search]
         return [len(kernel.signatures) for kernel in found]
 
     coeffs = np.ones((1, 2, 3))

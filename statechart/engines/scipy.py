@@ -11,7 +11,7 @@ from scipy import integrate
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
-from statechart.engine import Begin, Engine, Path, rates_tape
+from statechart.engine import Begin, Engine, Path, Steps, Watch, rates_tape
 from statechart.errors import NonFinite, StepFailure
 from statechart.tape import Tape
 
@@ -59,23 +59,25 @@ class SciPy(Engine):
         self,
         stepper: object,
         path: Path,
-        parameters: Array,
-        start: float,
+        watch: Watch,
         state: Array,
-        duration: float,
+        until: float,
         count: int,
         begin: Begin,
         end: Array,
-    ) -> bool:
+    ) -> Steps:
         """Take one step: they are dear, and the constraints are projected after each."""
         assert isinstance(stepper, _Stepper)
+        reached = path.times.item(path.count)
+        start = watch.start + reached
         solver = stepper.solver
         if begin is Begin.MOVED and self.method == "LSODA" and solver.status == "running":
             _move(solver, state)
         elif begin is not Begin.ON:
             if begin is Begin.NEW:
                 stepper.suggested = None
-            solver = stepper.solver = self._solver(stepper, parameters, start, state, duration)
+            solver = self._solver(stepper, watch.parameters, start, state, until - reached)
+            stepper.solver = solver
         message = solver.step()
         if solver.status == "failed":
             raise StepFailure(f"{self.method} at t = {start:.17g}: {message}")
@@ -86,7 +88,7 @@ class SciPy(Engine):
         polynomial = _polynomial(solver.dense_output(), h, solver.n)
         path.append(h, polynomial)
         polynomial.sum(axis=1, out=end)
-        return bool(solver.status == "finished")
+        return Steps(solver.status == "finished", path.count - 1, state)
 
     def _solver(
         self, stepper: _Stepper, parameters: Array, start: float, state: Array, duration: float

@@ -2,8 +2,7 @@
 
 A call of heyoka from Python costs as much as the step itself, and its code is at hand: an
 integrator hands out its object code and the LLVM module that it comes from, so that the function
-can be linked into this process once more and called by address. All is in this file because
-numba's cache looks only at the file of the function that is called.
+can be linked into this process once more and called by address.
 """
 
 from __future__ import annotations
@@ -19,13 +18,18 @@ import llvmlite.binding as llvm
 import numpy as np
 from heyoka import _core
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-__all__ = ["Step", "taylor_steps"]
+from statechart.compiled import kernel, part
+from statechart.kernels.constraints import off_by
+from statechart.kernels.search import NONE, search
+
+__all__ = ["OFF", "Step", "taylor_flow"]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
 
 # What the loop below relies on: heyoka documents the module, not the function.
 _SIGNATURE = re.compile(
@@ -36,6 +40,9 @@ _SIGNATURE = re.compile(
 # Functions that heyoka's library brings along.
 _HELPERS = re.compile(r"@(heyoka_\w+)")
 _numbers = itertools.count()
+
+OFF = -1
+"""Verdict on a chunk that ends off its constraints, and was not searched therefore."""
 
 
 class Step:
@@ -105,8 +112,8 @@ def _call(
     return types.void(address, *arrays), build
 
 
-@njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)
-def taylor_steps(
+@part
+def _taylor_steps(
     address: int,
     state: Floats,
     parameters: Floats,
@@ -181,3 +188,135 @@ def taylor_steps(
         if taken == count or h == left or not (h > 0.0 and bounded):
             return taken, finite, h, left
         left -= h
+
+
+@kernel
+def taylor_flow(
+    moved: bool,
+    initial: Floats,
+    address: int,
+    state: Floats,
+    heyokas: Floats,
+    used: NDArray[np.int64],
+    clock: Floats,
+    series: Floats,
+    until: float,
+    count: int,
+    longest: int,
+    first: int,
+    most: int,
+    times: Floats,
+    coeffs: Floats,
+    begun: Floats,
+    end: Floats,
+    near: float,
+    off_code: Ints,
+    off_constants: Floats,
+    off_outputs: Ints,
+    targets: Floats,
+    weights: Floats,
+    code: Ints,
+    constants: Floats,
+    outputs: Ints,
+    reads: Ints,
+    n_fixed: int,
+    tolerances: Floats,
+    parameters: Floats,
+    start: float,
+    budget: int,
+) -> tuple[int, int, bool, float, float, int, tuple[int, int, int, float, float, float, int]]:
+    """Take chunks of steps until there is something to be seen in the last of them.
+
+    Parameters
+    ----------
+    moved : bool
+        Whether to start from `initial` instead of where the last call ended.
+    address, state, clock, series, times, coeffs, end
+        As in `_taylor_steps`; `heyokas` are the parameters there: a time and those of
+        `parameters` that are `used`.
+    until : float
+        Longest time since the flow began.
+    count, longest : int
+        Number of steps in the first chunk; later ones grow by half, up to `longest`.
+    first, most : int
+        Steps that stand in the arrays, and how many may.
+    begun : (n,) array
+        Takes the state at the start of the last chunk.
+    near : float
+        A chunk may end so far off the constraints.
+    off_code, off_constants, off_outputs, targets, weights
+        Of the constraints, see `statechart.kernels.constraints`.
+    code, constants, outputs, reads, n_fixed, tolerances, parameters, start, budget
+        Of the guards, see `statechart.kernels.search`.
+
+    Returns
+    -------
+    first, last : int
+        Where the last chunk begins and ends.
+    finished : bool
+        Whether it ends at `until`.
+    h, left : float
+        Length of the last step, and what was left before it.
+    boxes : int
+        That were looked at.
+    found : tuple
+        What `search` returns for the last chunk, or `OFF` in the place of its verdict.
+    """
+    n, boxes = state.shape[0], 0
+    if moved:
+        clock[0] = clock[1] = 0.0
+        for v in range(n):
+            state[v] = initial[v]
+        if heyokas.shape[0] > 0:
+            heyokas[0] = start + times[first]
+            for i in range(used.shape[0]):
+                heyokas[i + 1] = parameters[used[i]]
+    while True:
+        for v in range(n):
+            begun[v] = state[v]
+        taken, finite, h, left = _taylor_steps(
+            address,
+            state,
+            heyokas,
+            clock,
+            series,
+            until - times[first],
+            min(count, most - first),
+            first,
+            times,
+            coeffs,
+            end,
+        )
+        last = first + finite
+        finished = finite == taken and h == left
+        if finished:
+            times[last] = until
+        found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
+        local = start + times[last]
+        if (
+            off_by(off_code, off_constants, off_outputs, targets, weights, end, parameters, local)
+            > near
+        ):
+            found = (OFF, -1, 0, 0.0, 0.0, 0.0, 0)
+        elif finite > 0:
+            found = search(
+                code,
+                constants,
+                outputs,
+                reads,
+                n_fixed,
+                tolerances,
+                times,
+                coeffs,
+                parameters,
+                start,
+                first,
+                last,
+                budget,
+            )
+            boxes += found[6]
+        going_on = finite == taken and h > 0.0 and last < most
+        if found[0] != NONE or finished or not going_on:
+            return first, last, finished, h, left, boxes, found
+        first = last
+        count = min(count + count // 2, longest)

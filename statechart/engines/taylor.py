@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
-from statechart.engine import Begin, Engine, Path
-from statechart.engines.stepping import Step, taylor_steps
+from statechart.enclosure import BOXES, as_search
+from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Steps, Watch
+from statechart.engines.stepping import OFF, Step, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure
-from statechart.kernels import append_steps
+from statechart.kernels.polynomials import append_steps
 
 __all__ = ["Taylor", "Unsupported"]
 
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 
 # Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB.
 _COMPACT = 240
+# Steps in one call: in between, progress is shown and an interruption heard.
+_MOST = 512
 
 
 def _operations(mode: Mode) -> int:
@@ -51,8 +54,10 @@ class _Stepper:
     used: NDArray[np.intp]  # indices of the automaton's parameters that the equations mention
     parametric: bool
     compiled: Step | None
-    clock: Array
+    memory: tuple[int, Array, Array, NDArray[np.intp], Array, Array]  # of the compiled loop
+    shape: tuple[int, int]  # of the series
     durations: Array
+    begun: Array  # scratch
 
 
 class Taylor(Engine):
@@ -88,71 +93,93 @@ class Taylor(Engine):
         # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
         # cancel); the first is the start of the arc.
         used = np.array(convert.used[: max(len(integrator.pars) - 1, 0)], dtype=np.intp)
+        state, pars, series = integrator.state, integrator.pars, integrator.tc
+        compiled = Step.of(integrator)
+        address = 0 if compiled is None else compiled.address
         return _Stepper(
             integrator,
-            integrator.state,
-            integrator.pars,
-            integrator.tc,
+            state,
+            pars,
+            series,
             used,
-            len(integrator.pars) > 0,
-            Step.of(integrator),
-            np.zeros(2),
+            len(pars) > 0,
+            compiled,
+            (address, state, pars, used, np.zeros(2), series),
+            series.shape,
             np.empty(0),
+            np.empty(len(states)),
         )
 
     def steps(
         self,
         stepper: object,
         path: Path,
-        parameters: Array,
-        start: float,
+        watch: Watch,
         state: Array,
-        duration: float,
+        until: float,
         count: int,
         begin: Begin,
         end: Array,
-    ) -> bool:
-        """Take up to `count` steps (see `Engine`)."""
+    ) -> Steps:
+        """Take up to `count` steps, or several chunks of them (see `Engine`)."""
         assert isinstance(stepper, _Stepper)
-        if begin is not Begin.ON:
-            if stepper.compiled is None:
-                stepper.integrator.time = 0.0
-            stepper.clock[:] = 0.0
-            stepper.state[:] = state
-            if stepper.parametric:
-                stepper.pars[0] = start
-                if begin is Begin.NEW:
-                    stepper.pars[1:] = parameters[stepper.used]
-        path.room(count, *stepper.series.shape)
         first = path.count
+        reached = path.times.item(first)
+        path.room(count, *stepper.shape)
         if stepper.compiled is None:
-            taken, finite, h, left = _one_by_one(stepper, path, duration, count, end)
+            if begin is not Begin.ON:
+                stepper.integrator.time = 0.0
+                stepper.state[:] = state
+                if stepper.parametric:
+                    stepper.pars[0] = watch.start + reached
+                    stepper.pars[1:] = watch.parameters[stepper.used]
+            taken, finite, h, left = _one_by_one(stepper, path, until - reached, count, end)
+            made = Steps(finite == taken and h == left, first, state)
+            last = first + finite
         else:
-            taken, finite, h, left = taylor_steps(
-                stepper.compiled.address,
-                stepper.state,
-                stepper.pars,
-                stepper.clock,
-                stepper.series,
-                duration,
+            guards, constraints = watch.guards, watch.constraints
+            begun = stepper.begun
+            begins, last, finished, h, left, boxes, found = taylor_flow(
+                begin is not Begin.ON,
+                state,
+                *stepper.memory,
+                until,
                 count,
+                LONGEST_CHUNK,
                 first,
+                min(first + _MOST, len(path.coefficients)),
                 path.times,
                 path.coefficients,
+                begun,
                 end,
+                NEAR,
+                *constraints.tape.program,
+                constraints.targets,
+                constraints.weights,
+                *guards.program,
+                guards.reads,
+                guards.n_fixed,
+                watch.tolerances,
+                watch.parameters,
+                watch.start,
+                BOXES,
             )
-        if finite == 0:
+            search = None if found[0] == OFF else as_search(found)
+            made = Steps(finished, begins, begun, boxes, search)
+        if last == first:
+            start = watch.start + reached
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
-        if h == 0.0 and left > 0.0:
+        if h == 0.0 and left > 0.0 and made.first == first:
+            start = watch.start + reached
             raise StepFailure(f"the step near t = {start:.17g} underflowed")
-        path.count = first + finite
-        return finite == taken and bool(h == left)
+        path.count = last
+        return made
 
 
 def _one_by_one(
     stepper: _Stepper, path: Path, duration: float, count: int, end: Array
 ) -> tuple[int, int, float, float]:
-    """Do what `taylor_steps` does with heyoka's own calls."""
+    """Do what the compiled loop does with heyoka's own calls."""
     if count > len(stepper.durations):
         stepper.durations = np.empty(count)
     step, durations = stepper.integrator.step, stepper.durations

@@ -1,0 +1,50 @@
+"""What a flow's state must satisfy besides its differential equation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from statechart.kernels.constraints import off_by
+from statechart.tape import Tape, compile_tape
+
+__all__ = ["NO_CONSTRAINTS", "Constraints"]
+
+Array = NDArray[np.float64]
+
+
+class Constraints(NamedTuple):
+    """Numbers that stay at their targets while a flow lasts.
+
+    Attributes
+    ----------
+    tape : Tape
+        Outputs: the numbers.
+    targets, weights : (k,) array
+        Of the outputs; a weight is one through the tolerance, 0 where a number is free.
+    project : callable
+        From a state that is off and the absolute time to the nearest one that is not; the same
+        object where it cannot be brought nearer.
+    """
+
+    tape: Tape
+    targets: Array
+    weights: Array
+    project: Callable[[Array, float], Array]
+
+    def off(self, state: Array, parameters: Array, time: float) -> float:
+        """Return how far a state is off, in tolerances."""
+        return off_by(*self.tape.program, self.targets, self.weights, state, parameters, time)
+
+
+NO_CONSTRAINTS = Constraints(
+    compile_tape((), variables=(), parameters=(), time=sp.Symbol("t", real=True)),
+    np.empty(0),
+    np.empty(0),
+    lambda state, _: state,
+)
+"""Of a flow that its differential equation alone determines."""

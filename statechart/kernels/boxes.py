@@ -1,0 +1,160 @@
+"""What is known of a tape's outputs over a box: a piece [a, b] of a step's own time s."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.compiled import kernel, part
+from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, whole, wide
+from statechart.kernels.jets import run_jets
+
+__all__ = ["Along", "enclose", "judge", "prepare"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Along = tuple[Ints, int, int, int, Ints, Floats, Floats, float]
+"""What is evaluated along what: code, the register of its first operation, the operations to run
+(from, to), reads, times, coeffs, start."""
+
+
+@kernel
+def prepare(coeffs: Floats, step: int, reads: Ints, bounds: Floats) -> bool:
+    """Bound the third derivative over a step; False if the step is not finite."""
+    finite = True
+    for r in range(reads.shape[0]):
+        v = reads[r]
+        if v == coeffs.shape[1]:
+            continue
+        total = third = 0.0
+        for k in range(coeffs.shape[2]):
+            size = abs(coeffs[step, v, k])
+            total += size
+            third += k * (k - 1) * (k - 2) * size
+        bounds[v] = third * (1.0 + 128.0 * EPS)
+        if not total < INF:
+            finite = False
+    return finite
+
+
+@kernel
+def enclose(
+    along: Along, step: int, bounds: Floats, m: float, w: float, order: int, jets: Floats
+) -> None:
+    """Jets of all registers over the places [m - w, m + w] of a step.
+
+    A polynomial p is enclosed by p(m) +- w |p'(m)| +- w^2/2 |p''(m)| +- w^3/6 B with B the bound
+    of its third derivative, and its derivatives likewise: three sums instead of a whole shift.
+    Horner's rule passes coefficient k through 2 k + 1 roundings (Higham, "Accuracy and Stability
+    of Numerical Algorithms", 2002, 5.1), its derivatives through 2 k + 2 and 2 k + 4; the sums of
+    absolute values are taken at m, so that they are small near the start of a long step.
+    """
+    code, base, first, last, reads, times, coeffs, start = along
+    for r in range(reads.shape[0]):
+        v = reads[r]
+        row = jets[v]
+        if v == coeffs.shape[1]:
+            span = times[step + 1] - times[step]
+            value = start + (times[step] + m * span)
+            size = abs(start) + abs(times[step]) + abs(span)
+            radius = w * abs(span) * (1.0 + 4.0 * EPS) + 4.0 * EPS * size + TINY
+            row[0], row[1] = value - radius, value + radius
+            row[2], row[3] = wide((span, span), EPS)
+            row[4], row[5] = 0.0, 0.0
+            continue
+        p0 = p1 = p2 = q0 = q1 = q2 = 0.0
+        for k in range(coeffs.shape[2] - 1, -1, -1):
+            p2 = p2 * m + p1
+            p1 = p1 * m + p0
+            p0 = p0 * m + coeffs[step, v, k]
+            q2 = q2 * m + q1
+            q1 = q1 * m + q0
+            q0 = q0 * m + abs(coeffs[step, v, k])
+        p2 *= 2.0
+        q2 *= 2.0
+        r0 = EPS * (q0 + 2.0 * m * q1) + TINY
+        r1 = EPS * (4.0 * q1 + 2.0 * m * q2) + TINY
+        r2 = EPS * (8.0 + 2.0 * coeffs.shape[2]) * q2 + TINY
+        b3, grow = bounds[v], 1.0 + 64.0 * EPS
+        d1, d2 = abs(p1) + r1, abs(p2) + r2
+        radius = grow * (r0 + w * (d1 + w * (0.5 * d2 + w * b3 / 6.0)))
+        row[0], row[1] = whole(wide((p0 - radius, p0 + radius), EPS))
+        if order > 0:
+            radius = grow * (r1 + w * (d2 + w * 0.5 * b3))
+            row[2], row[3] = whole(wide((p1 - radius, p1 + radius), EPS))
+            radius = grow * (r2 + w * b3)
+            row[4], row[5] = whole(wide((p2 - radius, p2 + radius), EPS))
+    run_jets(code, first, last, base, jets, order)
+
+
+@part
+def _lower(value: Floats, middle: Floats, slope: float, w: float) -> float:
+    """Lower bound of an output over a box of half width w.
+
+    The best of its own enclosure `value`, of g(m) - slope w with `slope` bounding |g'|, and of
+    g(m) - d |t| + c t^2 / 2 with d bounding |g'(m)| and c the least g''.
+    """
+    mean = w * slope
+    least = max(value[0], middle[0] - mean - LIBM * (mean + abs(middle[0])) - TINY)
+    d, c = max(abs(middle[2]), abs(middle[3])), value[4]
+    if c > 0.0 and d < c * w:
+        drop, curve = 0.5 * d * d / c, 0.0
+    else:
+        drop, curve = w * d, 0.5 * c * w * w
+    bound = middle[0] - drop + curve
+    bound -= LIBM * (drop + abs(curve) + abs(middle[0])) + TINY
+    return bound if bound > least else least
+
+
+@part
+def _least_parabola(slope: float, bend: float, length: float) -> float:
+    """Return the least of ``slope t + bend t^2 / 2`` over [0, length], for a slope <= 0."""
+    if bend > 0.0 and -slope < bend * length:
+        return -0.5 * slope * slope / bend
+    return length * (slope + 0.5 * bend * length)
+
+
+@kernel
+def judge(
+    along: Along,
+    outputs: Ints,
+    step: int,
+    bounds: Floats,
+    a: float,
+    b: float,
+    jets: Floats,
+    work: Floats,
+) -> None:
+    """Evidence on the box [a, b] for every output.
+
+    In work[i]: 0 to 3 value and slope at the middle, 4 a lower bound of the value over the box,
+    5 an upper one, 6 and 7 the enclosure of the slope, 8 a lower bound of the second derivative;
+    where a step starts (a = 0) also 9 and 10, the value there.
+    """
+    m = 0.5 * (a + b)
+    w = max(b - m, m - a)
+    enclose(along, step, bounds, m, 0.0, 1, jets)
+    for i in range(outputs.shape[0]):
+        for c in range(4):
+            work[i, c] = jets[outputs[i], c]
+    enclose(along, step, bounds, m, w, 2, jets)
+    for i in range(outputs.shape[0]):
+        box, row = jets[outputs[i]], work[i]
+        bend = max(abs(box[4]), abs(box[5])) * w * (1.0 + LIBM)
+        low, high = add((row[2], row[3]), (-bend, bend))
+        # A comparison with NaN is false and leaves the natural enclosure standing.
+        row[6] = low if low > box[2] else box[2]
+        row[7] = high if high < box[3] else box[3]
+        row[4] = _lower(box, row, max(abs(row[6]), abs(row[7])), w)
+        row[5] = box[1]
+        row[8] = box[4]
+    if a == 0.0:
+        # A margin that leaves zero (a slip that begins) is bounded best from where it leaves.
+        enclose(along, step, bounds, 0.0, 0.0, 1, jets)
+        for i in range(outputs.shape[0]):
+            at, row = jets[outputs[i]], work[i]
+            row[9], row[10] = at[0], at[1]
+            drop = _least_parabola(min(at[2], 0.0), row[8], b)
+            bound = at[0] + drop - LIBM * (abs(at[0]) - drop) - TINY
+            if bound > row[4]:
+                row[4] = bound

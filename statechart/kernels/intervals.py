@@ -1,0 +1,211 @@
+"""Arithmetic of intervals.
+
+Intervals are pairs (low, high) that contain every real value of the operation. Each result is
+widened outwards by one ulp, four where libm is called (its functions are within 1 to 2 ulp), and
+by `TINY` where a product may underflow. A bound that is lost (overflow, inf - inf, a point outside
+the domain) is not a number or infinite, and ends as the whole line: never as a proof.
+"""
+
+from __future__ import annotations
+
+import math
+
+from statechart.compiled import kernel, part
+
+__all__ = [
+    "EPS",
+    "HALF",
+    "INF",
+    "LIBM",
+    "MINUS_ONE",
+    "ONE",
+    "TINY",
+    "WHOLE",
+    "ZERO",
+    "Interval",
+    "add",
+    "cosh",
+    "div",
+    "even",
+    "exp",
+    "extrema",
+    "hull",
+    "mul",
+    "neg",
+    "power",
+    "scaled",
+    "sinh",
+    "sqrt",
+    "square",
+    "sub",
+    "wave",
+    "whole",
+    "wide",
+]
+
+Interval = tuple[float, float]
+
+EPS = 2.0**-52
+TINY = 1e-300  # above the subnormal numbers, which some processors handle a hundred times slower
+LIBM = 4.0 * EPS
+INF = math.inf
+
+WHOLE, ZERO, ONE = (-INF, INF), (0.0, 0.0), (1.0, 1.0)
+HALF, MINUS_ONE = (0.5, 0.5), (-1.0, -1.0)
+
+
+@part
+def wide(a: Interval, ulps: float) -> Interval:
+    """Return an interval with its bounds moved outwards by so many ulp."""
+    return a[0] - abs(a[0]) * ulps - TINY, a[1] + abs(a[1]) * ulps + TINY
+
+
+@part
+def neg(a: Interval) -> Interval:
+    """Negation."""
+    return -a[1], -a[0]
+
+
+@part
+def scaled(number: float, a: Interval) -> Interval:
+    """Product with an exact number >= 0 that loses nothing (a power of two)."""
+    return number * a[0], number * a[1]
+
+
+@part
+def add(a: Interval, b: Interval) -> Interval:
+    """Sum."""
+    # A sum never underflows inexactly, so that an exact 0 stays one.
+    low, high = a[0] + b[0], a[1] + b[1]
+    return low - abs(low) * EPS, high + abs(high) * EPS
+
+
+@part
+def sub(a: Interval, b: Interval) -> Interval:
+    """Difference."""
+    return add(a, neg(b))
+
+
+@part
+def hull(p: float, q: float, r: float, s: float) -> Interval:
+    """Return the interval from the least to the greatest of four numbers."""
+    a, b, c, d = min(p, q), max(p, q), min(r, s), max(r, s)
+    return min(a, c), max(b, d)
+
+
+@part
+def _hull4(p: float, q: float, r: float, s: float) -> Interval:
+    total = p + q + r + s
+    if total != total:
+        return WHOLE
+    return wide(hull(p, q, r, s), EPS)
+
+
+@part
+def mul(a: Interval, b: Interval) -> Interval:
+    """Product."""
+    return _hull4(a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1])
+
+
+@part
+def div(a: Interval, b: Interval) -> Interval:
+    """Quotient; the whole line where the divisor may be zero."""
+    if not (b[0] > 0.0 or b[1] < 0.0):
+        return WHOLE
+    return _hull4(a[0] / b[0], a[0] / b[1], a[1] / b[0], a[1] / b[1])
+
+
+@part
+def even(a: Interval, p: float, q: float, ulps: float) -> Interval:
+    """Range of an even power over `a`, from its values p and q at the ends."""
+    small = 0.0 if a[0] <= 0.0 <= a[1] else min(p, q)
+    low, high = wide((small, max(p, q)), ulps)
+    return max(0.0, low), high
+
+
+@part
+def square(a: Interval) -> Interval:
+    """Square."""
+    return even(a, a[0] * a[0], a[1] * a[1], EPS)
+
+
+@part
+def sqrt(a: Interval) -> Interval:
+    """Square root; the whole line where a number below zero is possible."""
+    if not a[0] >= 0.0:
+        return WHOLE
+    p, q = math.sqrt(a[0]), math.sqrt(a[1])
+    return max(0.0, p - p * EPS), q + q * EPS
+
+
+@part
+def power(a: Interval, exponent: int) -> Interval:
+    """Integer power, exponent >= 0."""
+    if exponent == 0:
+        return ONE
+    if exponent == 1:
+        return a
+    n = float(exponent)
+    p, q = a[0] ** n, a[1] ** n
+    if exponent % 2 == 1:
+        return wide((p, q), LIBM)
+    return even(a, p, q, LIBM)
+
+
+@part
+def exp(a: Interval) -> Interval:
+    """Exponential function."""
+    p, q = wide((math.exp(a[0]), math.exp(a[1])), LIBM)
+    return max(0.0, p), q
+
+
+@part
+def extrema(a: Interval, offset: float) -> tuple[float, float]:
+    """How many of the points (k + offset) pi may lie in an interval (at most 2), and the last k."""
+    size = max(abs(a[0]), abs(a[1])) / math.pi
+    if not size < 1e14:
+        return 2.0, 0.0
+    slack = 4.0 * EPS * (size + 1.0)
+    last = math.floor(a[1] / math.pi - offset + slack)
+    return last - math.floor(a[0] / math.pi - offset - slack), last
+
+
+@kernel
+def wave(a: Interval, sine: bool) -> Interval:
+    """Sine or cosine."""
+    count, last = extrema(a, 0.5 if sine else 0.0)
+    if count >= 2.0:
+        return -1.0, 1.0
+    if sine:
+        p, q = math.sin(a[0]), math.sin(a[1])
+    else:
+        p, q = math.cos(a[0]), math.cos(a[1])
+    p, q = wide((min(p, q), max(p, q)), LIBM)
+    if count >= 1.0:
+        if last % 2.0 == 0.0:
+            q = 1.0
+        else:
+            p = -1.0
+    return max(p, -1.0), min(q, 1.0)
+
+
+@part
+def sinh(a: Interval) -> Interval:
+    """Hyperbolic sine."""
+    return wide((math.sinh(a[0]), math.sinh(a[1])), LIBM)
+
+
+@part
+def cosh(a: Interval) -> Interval:
+    """Hyperbolic cosine."""
+    p, q = math.cosh(a[0]), math.cosh(a[1])
+    p, q = wide((1.0 if a[0] <= 0.0 <= a[1] else min(p, q), max(p, q)), LIBM)
+    return max(1.0, p), q
+
+
+@part
+def whole(a: Interval) -> Interval:
+    """Return the interval, or the whole line where a bound was lost."""
+    if a[0] <= a[1]:
+        return a
+    return WHOLE

@@ -1,0 +1,274 @@
+"""Tapes run on jets: enclosures of values and of their derivatives with respect to time.
+
+A jet is the value, first and second derivative with respect to the step's own time s in [0, 1],
+as three intervals in a row of six numbers; see Moore, Kearfott and Cloud, "Introduction to
+Interval Analysis", 2009, chapters 5 and 9, for the centred forms built on it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.compiled import kernel, part
+from statechart.kernels.intervals import (
+    HALF,
+    LIBM,
+    MINUS_ONE,
+    ONE,
+    WHOLE,
+    ZERO,
+    Interval,
+    add,
+    cosh,
+    div,
+    even,
+    exp,
+    extrema,
+    hull,
+    mul,
+    neg,
+    power,
+    scaled,
+    sinh,
+    sqrt,
+    square,
+    sub,
+    wave,
+    whole,
+    wide,
+)
+from statechart.kernels.tapes import (
+    ABS,
+    ACOS,
+    ADD,
+    ASIN,
+    ATAN,
+    COS,
+    COSH,
+    DIV,
+    EXP,
+    HYPOT,
+    LOG,
+    MAX,
+    MIN,
+    MUL,
+    NEG,
+    POW,
+    POWI,
+    SIGN,
+    SIN,
+    SINH,
+    SQRT,
+    SQUARE,
+    SUB,
+    TAN,
+    TANH,
+)
+
+__all__ = ["run_jets"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Jet = tuple[Interval, Interval, Interval]
+
+
+@part
+def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
+    """Enclosures over an interval of f and, unless the order is 0, of f' and f''."""
+    f = d = e = WHOLE
+    if op == SIN:
+        f = wave(a, True)
+        if order > 0:
+            d, e = wave(a, False), neg(f)
+    elif op == COS:
+        f = wave(a, False)
+        if order > 0:
+            d, e = neg(wave(a, True)), neg(f)
+    elif op == SQRT:
+        f = sqrt(a)
+        if order > 0:
+            d = div(HALF, f)
+            e = div(scaled(0.5, neg(d)), a)
+    elif op == EXP:
+        f = d = e = exp(a)
+    elif op == POWI:
+        f = power(a, exponent)
+        if order > 0:
+            n = float(exponent)
+            d = mul(power(a, exponent - 1), (n, n))
+            n *= n - 1.0
+            e = mul(power(a, exponent - 2), (n, n))
+    elif op == LOG:
+        if a[0] > 0.0:
+            f = wide((math.log(a[0]), math.log(a[1])), LIBM)
+            d = div(ONE, a)
+            e = neg(square(d))
+    elif op == ABS:
+        if a[0] >= 0.0:
+            f, d, e = a, ONE, ZERO
+        elif a[1] <= 0.0:
+            f, d, e = neg(a), MINUS_ONE, ZERO
+        else:
+            f, d = (0.0, max(-a[0], a[1])), (-1.0, 1.0)
+    elif op == SIGN:
+        if a[0] > 0.0:
+            f, d, e = ONE, ZERO, ZERO
+        elif a[1] < 0.0:
+            f, d, e = MINUS_ONE, ZERO, ZERO
+        else:
+            f = (-1.0, 1.0)
+    elif op == TAN:
+        if extrema(a, 0.5)[0] < 1.0:
+            f = wide((math.tan(a[0]), math.tan(a[1])), LIBM)
+            d = add(square(f), ONE)
+            e = mul(scaled(2.0, f), d)
+    elif op == ATAN:
+        f = wide((math.atan(a[0]), math.atan(a[1])), LIBM)
+        d = div(ONE, add(square(a), ONE))
+        e = mul(scaled(2.0, neg(a)), square(d))
+    elif op in (ASIN, ACOS):
+        if a[0] >= -1.0 and a[1] <= 1.0:
+            p = sub(ONE, square(a))
+            d = div(ONE, sqrt(p))
+            e = div(mul(a, d), p)
+            if op == ASIN:
+                f = wide((math.asin(a[0]), math.asin(a[1])), LIBM)
+            else:
+                f = wide((math.acos(a[1]), math.acos(a[0])), LIBM)
+                d, e = neg(d), neg(e)
+    elif op == SINH:
+        f = e = sinh(a)
+        d = cosh(a)
+    elif op == COSH:
+        f = e = cosh(a)
+        d = sinh(a)
+    elif op == TANH:
+        f = wide((math.tanh(a[0]), math.tanh(a[1])), LIBM)
+        f = (max(f[0], -1.0), min(f[1], 1.0))
+        d = sub(ONE, square(f))
+        e = mul(scaled(2.0, neg(f)), d)
+    return f, d, e
+
+
+@part
+def _polar(op: int, y: Jet, x: Jet) -> Jet:
+    """Jets of hypot(y, x) and atan2(y, x)."""
+    y0, y1, y2 = y
+    x0, x1, x2 = x
+    # (q / 2)' = x x' + y y' with q = x^2 + y^2
+    half = add(mul(x0, x1), mul(y0, y1))
+    if op == HYPOT:
+        p, q = even(y0, abs(y0[0]), abs(y0[1]), 0.0), even(x0, abs(x0[0]), abs(x0[1]), 0.0)
+        f = wide((math.hypot(p[0], q[0]), math.hypot(p[1], q[1])), LIBM)
+        f = (max(0.0, f[0]), f[1])
+        # r r' = x x' + y y';  r r'' = x'^2 + x x'' + y'^2 + y y'' - r'^2
+        d = div(half, f)
+        n = add(add(square(x1), square(y1)), add(mul(x0, x2), mul(y0, y2)))
+        return f, d, div(sub(n, square(d)), f)
+    if not (x0[0] > 0.0 or y0[0] > 0.0 or y0[1] < 0.0):
+        return (-LIBM - math.pi, math.pi + LIBM), WHOLE, WHOLE
+    # Away from the cut the angle is monotone along every edge: its extremes are at corners.
+    a, b = math.atan2(y0[0], x0[0]), math.atan2(y0[0], x0[1])
+    c, r = math.atan2(y0[1], x0[0]), math.atan2(y0[1], x0[1])
+    # q w = x y' - y x';  q w' = x y'' - y x'' - 2 w (x x' + y y')
+    q = add(square(y0), square(x0))
+    d = div(sub(mul(x0, y1), mul(y0, x1)), q)
+    n = sub(mul(x0, y2), mul(y0, x2))
+    return wide(hull(a, b, c, r), LIBM), d, div(sub(n, mul(scaled(2.0, d), half)), q)
+
+
+@part
+def _power_jet(x: Jet, y: Jet) -> Jet:
+    """Jets of x**y = exp(y log x), x > 0; the value from its corners, where its extremes are."""
+    x0, x1, x2 = x
+    y0, y1, y2 = y
+    if not x0[0] > 0.0:
+        return WHOLE, WHOLE, WHOLE
+    f = hull(x0[0] ** y0[0], x0[0] ** y0[1], x0[1] ** y0[0], x0[1] ** y0[1])
+    f = wide(f, LIBM)
+    f = (max(0.0, f[0]), f[1])
+    n, r, m = _unary(LOG, 0, x0, 2)
+    g = mul(r, x1)  # (log x)'
+    w = add(mul(y1, n), mul(y0, g))  # (y log x)'
+    h = add(mul(m, square(x1)), mul(r, x2))  # (log x)''
+    h = add(add(mul(y0, h), mul(y2, n)), mul(scaled(2.0, y1), g))  # (y log x)''
+    return f, mul(f, w), mul(f, add(h, square(w)))
+
+
+@part
+def _extreme(op: int, u: Jet, v: Jet) -> Jet:
+    """Jets of min(u, v) and max(u, v): one of them, or the hull with a second derivative lost."""
+    if u[0][1] <= v[0][0]:
+        return u if op == MIN else v
+    if v[0][1] <= u[0][0]:
+        return v if op == MIN else u
+    d = (min(u[1][0], v[1][0]), max(u[1][1], v[1][1]))
+    if op == MIN:
+        return (min(u[0][0], v[0][0]), min(u[0][1], v[0][1])), d, WHOLE
+    return (max(u[0][0], v[0][0]), max(u[0][1], v[0][1])), d, WHOLE
+
+
+@part
+def _jet(jets: Floats, r: int) -> Jet:
+    return (jets[r, 0], jets[r, 1]), (jets[r, 2], jets[r, 3]), (jets[r, 4], jets[r, 5])
+
+
+@kernel
+def run_jets(code: Ints, first: int, last: int, base: int, jets: Floats, order: int) -> None:
+    """Run the operations [first, last) on jets; no derivatives for order 0."""
+    for k in range(first, last):
+        op = code[k, 0]
+        u, du, ddu = _jet(jets, code[k, 1])
+        d = e = ZERO
+        if op <= POW:
+            v, dv, ddv = _jet(jets, code[k, 2])
+            if op == ADD:
+                f = add(u, v)
+                if order > 0:
+                    d, e = add(du, dv), add(ddu, ddv)
+            elif op == SUB:
+                f = sub(u, v)
+                if order > 0:
+                    d, e = sub(du, dv), sub(ddu, ddv)
+            elif op == MUL:
+                f = mul(u, v)
+                if order > 0:
+                    d = add(mul(du, v), mul(u, dv))
+                if order > 1:
+                    e = add(mul(ddu, v), mul(u, ddv))
+                    e = add(e, mul(scaled(2.0, du), dv))
+            elif op == DIV:
+                # q v = u, hence q' v = u' - q v' and q'' v = u'' - 2 q' v' - q v''
+                f = div(u, v)
+                if order > 0:
+                    d = div(sub(du, mul(f, dv)), v)
+                if order > 1:
+                    e = sub(ddu, mul(scaled(2.0, d), dv))
+                    e = div(sub(e, mul(f, ddv)), v)
+            elif op in (MIN, MAX):
+                f, d, e = _extreme(op, (u, du, ddu), (v, dv, ddv))
+            elif op == POW:
+                f, d, e = _power_jet((u, du, ddu), (v, dv, ddv))
+            else:
+                f, d, e = _polar(op, (u, du, ddu), (v, dv, ddv))
+        elif op == NEG:
+            f, d, e = neg(u), neg(du), neg(ddu)
+        elif op == SQUARE:
+            f = square(u)
+            if order > 0:
+                d = scaled(2.0, mul(u, du))
+            if order > 1:
+                e = scaled(2.0, add(square(du), mul(u, ddu)))
+        else:
+            f, g, h = _unary(op, code[k, 2], u, order)
+            if order > 0:
+                d = mul(g, du)
+            if order > 1:
+                e = add(mul(h, square(du)), mul(g, ddu))
+        jets[base + k, 0], jets[base + k, 1] = whole(f)
+        if order > 0:
+            jets[base + k, 2], jets[base + k, 3] = whole(d)
+            jets[base + k, 4], jets[base + k, 5] = whole(e)

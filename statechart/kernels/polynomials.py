@@ -1,0 +1,154 @@
+"""The polynomials of an arc's steps: made, cut, sampled, integrated over."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.compiled import kernel, part
+from statechart.kernels.tapes import filled, run_tape
+
+__all__ = [
+    "append_steps",
+    "cut_steps",
+    "horner",
+    "integrate_outputs",
+    "local_time",
+    "sample_states",
+]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_NODES = (_NODES + 1.0) / 2.0
+_WEIGHTS = _WEIGHTS / 2.0
+
+
+@part
+def horner(coeffs: Floats, step: int, v: int, s: float) -> float:
+    """Value of a variable at the place s of a step."""
+    value = 0.0
+    for k in range(coeffs.shape[2] - 1, -1, -1):
+        value = value * s + coeffs[step, v, k]
+    return value
+
+
+@part
+def local_time(times: Floats, step: int, s: float) -> float:
+    """Local time of the place s in a step; exact at both ends."""
+    if s >= 1.0:
+        return times[step + 1]
+    return times[step] + s * (times[step + 1] - times[step])
+
+
+@kernel
+def integrate_outputs(
+    code: Ints,
+    constants: Floats,
+    outputs: Ints,
+    reads: Ints,
+    times: Floats,
+    coeffs: Floats,
+    parameters: Floats,
+    start: float,
+    t_from: float,
+    t_to: float,
+) -> Floats:
+    """Integral of every output over local time [t_from, t_to], 16 Gauss nodes in a step."""
+    nodes, n = _NODES.shape[0], coeffs.shape[1]
+    base, regs = filled(code, constants, parameters, n, nodes)
+    result = np.zeros(outputs.shape[0])
+    for step in range(coeffs.shape[0]):
+        low, high = max(t_from, times[step]), min(t_to, times[step + 1])
+        if not low < high:
+            continue
+        span = times[step + 1] - times[step]
+        for j in range(nodes):
+            s = (low - times[step] + _NODES[j] * (high - low)) / span
+            for v in reads:
+                regs[v, j] = (
+                    start + local_time(times, step, s) if v == n else horner(coeffs, step, v, s)
+                )
+        run_tape(code, 0, code.shape[0], base, regs, nodes)
+        for i in range(outputs.shape[0]):
+            total = 0.0
+            for j in range(nodes):
+                total += _WEIGHTS[j] * regs[outputs[i], j]
+            result[i] += total * (high - low)
+    return result
+
+
+@kernel
+def append_steps(
+    durations: Floats, taken: int, first: int, times: Floats, coeffs: Floats, end: Floats
+) -> int:
+    """Make Taylor coefficients in time those in s = time / duration, in place; fill in `times`.
+
+    The steps stand behind the `first` ones. Returns how many of them, up to `taken`, are finite,
+    and writes the state at the end of those.
+    """
+    _, n, terms = coeffs.shape
+    total, finite = 0.0, 0
+    while finite < taken:
+        step, duration, bounded = coeffs[first + finite], durations[finite], True
+        for v in range(n):
+            factor = 1.0
+            for k in range(terms):
+                step[v, k] *= factor
+                factor *= duration
+                bounded = bounded and abs(step[v, k]) < math.inf
+        if not bounded:
+            break
+        # Summed from the start of these steps, so that long arcs lose nothing.
+        total += duration
+        finite += 1
+        times[first + finite] = times[first] + total
+    if finite > 0:
+        for v in range(n):
+            end[v] = horner(coeffs, first + finite - 1, v, 1.0)
+    return finite
+
+
+@kernel
+def cut_steps(times: Floats, coeffs: Floats, count: int, end: float, state: Floats) -> int:
+    """End an arc of `count` steps at local time `end`, in place, and write the state there.
+
+    Returns how many steps are kept; with none the state is left alone.
+    """
+    while count > 0 and times[count - 1] >= end:
+        count -= 1
+    if count > 0:
+        step = coeffs[count - 1]
+        s = (end - times[count - 1]) / (times[count] - times[count - 1])
+        times[count] = end
+        for v in range(step.shape[0]):
+            factor = 1.0
+            for k in range(step.shape[1]):
+                step[v, k] *= factor
+                factor *= s
+            state[v] = horner(coeffs, count - 1, v, 1.0)
+    return count
+
+
+@kernel
+def sample_states(coeffs: Floats, times: Floats, tau: Floats) -> Floats:
+    """States at local times; shape (m, n)."""
+    last = coeffs.shape[0] - 1
+    result = np.empty((tau.shape[0], coeffs.shape[1]))
+    for j in range(tau.shape[0]):
+        low, high = 0, last + 1
+        while high - low > 1:
+            step = (low + high) // 2
+            if times[step] <= tau[j]:
+                low = step
+            else:
+                high = step
+        step = low
+        span = times[step + 1] - times[step]
+        s = (tau[j] - times[step]) / span if span > 0.0 else 0.0
+        for v in range(coeffs.shape[1]):
+            result[j, v] = horner(coeffs, step, v, s)
+    return result

@@ -1,0 +1,315 @@
+"""The first fall of an output along a path, by branch and bound on boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.compiled import is_cached, kernel, part
+from statechart.kernels.boxes import Along, enclose, judge, prepare
+from statechart.kernels.intervals import EPS, INF, LIBM, TINY
+from statechart.kernels.jets import run_jets
+from statechart.kernels.polynomials import horner, local_time
+from statechart.kernels.tapes import filled, run_tape
+
+__all__ = ["BUDGET", "CROSSING", "GRAZE", "NONE", "NON_FINITE", "cached", "search"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+NONE, CROSSING, GRAZE, BUDGET, NON_FINITE = range(5)
+
+NARROW = 2.0**-48  # of a step: narrower boxes tell nothing new in float64
+
+
+@part
+def _alone(along: Along, output: int) -> Along:
+    """Evaluate no operation behind the one that gives an output."""
+    code, base, first, _, reads, times, coeffs, start = along
+    return code, base, first, max(first, output - base + 1), reads, times, coeffs, start
+
+
+@part
+def _margin(along: Along, step: int, output: int, s: float, regs: Floats) -> float:
+    """Value of an output at one place of a step."""
+    code, base, first, last, reads, times, coeffs, start = along
+    n = coeffs.shape[1]
+    for r in range(reads.shape[0]):
+        v = reads[r]
+        if v == n:
+            regs[n, 0] = start + local_time(times, step, s)
+        else:
+            regs[v, 0] = horner(coeffs, step, v, s)
+    run_tape(code, first, last, base, regs, 1)
+    return regs[output, 0]
+
+
+@part
+def _root(
+    along: Along,
+    step: int,
+    output: int,
+    shift: float,
+    left: float,
+    right: float,
+    regs: Floats,
+) -> float:
+    """Last place, to a few ulp, with output + shift >= 0 before it falls in [left, right].
+
+    Chandrupatla, "A new hybrid quadratic/bisection algorithm", Advances in Engineering Software
+    28 (1997) 145-149. Returns `left` where the fall is already done there, and `right` where
+    float64 sees none.
+    """
+    a, fa = right, shift + _margin(along, step, output, right, regs)
+    b, fb = left, shift + _margin(along, step, output, left, regs)
+    if not fb > 0.0:
+        return left
+    if not fa < 0.0:
+        return right
+    # By the secant first: where one end is near the root, as on a descent, that is nearly it.
+    t = min(max(fa / (fa - fb), EPS), 1.0 - EPS)
+    c, fc = a, fa
+    for _ in range(200):
+        x = a + t * (b - a)
+        fx = shift + _margin(along, step, output, x, regs)
+        if (fx > 0.0) == (fa > 0.0):
+            c, fc = a, fa
+        else:
+            c, fc, b, fb = b, fb, a, fa
+        a, fa = x, fx
+        reach = EPS * abs(a if abs(fa) < abs(fb) else b) + TINY
+        if abs(b - a) <= 2.0 * reach or fx == 0.0:
+            break
+        xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
+        t = 0.5
+        if phi * phi < xi and (1.0 - phi) * (1.0 - phi) < 1.0 - xi:
+            t = fa / (fb - fa) * fc / (fb - fc)
+            t += (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
+        edge = reach / abs(b - a)
+        t = min(max(t, edge), 1.0 - edge)
+    return a if fa >= 0.0 else b
+
+
+@part
+def _descent(
+    along: Along,
+    guard: Ints,
+    step: int,
+    left: float,
+    right: float,
+    bounds: Floats,
+    regs: Floats,
+    jets: Floats,
+    work: Floats,
+) -> tuple[int, float]:
+    """Where the margin itself vanished, on the descent that ends at `right` below its tolerance.
+
+    The margin falls on [left, right]. Further to the left the descent is followed as long as the
+    slope is proved negative, over the joints of steps too; if the margin is not positive on all
+    of it, the answer is where it starts.
+    """
+    reads, coeffs = along[4], along[6]
+    p, q = right, left
+    if _margin(along, step, guard[0], p, regs) >= 0.0:
+        return step, p
+    for _ in range(1000):
+        if _margin(along, step, guard[0], q, regs) > 0.0:
+            return step, _root(along, step, guard[0], 0.0, q, p, regs)
+        p = q
+        if p == 0.0:
+            if step == 0:
+                break
+            step -= 1
+            p = q = 1.0
+            prepare(coeffs, step, reads, bounds)
+            continue
+        reach = p
+        while reach >= NARROW:
+            judge(along, guard, step, bounds, p - reach, p, jets, work)
+            if work[0, 7] < 0.0:
+                break
+            reach *= 0.5
+        if reach < NARROW:
+            break
+        q = p - reach
+    return step, p
+
+
+@part
+def _falls(
+    along: Along,
+    guard: Ints,
+    tolerance: float,
+    step: int,
+    a: float,
+    b: float,
+    bounds: Floats,
+    jets: Floats,
+    work: Floats,
+) -> tuple[int, float]:
+    """Whether an output that falls all over [a, b] passes -tolerance there, and a sure end.
+
+    Returns 0 for no, 1 for yes, 2 for undecided. Zero to within rounding at b is a yes if b is
+    the end of the step; elsewhere it is decided a little beyond b, if it falls there too.
+    """
+    end = b
+    for shrink in (0.0, 1.0, 0.0625):
+        if shrink > 0.0:
+            end = min(1.0, b + shrink * (b - a))
+            judge(along, guard, step, bounds, a, end, jets, work)
+            if not work[0, 7] < 0.0:
+                continue
+        enclose(along, step, bounds, end, 0.0, 0, jets)
+        if jets[guard[0], 0] + tolerance > 0.0:
+            return 0, end
+        if jets[guard[0], 1] + tolerance <= 0.0 or end == 1.0:
+            return 1, end
+    return 2, b
+
+
+@kernel
+def search(
+    code: Ints,
+    constants: Floats,
+    outputs: Ints,
+    reads: Ints,
+    n_fixed: int,
+    tolerances: Floats,
+    times: Floats,
+    coeffs: Floats,
+    parameters: Floats,
+    start: float,
+    first: int,
+    last: int,
+    budget: int,
+) -> tuple[int, int, int, float, float, float, int]:
+    """First fall of an output below minus its tolerance: see `enclosure.first_crossing`.
+
+    The steps [first, last) are searched; a descent is followed into those before.
+    Returns (verdict, guard, step and place of the event, its local time, where it is certain,
+    boxes).
+    """
+    n_out, n = outputs.shape[0], coeffs.shape[1]
+    base, regs = filled(code, constants, parameters, n, 1)
+    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    run_tape(code, 0, n_fixed, base, regs, 1)
+    jets = np.zeros((regs.shape[0], 6))
+    for r in range(n + 1, base):
+        jets[r, 0] = jets[r, 1] = regs[r, 0]
+        if not abs(regs[r, 0]) < INF:
+            jets[r, 0], jets[r, 1] = -INF, INF
+    run_jets(code, 0, n_fixed, base, jets, 2)
+    bounds, work, aside = np.zeros(n), np.empty((n_out, 11)), np.empty((1, 11))
+    lefts, rights = np.empty(64), np.empty(64)  # boxes still to see, the leftmost on top
+    marks = np.empty((64, n_out), dtype=np.uint8)  # the guards that are undecided in them
+    state = np.empty(n_out, dtype=np.uint8)
+    for i in range(n_out):
+        if not tolerances[i] >= 0.0:
+            raise ValueError("the tolerances of margins are numbers >= 0")
+    boxes = 0
+    for step in range(first, last):
+        finite = prepare(coeffs, step, reads, bounds) and abs(start) < INF
+        if not (finite and abs(times[step]) < INF and abs(times[step + 1]) < INF):
+            return NON_FINITE, -1, step, 0.0, times[step], times[step + 1], boxes
+        found, root, sure, found_left = -1, INF, INF, 0.0
+        top = 1
+        lefts[0], rights[0] = 0.0, 1.0
+        for i in range(n_out):
+            marks[0, i] = 1
+        while top > 0:
+            top -= 1
+            a, b = lefts[top], rights[top]
+            boxes += 1
+            if boxes > budget:
+                at, end = local_time(times, step, a), local_time(times, step, b)
+                return BUDGET, -1, step, a, at, end, boxes - 1
+            m = 0.5 * (a + b)
+            # The natural enclosure alone is cheap, and often enough.
+            enclose(along, step, bounds, m, max(b - m, m - a), 0, jets)
+            unclear = 0
+            for i in range(n_out):
+                state[i] = marks[top, i]
+                if state[i] != 0:
+                    if jets[outputs[i], 0] + tolerances[i] > 0.0:
+                        state[i] = 0
+                    else:
+                        unclear += 1
+            if unclear == 0:
+                continue
+            judge(along, outputs, step, bounds, a, b, jets, work)
+            unclear, improved = 0, False
+            for i in range(n_out):
+                if state[i] == 0:
+                    continue
+                tolerance = tolerances[i]
+                below = a == 0.0 and work[i, 10] + tolerance < 0.0
+                # It rises: positive up to a, as the boxes before are clear; or zero there to
+                # within rounding, and leaving.
+                rises = work[i, 6] > 0.0 and (a > 0.0 or work[i, 9] > -INF)
+                if not below and (work[i, 4] + tolerance > 0.0 or rises):
+                    state[i] = 0
+                    continue
+                here, far = INF, INF
+                if below:
+                    here = far = 0.0
+                elif work[i, 7] < 0.0:
+                    guard, alone = outputs[i : i + 1], _alone(along, outputs[i])
+                    aside[0, 7] = work[i, 7]
+                    falls, end = _falls(alone, guard, tolerance, step, a, b, bounds, jets, aside)
+                    if falls == 0:
+                        state[i] = 0
+                        continue
+                    if falls == 1:
+                        here = _root(alone, step, guard[0], tolerance, a, end, regs)
+                        # What rounding left over at the float root, the slope carries below 0.
+                        enclose(alone, step, bounds, here, 0.0, 0, jets)
+                        rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
+                        far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
+                if here == INF and b - a <= NARROW:
+                    # A jump, say: positive at a, and negative at b or, where that is the place of
+                    # the jump to within rounding, a little beyond.
+                    bounded = work[i, 4] > -INF and work[i, 5] < INF
+                    for end in (b, min(1.0, b + 4.0 * NARROW)):
+                        enclose(along, step, bounds, end, 0.0, 0, jets)
+                        if here == INF and bounded and jets[outputs[i], 1] + tolerance < 0.0:
+                            here, far = a, end
+                    if here == INF:
+                        if found < 0 or b < root - 4.0 * NARROW:
+                            verdict = GRAZE if bounded else NON_FINITE
+                            at, far = local_time(times, step, a), local_time(times, step, b)
+                            return verdict, i, step, a, at, far, boxes
+                        state[i] = 0  # a tie with the crossing found, to within rounding
+                        continue
+                if here < INF:
+                    state[i] = 0
+                    if found < 0 or here < root or (here == root and i < found):
+                        found, root, sure, found_left, improved = i, here, far, a, True
+                    continue
+                unclear += 1
+            if improved:
+                # Only what is undecided before the crossing matters any more.
+                top = 0
+            if unclear == 0:
+                continue
+            if improved and sure < b:
+                lefts[top], rights[top] = a, max(sure, a)
+                top += 1
+            else:
+                lefts[top], rights[top] = m, b
+                lefts[top + 1], rights[top + 1] = a, m
+                top += 2
+            for i in range(n_out):
+                marks[max(top - 2, 0), i] = marks[top - 1, i] = state[i]
+        if found >= 0:
+            guard = outputs[found : found + 1]
+            event_step, event = _descent(
+                _alone(along, guard[0]), guard, step, found_left, root, bounds, regs, jets, aside
+            )
+            at = local_time(times, event_step, event)
+            return CROSSING, found, event_step, event, at, local_time(times, step, sure), boxes
+    return NONE, -1, 0, 0.0, 0.0, 0.0, boxes
+
+
+def cached() -> bool:
+    """Whether the kernels lie compiled on disk; if not, the first use takes some seconds."""
+    return is_cached(search)

@@ -1,0 +1,181 @@
+"""Tapes run on floats: at one point, or at many side by side."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.compiled import kernel, part
+
+__all__ = ["OPCODES", "filled", "run_tape", "tape_table", "tape_values"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
+NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21)
+SINH, COSH, TANH, ABS, SIGN = range(21, 26)
+
+_BINARY = ("add", "sub", "mul", "div", "min", "max", "atan2", "hypot", "pow")
+_USUAL = ("neg", "square", "powi", "sqrt", "exp", "log", "sin", "cos", "tan")
+_OTHERS = ("asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "sign")
+OPCODES: dict[str, int] = {name: index for index, name in enumerate([*_BINARY, *_USUAL, *_OTHERS])}
+
+BLOCK = 32  # points evaluated side by side; amortises the dispatch of an operation
+
+
+@part
+def _one(op: int, a: float, exponent: int) -> float:
+    """One of the functions of one operand that no processor computes side by side."""
+    if op == SIN:
+        return math.sin(a)
+    if op == COS:
+        return math.cos(a)
+    if op == POWI:
+        return a ** float(exponent)
+    if op == TAN:
+        return math.tan(a)
+    if op == EXP:
+        return math.exp(a)
+    if op == LOG:
+        return math.log(a)
+    if op == ASIN:
+        return math.asin(a)
+    if op == ACOS:
+        return math.acos(a)
+    if op == ATAN:
+        return math.atan(a)
+    if op == SINH:
+        return math.sinh(a)
+    if op == COSH:
+        return math.cosh(a)
+    if op == TANH:
+        return math.tanh(a)
+    if op == ABS:
+        return abs(a)
+    return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else a)  # NaN has no sign
+
+
+@part
+def _two(op: int, a: float, b: float) -> float:
+    """One of the less usual functions of two operands."""
+    if op == POW:
+        return a**b
+    if op == ATAN2:
+        return math.atan2(a, b)
+    if op == HYPOT:
+        return math.hypot(a, b)
+    if a != a or b != b:
+        return a + b
+    return min(a, b) if op == MIN else max(a, b)
+
+
+@part
+def run_tape(code: Ints, first: int, last: int, base: int, regs: Floats, count: int) -> None:
+    """Run the operations [first, last) on `count` columns of registers."""
+    for k in range(first, last):
+        op = code[k, 0]
+        a = regs[code[k, 1]]
+        out = regs[base + k]
+        if op <= POW:
+            b = regs[code[k, 2]]
+            if op == ADD:
+                for j in range(count):
+                    out[j] = a[j] + b[j]
+            elif op == SUB:
+                for j in range(count):
+                    out[j] = a[j] - b[j]
+            elif op == MUL:
+                for j in range(count):
+                    out[j] = a[j] * b[j]
+            elif op == DIV:
+                for j in range(count):
+                    out[j] = a[j] / b[j]
+            else:
+                for j in range(count):
+                    out[j] = _two(op, a[j], b[j])
+        elif op == NEG:
+            for j in range(count):
+                out[j] = -a[j]
+        elif op == SQUARE:
+            for j in range(count):
+                out[j] = a[j] * a[j]
+        elif op == SQRT:
+            for j in range(count):
+                out[j] = math.sqrt(a[j])
+        else:
+            exponent = code[k, 2]
+            for j in range(count):
+                out[j] = _one(op, a[j], exponent)
+
+
+@part
+def filled(
+    code: Ints, constants: Floats, parameters: Floats, n_variables: int, width: int
+) -> tuple[int, Floats]:
+    """Return the first register of the operations, and registers with what is known filled in."""
+    n_parameters = parameters.shape[0]
+    base = n_variables + 1 + n_parameters + constants.shape[0]
+    regs = np.empty((base + code.shape[0], width))
+    for j in range(width):
+        for p in range(n_parameters):
+            regs[n_variables + 1 + p, j] = parameters[p]
+        for c in range(constants.shape[0]):
+            regs[n_variables + 1 + n_parameters + c, j] = constants[c]
+    return base, regs
+
+
+@kernel
+def tape_values(
+    code: Ints,
+    constants: Floats,
+    outputs: Ints,
+    state: Floats,
+    parameters: Floats,
+    time: float,
+    result: Floats,
+) -> None:
+    """Write the values (n_out,) of the outputs at one point.
+
+    Filling an array costs a third of what returning one does.
+    """
+    n = state.shape[0]
+    base, regs = filled(code, constants, parameters, n, 1)
+    for v in range(n):
+        regs[v, 0] = state[v]
+    regs[n, 0] = time
+    run_tape(code, 0, code.shape[0], base, regs, 1)
+    for i in range(outputs.shape[0]):
+        result[i] = regs[outputs[i], 0]
+
+
+@kernel
+def tape_table(
+    code: Ints,
+    constants: Floats,
+    outputs: Ints,
+    n_fixed: int,
+    states: Floats,
+    parameters: Floats,
+    times: Floats,
+) -> Floats:
+    """Values of the outputs at m points; shape (m, n_out)."""
+    m, n = states.shape
+    base, regs = filled(code, constants, parameters, n, BLOCK)
+    first = 0
+    result = np.empty((m, outputs.shape[0]))
+    for begin in range(0, m, BLOCK):
+        count = min(BLOCK, m - begin)
+        for j in range(count):
+            for v in range(n):
+                regs[v, j] = states[begin + j, v]
+            regs[n, j] = times[begin + j]
+        # What depends on parameters alone is computed in the first block; only the last is short.
+        run_tape(code, first, code.shape[0], base, regs, count)
+        first = n_fixed
+        for j in range(count):
+            for i in range(outputs.shape[0]):
+                result[begin + j, i] = regs[outputs[i], j]
+    return result
