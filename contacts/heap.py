@@ -90,6 +90,10 @@ def heap(scene: Scene) -> Automaton:
         name: Margin(name, parse_relation(text).margin(observables))
         for name, text in scene.stop.conditions.items()
     }
+
+    def stepper() -> HeapStepper:
+        return HeapStepper(scene, owners, mechanics, parameters, stops, observables["energy"])
+
     return Automaton(
         name=scene.name,
         declaration=scene,
@@ -104,10 +108,8 @@ def heap(scene: Scene) -> Automaton:
         regions=tuple(Region(name, STATES, lambda state: State(), _EDGES) for name in bodies),
         stops=stops,
         observables=observables,
-        laws=_ImpulseOnly(),
-        stepper=lambda: HeapStepper(
-            scene, owners, mechanics, parameters, stops, observables["energy"]
-        ),
+        laws=_ImpulseOnly(stepper),
+        stepper=stepper,
     )
 
 
@@ -132,10 +134,13 @@ def _energy(scene: Scene, mechanics: Mechanics, known: Mapping[str, sp.Expr]) ->
 
 
 class _ImpulseOnly:
-    """Laws of a scene that no engine with events can run: they say so."""
+    """Laws of a scene that no engine with events can run: they say so where one begins."""
+
+    def __init__(self, stepper: Callable[[], HeapStepper]) -> None:
+        self._stepper = stepper
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
-        raise Unsupported(_ONLY_IMPULSE)
+        return self._stepper().setup(overrides)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         raise Unsupported(_ONLY_IMPULSE)
@@ -206,8 +211,17 @@ class HeapStepper:
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""
-        setup, _ = self._begin(overrides)
-        return ("free",) * len(self._scene.bodies), setup.warnings
+        return ("free",) * len(self._scene.bodies), self.setup(overrides).warnings
+
+    def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
+        """Return the numbers of a run.
+
+        Raises
+        ------
+        DeclarationProblem
+            If no run can start there.
+        """
+        return self._begin(overrides)[0]
 
     def run(
         self,

@@ -123,9 +123,11 @@ def _alternatives(scene: BaseModel) -> Mapping[str, Scene]:
 
 def _feasibility(
     automaton: Automaton, setup: Setup, state: NDArray[np.float64], time: float
-) -> Feasibility:
+) -> Feasibility | None:
     from contacts.configuration import feasibility
 
+    if isinstance(automaton.declaration, Scene) and automaton.declaration.collisions:
+        return None  # a body touches what it meets: every mode is possible somewhere
     return feasibility(automaton, setup, state, time)
 
 

@@ -62,8 +62,8 @@ def feasibility(
     Returns
     -------
     Feasibility or None
-        None where the kind of the model knows no reason against any mode (a chart), or there are
-        more modes than `MOST_MODES`.
+        None where the kind of the model knows no reason against any mode (a chart, bodies that
+        collide), or there are more modes than `MOST_MODES`.
 
     Raises
     ------
@@ -73,6 +73,4 @@ def feasibility(
     judge = kind(str(getattr(model, "kind", ""))).feasibility
     if judge is None or automaton.modes_total > MOST_MODES:
         return None
-    found = judge(automaton, setup, state, time)
-    assert isinstance(found, Feasibility)
-    return found
+    return judge(automaton, setup, state, time)

@@ -45,7 +45,8 @@ class Kind:
     alternatives : callable, optional
         The model under the other choices that its laws leave open, by what the choice is called.
     feasibility : callable, optional
-        Judges every product mode at a configuration (see `statechart.feasibility`).
+        Judges every product mode at a configuration (see `statechart.feasibility`); None where it
+        knows no reason against any.
     violations : callable, optional
         From a model, an observer and a trace: by how much what must hold does not, each relative
         to the model's own scales (constraints, cones of friction).
@@ -59,7 +60,9 @@ class Kind:
     starter: str
     properties: Callable[[BaseModel], Sequence[Property]] | None = None
     alternatives: Callable[[BaseModel], Mapping[str, BaseModel]] | None = None
-    feasibility: Callable[[Automaton, Setup, NDArray[np.float64], float], Feasibility] | None = None
+    feasibility: (
+        Callable[[Automaton, Setup, NDArray[np.float64], float], Feasibility | None] | None
+    ) = None
     violations: Callable[[BaseModel, Observer, Trace], Mapping[str, float]] | None = None
     omitted: Callable[[BaseModel], Mapping[str, str]] | None = None
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from contacts.polygons import FOUND, between, place
+from statechart.cli import main
 from statechart.document import interpret, read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.run import Runner
@@ -139,3 +140,11 @@ def test_a_hundred_grains_collapse_without_sinking_into_each_other():
 
 def test_dice_overlap_by_less_than_a_step_at_their_fastest_approach(dice):
     assert min(dice.trace.margins.values()) >= -dice.trace.tolerances["gap"]
+
+
+def test_bodies_that_collide_are_listed_and_drawn_with_their_path(tmp_path, capsys):
+    assert main(["modes", "box_stack"]) == 0
+    assert "243 modes" in capsys.readouterr().out
+    path = tmp_path / "stack.dot"
+    assert main(["draw", "box_stack", "-o", str(path), "--visited"]) == 0
+    assert "pin" in path.read_text()
