@@ -28,7 +28,7 @@ from statechart.errors import NoConsistentMode
 
 
 def single(count: int, seed: int) -> Counter[str]:
-    """Impacts at one contact: inertia ratios over 24 decades, mu over 18, Stronge's law."""
+    """Impacts at one contact: inertia ratios and mu over 24 decades, Stronge's law."""
     random = np.random.default_rng(seed)
     found: Counter[str] = Counter()
     for _ in range(count):

@@ -119,6 +119,9 @@ def impact(
         u_t = 0.0 if to_stop <= to_end else u_t + piece.u_t * length
         if to_end <= to_stop:
             if not compressing or restitution == 0.0:
+                # Pieces that cancel leave their own rounding in what the law prescribes.
+                rate = contact.gap_rate + contact.jacobian[0] @ (velocity - snapshot.velocity)
+                velocity += piece.velocity * piece.u_n * (u_n - rate)
                 return Impact(velocity, normal, tangential, tuple(path))
             compressing, compressed, compression_work, work = False, normal, -work, 0.0
     raise NoConsistentMode(

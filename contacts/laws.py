@@ -16,7 +16,7 @@ from contacts.classify import Choice, Considered, ContactLaw
 from contacts.closing import check_joints
 from contacts.decision import decide, explained
 from contacts.gates import Gates, hidden
-from contacts.jams import Jam, closed_state, unbounded, without_collision
+from contacts.jams import Jam, closed_state, dead_point, unbounded, without_collision
 from contacts.mechanics import Mechanics
 from contacts.modes import OFF, OPEN
 from contacts.projection import Projection, landed, on_constraints
@@ -26,7 +26,7 @@ from contacts.snapshot import Snapshot, SnapshotTape
 from contacts.usual import usual_mode
 from statechart.automaton import UNBOUNDED, Flow, Margin, Setup, plain
 from statechart.constraints import Constraints
-from statechart.errors import DeclarationProblem, NoConsistentMode
+from statechart.errors import DeclarationProblem, NoConsistentMode, SingularMode
 from statechart.parameters import Parameters
 from statechart.trace import Clock, Jump, Key
 
@@ -192,6 +192,11 @@ class SceneLaws:
             shut = [state not in OPEN for state in moving]
             jam = unbounded(snapshot, setup.contacts, shut, 2.0 * slow)
             if jam is None:
+                sizes = setup.scales.sizes[: len(state) // 2]
+                # Where contacts share a load their constraints are dependent, and rightly so.
+                why = dead_point(snapshot, setup.contacts, moving, sizes)
+                if why and moving == flow.flow:
+                    raise SingularMode(why)
                 return None
             if self._paradox == "stop":
                 raise NoConsistentMode(jam.why)

@@ -344,7 +344,9 @@ class _Run:
         if fired and not moved:
             if self.failure is not None:
                 raise self.failure
-            self._stall(fired)
+            self.failure = self._stall(fired)
+            if self.failure is not None:
+                return self._settle((UNBOUNDED,))
         self.failure = None
         return False
 
@@ -372,22 +374,26 @@ class _Run:
             self.jumps[-1], self.flow = made
             self.state = self.jumps[-1].after
 
-    def _stall(self, fired: tuple[str, ...]) -> None:
+    def _stall(self, fired: tuple[str, ...]) -> EventLoop | None:
         """Note a fall that changes no mode: once a graze, at the same instant again a loop."""
         now = (self.clock.high, self.clock.low, fired)
-        if self.stalled == now and not (self.grazed and self._widen(*fired)):
-            raise EventLoop(f"{', '.join(fired)} falls at t = {now[0]:.17g}, but no jump follows")
+        if self.stalled == now and not self._widen(*fired):
+            return EventLoop(f"{', '.join(fired)} falls at t = {now[0]:.17g}, but no jump follows")
         self.stalled = now
+        return None
 
     def _widen(self, margin: str) -> bool:
         """Give a margin that rounding keeps at zero more room in this flow; False if it had much.
 
         Where a force is zero as a whole (balls that fall side by side) its enclosure is wider
-        than the band of its kind.
+        than the band of its kind. The laws may take a speed for none that is beyond its own.
         """
         assert self.flow is not None
         compiled = self.entered[self.flow.flow]
-        usual = self.setup.tolerances[dict(compiled.watched)[margin]]
+        kind = dict(compiled.watched).get(margin)
+        if kind is None or not (self.grazed or kind == "speed"):
+            return False
+        usual = self.setup.tolerances[kind]
         wide = _WIDER * self.flow.tolerances.get(margin, usual)
         if wide > _WIDEST * usual:
             return False

@@ -108,3 +108,29 @@ def test_contacts_that_jam_each_other_are_stopped_at_once(name: str) -> None:
     assert low[1] == pytest.approx(0.0, abs=1e-13)
     assert (high - low) @ [math.sin(1.2), math.cos(1.2)] >= -1e-13
     assert any("friction jams ground, between" in warning for warning in trace.warnings)
+
+
+SCISSORS = """\
+kind: scene
+name: scissors
+parameters: {half: 0.1, w: 0.4}
+gravity: 1
+coordinates:
+  x: {start: 0, rate: -2*w*cos(half)}
+  y: {start: 2*cos(half), rate: 2*w*sin(half)}
+  a: {start: pi - half, rate: w}
+  b: {start: half - pi, rate: -w}
+bodies:
+  left: {mass: 1, inertia: 0.1, position: [x - sin(a), y + cos(a)], angle: a}
+  right: {mass: 3, inertia: 0.1, position: [x - sin(b), y + cos(b)], angle: b}
+surfaces: {floor: {height: 0}}
+contacts:
+  A: {point: {body: left, at: [0, 1]}, surface: floor, friction: 100, restitution: 0}
+  B: {point: {body: right, at: [0, 1]}, surface: floor, friction: 0.1, restitution: 0}
+"""
+
+
+def test_rods_that_fold_on_each_other_say_that_they_come_to_a_dead_point() -> None:
+    trace = simulator(SCISSORS, "taylor").run({}, until=1.0, throw=False)
+    assert trace.outcome is Outcome.SINGULAR_MODE
+    assert "the constraints of A, B have become dependent" in trace.message
