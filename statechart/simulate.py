@@ -172,6 +172,7 @@ class _Run:
     steps: int = 0
     entered: dict[Key, CompiledMode] = field(default_factory=dict)
     stalled: tuple[float, float, tuple[str, ...]] | None = None
+    stalls: int = 0
     grazed: bool = False
     failure: SimulationError | None = None
     rearranged: tuple[tuple[float, float], int] = (0.0, 0.0), 0
@@ -377,7 +378,11 @@ class _Run:
     def _stall(self, fired: tuple[str, ...]) -> EventLoop | None:
         """Note a fall that changes no mode: once a graze, at the same instant again a loop."""
         now = (self.clock.high, self.clock.low, fired)
-        if self.stalled == now and not self._widen(*fired):
+        before = self.stalled
+        near = before is not None and before[0] == now[0] and before[2] == fired
+        # Time may creep on by less than a rounding.
+        self.stalls = self.stalls + 1 if near else 0
+        if (before == now or self.stalls > _JUMPS_AT_ONCE) and not self._widen(*fired):
             return EventLoop(f"{', '.join(fired)} falls at t = {now[0]:.17g}, but no jump follows")
         self.stalled = now
         return None
