@@ -21,7 +21,8 @@ from statechart.accuracy import difference
 from statechart.document import read_text
 from statechart.errors import StatechartError
 from statechart.outputs import Outputs
-from statechart.run import Result, Runner
+from statechart.result import Result
+from statechart.run import Runner
 
 __all__ = [
     "ACCURACY",

@@ -13,7 +13,7 @@ from statechart.kinds import kind
 from statechart.report import json_safe
 
 if TYPE_CHECKING:
-    from statechart.run import Result
+    from statechart.result import Result
 
 __all__ = ["compared", "variants"]
 

@@ -16,7 +16,8 @@ from statechart.formula import close_matches
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from statechart.run import Result, Runner
+    from statechart.result import Result
+    from statechart.run import Runner
     from statechart.study import Study
 
 __all__ = ["check", "draw", "modes", "new", "run", "schema", "trade", "validate"]

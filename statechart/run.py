@@ -1,12 +1,11 @@
-"""A model and an end to a result: settings, engine, accuracy on request."""
+"""A model and an end to a result: what is asked for, on an engine, with its problems located."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,13 +21,13 @@ from statechart.errors import (
     FormulaError,
     StatechartError,
 )
-from statechart.estimate import BELOW, TIGHTER, Answer, Cost, tighten, within
+from statechart.estimate import Answer, Cost, tighten, within
 from statechart.formula import close_matches, parse
 from statechart.kinds import kind
 from statechart.nudge import nudged
 from statechart.observe import Observer
-from statechart.outputs import Outputs
-from statechart.outputs import Result as Output
+from statechart.request import Request
+from statechart.result import Asked, Result
 from statechart.simulate import Simulator, error_of
 from statechart.stepping import SteppingSimulator
 from statechart.trace import Key, Outcome, Trace
@@ -36,108 +35,7 @@ from statechart.trace import Key, Outcome, Trace
 if TYPE_CHECKING:
     from statechart.study import Study
 
-__all__ = ["Asked", "Result", "Runner", "run"]
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What was asked for instead of a tolerance, and what it took.
-
-    Attributes
-    ----------
-    accuracy : float or None
-        Relative error allowed.
-    budget : float or None
-        Seconds allowed.
-    basis : str
-        What the first tolerance was chosen by.
-    cost : Cost
-        Of all runs.
-    """
-
-    accuracy: float | None
-    budget: float | None
-    basis: str
-    cost: Cost
-
-    def reached(self, estimate: float | None) -> bool:
-        """Whether `estimate` is what was asked for: of an accuracy, any of a budget."""
-        return estimate is not None and estimate <= (self.accuracy or math.inf)
-
-    def report(self, estimate: float | None) -> dict[str, Any]:
-        """Return this as one plain object."""
-        return {
-            "accuracy": self.accuracy,
-            "budget": self.budget,
-            "reached": self.reached(estimate),
-            "basis": self.basis,
-            "cost": asdict(self.cost),
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What a run gave.
-
-    Attributes
-    ----------
-    trace : Trace
-        Arcs and jumps, the outcome, warnings, costs.
-    observer : Observer
-        Evaluates formulas along the trace.
-    error_estimate : float or None
-        Where an accuracy was asked for: the largest difference between this run and one at 20
-        times its tolerance, of the final state, the times of events and the outputs, each
-        relative to its own size; inf where the two took different modes. None where nothing was
-        estimated.
-    timings : mapping of str to float
-        What took how many seconds.
-    asked : Asked or None
-        The accuracy or the budget that was asked for, and what it took.
-    """
-
-    trace: Trace
-    observer: Observer
-    error_estimate: float | None
-    timings: Mapping[str, float]
-    asked: Asked | None = None
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a reader must know."""
-        return self.trace.warnings
-
-    @cached_property
-    def outputs(self) -> Mapping[str, Output]:
-        """The outputs that the model declares."""
-        return Outputs(self.observer).of(self.trace)
-
-    @cached_property
-    def conditions(self) -> tuple[float | None, ...]:
-        """How much an error is magnified into the time of every event; see `conditions`."""
-        from statechart.condition import conditions
-
-        return conditions(self.observer, self.trace)
-
-    def report(self, *, explain: bool = False) -> dict[str, Any]:
-        """Return the run as one plain object; see `statechart.report.report`."""
-        from statechart.report import report
-
-        return report(
-            self.observer,
-            self.trace,
-            error_estimate=self.error_estimate,
-            timings=self.timings,
-            explain=explain,
-            asked=None if self.asked is None else self.asked.report(self.error_estimate),
-            conditions=() if self.asked is None else self.conditions,
-        )
-
-    def save(self, folder: Path | str) -> tuple[str, ...]:
-        """Write tables, data set and figure; see `statechart.tables.write_run`."""
-        from statechart.tables import write_run
-
-        return write_run(folder, self.observer, self.trace, self.report(explain=True))
+__all__ = ["Runner", "run"]
 
 
 class Runner:
@@ -196,18 +94,8 @@ class Runner:
         self.model = model
         read_at = time.perf_counter()
         self.automaton = _automaton(model)
-        self.accuracy: float | None = None
-        self.budget: float | None = None
-        self._reason = ""
         self._timings = {"read": read_at - began, "compose": time.perf_counter() - read_at}
         self._progress = progress
-        self.step = self._stepping(engine, method, tolerance, accuracy, budget, step)
-        self._allowance: Allowance | None = None
-        self._first: float | None = None
-        if self.step is None:
-            self._settle(engine, method, tolerance, accuracy, budget)
-            self._learn(study)
-        self._observers: dict[tuple[float, bool], Observer] = {}
         self._options: dict[str, Any] = {
             "engine": engine,
             "method": method,
@@ -218,6 +106,15 @@ class Runner:
             "study": study,
             "progress": progress,
         }
+        asked = Request(engine, method, tolerance, accuracy, step, budget)
+        asked = asked.settled(model, self.automaton).learned(study, model)
+        self._request = asked
+        self.accuracy, self.budget, self.step = asked.accuracy, asked.budget, asked.step
+        self._reason = ""
+        self._allowance = None if asked.budget is None else Allowance(asked.budget)
+        if self.step is None:
+            self._engine, self._reason = self._choose(asked.tolerance)
+        self._observers: dict[tuple[float, bool], Observer] = {}
 
     def run(
         self,
@@ -254,7 +151,7 @@ class Runner:
         observer, trace, estimate = answer.observer, answer.trace, answer.estimate
         asked = None
         if self.accuracy is not None or self.budget is not None:
-            asked = Asked(self.accuracy, self.budget, self._basis, answer.cost)
+            asked = Asked(self.accuracy, self.budget, self._request.basis, answer.cost)
         if answer.warnings:
             trace = replace(trace, warnings=(*trace.warnings, *answer.warnings))
         if self._reason:
@@ -305,115 +202,11 @@ class Runner:
         except FormulaError as error:
             raise self._formula(error, ("parameters", error.name)) from None
 
-    def _stepping(
-        self,
-        engine: str | None,
-        method: str | None,
-        tolerance: float | None,
-        accuracy: float | None,
-        budget: float | None,
-        step: float | None,
-    ) -> float | None:
-        """Return the step where the engine is impulse, else None."""
-        settings = self.model.settings
-        named = engine or ("scipy" if method is not None else settings.engine)
-        if named != "impulse":
-            if step is not None:
-                raise DeclarationError(
-                    f"the engine {named} chooses its own steps",
-                    advice="leave the step out, or take the engine impulse",
-                )
-            return None
-        for what, given in (
-            ("method", method), ("tolerance", tolerance), ("accuracy", accuracy),
-            ("budget", budget),
-        ):  # fmt: skip
-            if given is not None:
-                raise DeclarationError(
-                    f"the engine impulse has no {what}",
-                    advice="its error follows the step: give a step",
-                )
-        if self.automaton.stepper is None:
-            raise DeclarationError(
-                f"{self.model.name!r} cannot run on the engine impulse, which moves bodies in "
-                "contact: a scene is needed",
-                advice="take the engine taylor or scipy",
-            )
-        step = settings.step if step is None else step
-        if step is None:
-            raise DeclarationError(
-                "the engine impulse needs a step",
-                advice="say --step 1e-3, or write settings: {engine: impulse, step: 1e-3}; a "
-                "thousandth of the shortest time of interest is a good start",
-            )
-        if not 0.0 < step < math.inf:
-            raise DeclarationError(f"the step must be a positive time, not {step:g}")
-        return step
-
-    def _settle(
-        self,
-        engine: str | None,
-        method: str | None,
-        tolerance: float | None,
-        accuracy: float | None,
-        budget: float | None,
-    ) -> None:
-        settings = self.model.settings
-        given = {"tolerance": tolerance, "accuracy": accuracy, "budget": budget}
-        named = [what for what, value in given.items() if value is not None]
-        if len(named) > 1:
-            raise DeclarationError(
-                f"{' and '.join(named)} exclude each other",
-                advice="accuracy and budget find the tolerance that they need",
-            )
-        if budget is not None:
-            if not 0.0 < budget < math.inf:
-                raise DeclarationError(f"the budget must be a time in seconds, not {budget:g}")
-            self._allowance = Allowance(budget)
-        for what, value in (("tolerance", tolerance), ("accuracy", accuracy)):
-            if value is not None and not 0.0 < value < 1.0:
-                raise DeclarationError(f"{what} must be above 0 and below 1, not {value:g}")
-        if engine is None:
-            # A method asks for the engine that has methods, whatever the file says.
-            engine = settings.engine if method is None else "scipy"
-            method = method or settings.method
-        elif engine != "taylor":
-            method = method or settings.method
-        if not named:
-            tolerance, accuracy = settings.tolerance, settings.accuracy
-        self.accuracy, self.budget = accuracy, budget
-        self._named, self._method = engine, method
-        self._engine, self._reason = self._choose(tolerance)
-
-    def _learn(self, study: Study | None) -> None:
-        """Choose the engine and the first tolerance by what was measured, where something was."""
-        self._first = None if self.accuracy is None else self.accuracy * BELOW
-        self._basis = "estimated: nothing was measured of this model"
-        if study is None or (self.accuracy is None and self.budget is None):
-            return
-        from statechart.study import fingerprint
-
-        if study.fingerprint != fingerprint(self.model):
-            self._basis = "estimated: the study given is of another model"
-            return
-        found = study.choose(
-            accuracy=self.accuracy,
-            budget=self.budget,
-            engine=None if self._named == "auto" else self._named,
-            method=self._method,
-        )
-        if found is None:
-            self._basis = "estimated: no setting that was measured is expected to do"
-            return
-        self._named, self._method, self._first = found.engine, found.method, found.tolerance
-        if self.budget is not None and self._first is not None:
-            # Two runs are to fit in: that one, and one before it to compare it with.
-            self._first /= TIGHTER
-        self._engine, self._reason = self._choose(None)
-        self._basis = f"measured: {found.label}"
-
     def _choose(self, tolerance: float | None) -> tuple[Engine, str]:
-        engine, reason = choose(engine=self._named, method=self._method, tolerance=tolerance)
+        asked = self._request
+        engine, reason = choose(
+            engine=asked.engine or "auto", method=asked.method, tolerance=tolerance
+        )
         if self._allowance is not None:
             engine = Limited(engine, self._allowance)
         return engine, reason
@@ -490,7 +283,7 @@ class Runner:
         except StatechartError as error:
             if not self._fall_back(error):
                 raise
-            if self._first is None and self._allowance is None:
+            if self.accuracy is None and self.budget is None:
                 tolerance = self._engine.tolerance
             return self._once(tolerance, overrides, end, off=off)
         return observer, trace
@@ -522,13 +315,13 @@ class Runner:
 
     def _fall_back(self, error: StatechartError) -> bool:
         """Take scipy where taylor was picked for the user and cannot expand a flow."""
-        if self._named != "auto" or self._engine.name != "taylor":
+        if self._request.engine != "auto" or self._engine.name != "taylor":
             return False
         from statechart.engines.taylor import Unsupported
 
         if not isinstance(error, Unsupported):
             return False
-        self._named = "scipy"
+        self._request = replace(self._request, engine="scipy")
         given = self.model.settings.tolerance
         self._engine = self._choose(given)[0]
         self._reason = f"engine scipy: {error}"
@@ -543,11 +336,12 @@ class Runner:
             observer, trace = once(math.nan, False)
             return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
         floor = self._choose(math.ulp(0.0))[0].tolerance
-        if self.accuracy is not None and self._first is not None:
-            return tighten(once, self.accuracy, first=self._first, floor=floor)
+        first = self._request.first
+        if self.accuracy is not None and first is not None:
+            return tighten(once, self.accuracy, first=first, floor=floor)
         if self._allowance is not None:
             self._allowance.begin()
-            return within(once, self._allowance.seconds, first=self._first, floor=floor)
+            return within(once, self._allowance.seconds, first=first, floor=floor)
         observer, trace = once(self._engine.tolerance, False)
         return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
 

@@ -1,0 +1,119 @@
+"""What a run gave: its trace, what can be evaluated along it, and what was asked for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from statechart.estimate import Cost
+from statechart.observe import Observer
+from statechart.outputs import Outputs
+from statechart.outputs import Result as Output
+from statechart.trace import Trace
+
+__all__ = ["Asked", "Result"]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What was asked for instead of a tolerance, and what it took.
+
+    Attributes
+    ----------
+    accuracy : float or None
+        Relative error allowed.
+    budget : float or None
+        Seconds allowed.
+    basis : str
+        What the first tolerance was chosen by.
+    cost : Cost
+        Of all runs.
+    """
+
+    accuracy: float | None
+    budget: float | None
+    basis: str
+    cost: Cost
+
+    def reached(self, estimate: float | None) -> bool:
+        """Whether `estimate` is what was asked for: of an accuracy, any of a budget."""
+        return estimate is not None and estimate <= (self.accuracy or math.inf)
+
+    def report(self, estimate: float | None) -> dict[str, Any]:
+        """Return this as one plain object."""
+        return {
+            "accuracy": self.accuracy,
+            "budget": self.budget,
+            "reached": self.reached(estimate),
+            "basis": self.basis,
+            "cost": asdict(self.cost),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a run gave.
+
+    Attributes
+    ----------
+    trace : Trace
+        Arcs and jumps, the outcome, warnings, costs.
+    observer : Observer
+        Evaluates formulas along the trace.
+    error_estimate : float or None
+        Where an accuracy was asked for: the largest difference between this run and one at 20
+        times its tolerance, of the final state, the times of events and the outputs, each
+        relative to its own size; inf where the two took different modes. None where nothing was
+        estimated.
+    timings : mapping of str to float
+        What took how many seconds.
+    asked : Asked or None
+        The accuracy or the budget that was asked for, and what it took.
+    """
+
+    trace: Trace
+    observer: Observer
+    error_estimate: float | None
+    timings: Mapping[str, float]
+    asked: Asked | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know."""
+        return self.trace.warnings
+
+    @cached_property
+    def outputs(self) -> Mapping[str, Output]:
+        """The outputs that the model declares."""
+        return Outputs(self.observer).of(self.trace)
+
+    @cached_property
+    def conditions(self) -> tuple[float | None, ...]:
+        """How much an error is magnified into the time of every event; see `conditions`."""
+        from statechart.condition import conditions
+
+        return conditions(self.observer, self.trace)
+
+    def report(self, *, explain: bool = False) -> dict[str, Any]:
+        """Return the run as one plain object; see `statechart.report.report`."""
+        from statechart.report import report
+
+        return report(
+            self.observer,
+            self.trace,
+            error_estimate=self.error_estimate,
+            timings=self.timings,
+            explain=explain,
+            asked=None if self.asked is None else self.asked.report(self.error_estimate),
+            conditions=() if self.asked is None else self.conditions,
+        )
+
+    def save(self, folder: Path | str) -> tuple[str, ...]:
+        """Write tables, data set and figure; see `statechart.tables.write_run`."""
+        from statechart.tables import write_run
+
+        return write_run(folder, self.observer, self.trace, self.report(explain=True))
