@@ -61,8 +61,8 @@ What to expect:
   a start that is off by the tolerance changes the result by less than A, too.
 - Where flights are parabolas all methods but LSODA follow them exactly, at any tolerance.
 - Slopes: the error follows the tolerance to the power 1; the accepted steps of RK45 and DOP853
-  to the powers -1/5 and -1/8, fitted where a flow takes five steps or more. Evaluations grow more
-  slowly than that, as the part of rejected steps falls.
+  to the powers -1/5 and -1/8, fitted where a flow takes five steps or more and the tolerance
+  decides how many. Evaluations grow more slowly, as the part of rejected steps falls.
 - Time stepping (`impulse`) is of first order: ten times the steps for one digit more. On systems
   as small as these it is never the fastest; its place are many contacts.
 - Taylor's method (`taylor`, the default) gives fifteen digits at little more than the cost of

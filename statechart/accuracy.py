@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from statechart.outputs import Result as Output
 from statechart.sampling import at_times
+from statechart.summed import without_summed
 from statechart.trace import Jump, Trace
 
 __all__ = ["Difference", "compare", "difference", "paired", "parted", "sizes"]
@@ -178,8 +179,9 @@ def paired(
 ) -> tuple[list[tuple[Jump, Jump]], float | None]:
     """Pair the jumps of two runs; return the pairs, and when the runs part, if they do.
 
-    How many jumps of a Zeno sequence are resolved depends on the tolerance: where one run is at
-    the accumulation, the other's further jumps of that sequence are passed over.
+    How many jumps of a Zeno sequence are resolved depends on the tolerance: those that one run
+    summed up are left out (see `without_summed`), and where one run is at the accumulation, the
+    other's further jumps of that sequence are passed over.
 
     Parameters
     ----------
@@ -191,11 +193,16 @@ def paired(
     """
     pairs: list[tuple[Jump, Jump]] = []
     a, b = coarse.jumps, fine.jumps
+    ends: set[int] = set()
+    left = without_summed([a, b])
+    if left is not None:
+        ends = {id(jump) for run in left for jump, end in run if end}
+        a, b = (tuple(jump for jump, _ in run) for run in left)
     window = brief * max(coarse.t_end, fine.t_end)
     i = j = 0
     while i < len(a) and j < len(b):
         one, other = a[i], b[j]
-        if _same(one, other):
+        if _same(one, other) or ({id(one), id(other)} <= ends and one.target == other.target):
             pairs.append((one, other))
             i, j = i + 1, j + 1
         elif _accumulates(one) and _repeats(other, one):
@@ -279,7 +286,9 @@ def _repeats(jump: Jump, end: Jump) -> bool:
 def _numbers(one: Output, other: Output, size: Output) -> Iterable[tuple[float, float, float]]:
     if isinstance(one, list) and isinstance(other, list):
         sizes = size if isinstance(size, list) else [0.0] * len(one)
-        return zip(one, other, sizes, strict=False)
+        # Where one run resolves fewer, its last is the one behind which it skips the others.
+        count = len(one) if len(one) == len(other) else min(len(one), len(other)) - 1
+        return islice(zip(one, other, sizes, strict=False), max(count, 0))
     if isinstance(one, float) and isinstance(other, float):
         return [(one, other, size if isinstance(size, float) else 0.0)]
     return []

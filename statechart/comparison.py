@@ -8,13 +8,14 @@ longer small, nobody can tell from two runs whether they agree, and `Undecidable
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from statechart.summed import without_summed
 from statechart.trace import Jump, Key, Trace
 
 __all__ = ["NUDGE", "Reading", "Undecidable", "assert_same"]
@@ -31,8 +32,6 @@ _START = 10
 _FACTOR = 10.0
 # Grown to this part of a variable's size, errors cannot be told from a different motion.
 _LARGE = 1e-2
-# The window in which one run sums up the bounces that the other resolves, either side.
-_WINDOW = (0.5, 1.001)
 
 
 class Undecidable(Exception):  # noqa: N818 -- nothing went wrong: there is no answer here
@@ -169,38 +168,22 @@ def _story(trace: Trace, reading: Reading) -> _Story:
 
 
 def _without_skipped(stories: list[_Story]) -> list[_Story]:
-    """Leave out the bounces that at least one run summed up at the end of a Zeno sequence.
-
-    Several regions may bounce in turn, and rounding decides at which of them the sum begins.
-    """
-    sums = [[event for event in story.events if event.skipped > 0.0] for story in stories]
-    if len(set(map(len, sums))) != 1:
+    """Leave out the bounces that at least one run summed up; see `without_summed`."""
+    left = without_summed([story.events for story in stories])
+    if left is None:
         return stories
-    windows = [
-        (_WINDOW[0] * min(e.skipped for e in same), _WINDOW[1] * max(e.skipped for e in same))
-        for same in zip(*sums, strict=True)
-    ]
     return [
-        replace(story, events=tuple(_summed(story.events, own, windows)))
-        for story, own in zip(stories, sums, strict=True)
+        replace(story, events=tuple(_resolved(event) if end else event for event, end in events))
+        for story, events in zip(stories, left, strict=True)
     ]
 
 
-def _summed(
-    events: Sequence[_Event], sums: Sequence[_Event], windows: Sequence[tuple[float, float]]
-) -> Iterator[_Event]:
-    ends = [(e.t + e.skipped, *window) for e, window in zip(sums, windows, strict=True)]
-    for event in events:
-        left = [(end - event.t, least, most) for end, least, most in ends]
-        if any(least <= time <= most for time, least, most in left):
-            continue
-        if any(abs(time) < least for time, least, _ in left):
-            # Where the bounces end the state just before is that of the last one resolved.
-            n = len(event.numbers) // 2
-            after = event.numbers[n + 1 :]
-            numbers = np.concatenate([event.numbers[:1], after, after])
-            event = replace(event, what=("", event.what[1], (), event.what[3]), numbers=numbers)
-        yield event
+def _resolved(event: _Event) -> _Event:
+    """Return the end of a sequence without what depends on which jump was the last resolved."""
+    n = len(event.numbers) // 2
+    after = event.numbers[n + 1 :]
+    numbers = np.concatenate([event.numbers[:1], after, after])
+    return replace(event, what=("", event.what[1], (), event.what[3]), numbers=numbers)
 
 
 def _shortened(story: _Story, t: float, state: Array) -> _Story:

@@ -38,6 +38,10 @@ _SATURATED, _RESOLVED = 1e-1, 20.0
 # which an event cuts short, are no matter of the tolerance.
 _STEPS_PER_FLOW = 5.0
 _LEAST_POINTS = 3
+# The tolerance decides errors and steps where the finest run takes so many times the steps of the
+# coarsest. Flights along parabolas and bodies at rest take steps that no tolerance decides: at six
+# times they are no more than a sixth of all.
+_GROWN: Mapping[Quantity, float] = {"error": 3.0, "steps": 6.0}
 
 _Time = Annotated[float, Field(ge=0)]
 
@@ -301,6 +305,9 @@ class Study(_Record):
     def fitted(self, family: str, of: Quantity) -> list[tuple[float, float]]:
         """Return (fineness, error or steps) of the points that a slope is fitted to."""
         points = [p for p in self.points if p.setting.family == family and p.same_modes]
+        steps = [p.steps for p in points]
+        if not points or max(steps) < _GROWN[of] * min(steps):
+            return []
         if of == "steps":
             return [
                 (p.setting.fineness, float(p.steps))

@@ -252,6 +252,8 @@ def test_a_run_that_fails_early_parts_where_it_ends() -> None:
         ({"engine": "scipy", "method": "DOP853"}, 30.0),
         ({"engine": "scipy", "method": "RK45"}, 30.0),
         ({"engine": "scipy", "method": "Radau"}, 30.0),
+        # Its past is kept where its state is brought back onto the constraints.
+        ({"engine": "scipy", "method": "LSODA"}, 30.0),
     ],
 )
 @pytest.mark.parametrize("name", ["toppling_stick", "stick_slip_block"])
@@ -265,3 +267,14 @@ def test_the_error_of_events_is_that_of_the_integrator(
         found = compare(exact.trace, rough.trace, exact.outputs, rough.outputs)
         assert found.diverged is None
         assert found.largest <= factor * tolerance
+
+
+def test_sums_of_alternating_impacts_that_begin_elsewhere_are_the_same_motion() -> None:
+    few, many = (
+        run("rocking_block", until=13.0, engine="scipy", tolerance=tolerance)
+        for tolerance in (1e-11, 2.3e-14)
+    )
+    assert len(many.trace.jumps) > len(few.trace.jumps)
+    found = compare(few.trace, many.trace, few.outputs, many.outputs)
+    assert found.diverged is None
+    assert found.largest <= 1e-7

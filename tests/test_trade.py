@@ -344,3 +344,10 @@ def test_wrong_input_is_refused(
     Path("file").write_text("")
     assert main(arguments) == 2
     assert words in capsys.readouterr().err
+
+
+def test_no_slope_is_fitted_where_the_tolerance_does_not_decide_the_steps() -> None:
+    flights = [point(10.0**-p, 10.0**-p, 1.0, steps=20 + p) for p in range(3, 10)]
+    smooth = [point(10.0**-p, 10.0**-p, 1.0, steps=round(5 * 1.6**p)) for p in range(3, 10)]
+    assert study(*flights).slopes() == ()
+    assert {slope.of for slope in study(*smooth).slopes()} == {"error", "steps"}

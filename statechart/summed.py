@@ -1,0 +1,62 @@
+"""Sequences of jumps that runs summed up where they accumulate: where their runs are alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, TypeVar
+
+__all__ = ["without_summed"]
+
+# The window in which one run sums up the jumps that the other resolves, either side.
+_WINDOW = (0.5, 1.001)
+
+
+class _Timed(Protocol):
+    """What has a time, and a time skipped behind it."""
+
+    @property
+    def t(self) -> float: ...
+
+    @property
+    def skipped(self) -> float: ...
+
+
+T = TypeVar("T", bound=_Timed)
+
+
+def without_summed(runs: Sequence[Sequence[T]]) -> list[list[tuple[T, bool]]] | None:
+    """Leave out the jumps that at least one run summed up at the end of a Zeno sequence.
+
+    Several regions may bounce in turn, and rounding decides at which of them the sum begins.
+
+    Parameters
+    ----------
+    runs : sequence of sequence
+        Jumps of runs of one model, each with its time and with what was skipped after it.
+
+    Returns
+    -------
+    list of list of (jump, bool), or None
+        The jumps that are left, and whether a sequence ends there: what was before is then that
+        of the last jump resolved. None where the runs did not sum up the same sequences.
+    """
+    sums = [[jump for jump in run if jump.skipped > 0.0] for run in runs]
+    if len(set(map(len, sums))) != 1:
+        return None
+    windows = [
+        (_WINDOW[0] * min(j.skipped for j in same), _WINDOW[1] * max(j.skipped for j in same))
+        for same in zip(*sums, strict=True)
+    ]
+    return [_left(run, own, windows) for run, own in zip(runs, sums, strict=True)]
+
+
+def _left(
+    jumps: Sequence[T], sums: Sequence[T], windows: Sequence[tuple[float, float]]
+) -> list[tuple[T, bool]]:
+    ends = [(jump.t + jump.skipped, *window) for jump, window in zip(sums, windows, strict=True)]
+    found = []
+    for jump in jumps:
+        left = [(end - jump.t, least, most) for end, least, most in ends]
+        if not any(least <= time <= most for time, least, most in left):
+            found.append((jump, any(abs(time) < least for time, least, _ in left)))
+    return found
