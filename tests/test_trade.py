@@ -175,11 +175,11 @@ def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: 
         assert found.error(p) is None
         assert found.kept(p) is None
     coarse, fine, refused = found.points
-    assert coarse.parted is not None
-    assert fine.parted is not None
-    assert coarse.parted < fine.parted
     # Flights in straight lines are right to the last digit at every tolerance; their rounding is
     # magnified all the same.
+    for p in (coarse, fine):
+        assert p.parted is not None
+        assert 1.0 < p.parted < 40.0
     assert "starts that differ by the tolerance" in refused.refused
     assert "leaves it at" in text(found)
     assert found.front() == ()
