@@ -405,7 +405,8 @@ def by_lemke(
     contacts, alone = delassus(snapshot.mass, snapshot.jacobians[group], snapshot.forces)
     free = snapshot.biases[group] + alone
     solution = solve_lcp(*contact_problem(contacts, free, edges, slides))
-    if solution.status is not LcpStatus.SOLVED:
+    # A candidate that its residual does not verify may still name the right modes.
+    if solution.status not in (LcpStatus.SOLVED, LcpStatus.UNVERIFIED):
         return []
     forces = contact_impulses(solution.z, edges, slides)
     after = free + (contacts @ forces.ravel()).reshape(-1, 2)

@@ -350,3 +350,25 @@ def test_twenty_points_lie_and_slide() -> None:
     assert trace.modes == (("slide+",) * 20, ("pin",) * 20)
     assert trace.jumps[0].t == pytest.approx(1.0, rel=1e-11)
     assert trace.final[0] == pytest.approx(0.25, rel=1e-11)
+
+
+@pytest.mark.parametrize("count", [7, 16, 19])
+def test_a_bar_that_falls_on_one_end_lies_down_on_all_its_points(count: int) -> None:
+    arms = np.linspace(-1.0, 1.0, count)
+    contacts = {
+        f"p{i}": Contact(
+            point=Point(body="bar", at=(arm, 0)), surface="floor", friction=0.3, restitution=0
+        )
+        for i, arm in enumerate(arms.tolist())
+    }
+    bar = Body(mass=1, inertia="1/3", start={"y": 0.5, "angle": 0.3})
+    scene = Scene(
+        name="bar",
+        gravity=9.81,
+        bodies={"bar": bar},
+        surfaces={"floor": Surface(height=0)},
+        contacts=contacts,
+    )
+    trace = run(scene, until=1.0)
+    assert trace.modes[-1] == ("pin",) * count
+    assert trace.final == pytest.approx([trace.final[0], 0, 0, 0, 0, 0], abs=1e-12)
