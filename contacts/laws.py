@@ -328,8 +328,9 @@ class SceneLaws:
 
     def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
         """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
+        assert isinstance(setup, SceneSetup)
         return self._projection.constraints(
-            plain(flow), start, anchor, setup.values, setup.tolerances
+            plain(flow), start, anchor, setup.values, setup.tolerances, setup.scales
         )
 
     def _impact(

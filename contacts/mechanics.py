@@ -268,6 +268,12 @@ class Mechanics:
             self._contacts[name] = self._geometry(name, self.scene.contacts[name])
         return self._contacts[name]
 
+    def curved(self, name: str) -> bool:
+        """Whether a contact's surface is the graph of a function that is not linear."""
+        height = self.scene.surfaces[self.scene.contacts[name].surface].height
+        x = sp.Symbol("x", real=True)
+        return height is not None and sp.diff(self._formula(height, x=x), x, 2) != 0
+
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return what a state of a controller sets: some of `controls`."""
         found: dict[sp.Symbol, sp.Expr] = {}

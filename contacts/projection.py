@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import sympy as sp
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 from contacts.joints import JointNumbers, well_posed
 from contacts.mechanics import Mechanics
 from contacts.modes import OPEN
+from contacts.scales import Scales
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
 from statechart.constraints import Constraints
 from statechart.errors import NoConsistentMode
-from statechart.tape import compile_tape
+from statechart.tape import Tape, compile_tape
 from statechart.trace import Key
 
 __all__ = ["Projection", "landed", "landing", "on_constraints"]
@@ -27,6 +29,9 @@ _DRIFT = 0.05
 _CREEP = 5e-4
 # Weights of an open contact's numbers.
 _FREE = (0.0,) * 5
+# Of the scene's length: how far a step may be off a surface before it counts as blind. Enclosures
+# as narrow as the gap's tolerance would take 1e5 boxes a step.
+_UNSEEN = 1e-4
 _EPS = float(np.finfo(float).eps)
 # A distance that projection cannot reduce is rounding up to so many of those of its terms.
 _ROUNDINGS = 64.0
@@ -61,12 +66,16 @@ class Projection:
         self._snapshots = snapshots
         # Of the last tolerances: those of the runs of a sweep are often equal.
         self._weighed: dict[Key, tuple[tuple[float, float] | None, Array]] = {}
-        self._tape = compile_tape(
-            outputs,
+        self._compile = partial(
+            compile_tape,
             variables=(*mechanics.q, *mechanics.v),
             parameters=parameters,
             time=mechanics.time,
         )
+        self._tape = self._compile(outputs)
+        self._gaps = tuple(outputs[: 5 * len(mechanics.scene.contacts) : 5])
+        self._curved = tuple(mechanics.curved(name) for name in mechanics.scene.contacts)
+        self._within: dict[Key, Tape | None] = {}
 
     def constraints(
         self,
@@ -75,6 +84,7 @@ class Projection:
         anchor: Array,
         values: Array,
         tolerances: Mapping[str, float],
+        scales: Scales,
     ) -> Constraints:
         """Return the constraints of `flow` (see `statechart.automaton.Laws`).
 
@@ -92,6 +102,8 @@ class Projection:
             Of the parameters.
         tolerances : mapping
             Of `gap` and `speed`.
+        scales : Scales
+            The scene's own.
         """
         near, slow = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
         pinned = "pin" in flow
@@ -120,8 +132,22 @@ class Projection:
                     raise self._broken(gaps.tolist(), time)
             return projected
 
-        constraints = Constraints(self._tape, targets, weights, project)
+        constraints = Constraints(
+            self._tape, targets, weights, project, self._unseen(flow), _UNSEEN * scales.length
+        )
         return constraints
+
+    def _unseen(self, flow: Key) -> Tape | None:
+        """Return what tells that a step passed over a bump of a surface, or a dip, unseen.
+
+        Curved surfaces alone can be flat where a step begins and not where it ends.
+        """
+        if flow not in self._within:
+            listed = zip(self._gaps, flow, self._curved, strict=False)
+            gaps = [gap for gap, state, curved in listed if curved and state not in OPEN]
+            within = self._compile([*gaps, *(-gap for gap in gaps)]) if gaps else None
+            self._within[flow] = within
+        return self._within[flow]
 
     def _weights(self, flow: Key, near: float, slow: float) -> Array:
         key, weights = self._weighed.get(flow, (None, np.empty(0)))

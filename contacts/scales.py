@@ -20,6 +20,8 @@ __all__ = ["ScaleTape", "Scales"]
 
 Array = NDArray[np.float64]
 
+_EPS = float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True, eq=False)
 class Scales:
@@ -109,7 +111,8 @@ class ScaleTape:
         length, speed, push, mass, duration = largest[:5]
         moves = largest[5 + self._gravity :]
         acceleration = math.hypot(*largest[5 : 5 + self._gravity]) or push
-        if length == 0.0:
+        # A start that is off zero by rounding of what the motion needs to turn has no length.
+        if length <= _EPS * (speed**2 / acceleration if acceleration > 0.0 else 0.0):
             length = max(speed * duration, acceleration * duration**2) or 1.0
         acceleration = max(acceleration, speed**2 / length)
         if acceleration == 0.0:

@@ -13,7 +13,7 @@ from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.enclosure import Crossing, Search, Verdict, search
 from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Watch
-from statechart.errors import NonFinite, SimulationError, Undecided
+from statechart.errors import NonFinite, SimulationError, StepFailure, Undecided
 from statechart.kernels.polynomials import cut_steps
 from statechart.tape import Tape, compile_tape
 
@@ -24,6 +24,10 @@ Array = NDArray[np.float64]
 _FIRST_CHUNK = 4
 # A chunk may end this far off its constraints, in tolerances; inside it may be farther.
 _DRIFT = 0.2
+# A single step that ends so far off was blind to something; of what rounding does this is no part.
+_BLIND = 1e3
+# Of the way to where a step left its constraints unseen.
+_NEARER = 0.5
 # The look-ahead in time grows likewise.
 _GROWTH = 16.0
 
@@ -149,7 +153,7 @@ def advance(
     try:
         while reached < duration:
             path.count = kept
-            ended = np.empty(len(state))
+            ended, first = np.empty(len(state)), kept
             made = engine.steps(compiled.stepper, path, watch, state, end, count, begin, ended)
             last = path.count
             if made.finished:
@@ -160,7 +164,7 @@ def advance(
                 kept, state, reached = made.first, made.begun.copy(), path.times.item(made.first)
             taken = last - kept
             count = max(count, taken)
-            local = path.times.item(last)
+            local, off = path.times.item(last), 0.0
             following, found = ended, made.found
             if found is None:
                 following, off = _constrained(watch, ended, local)
@@ -179,6 +183,25 @@ def advance(
                     last,
                 )
                 boxes += found.boxes
+            blind = _blind(watch, path, first, last, found)
+            if off > _BLIND:
+                blind = kept, local
+            if blind is not None:
+                # The integrator did not see what it ran into: again, from before that.
+                kept, reached = blind[0], path.times.item(blind[0])
+                horizon = _NEARER * (blind[1] - reached)
+                end = reached + horizon
+                if not end > reached:
+                    raise StepFailure(
+                        f"at t = {watch.start + reached:.17g} no step is short enough to stay on "
+                        "the constraints"
+                    )
+                if cut_steps(path.times, path.coefficients, last, reached, ended) > 0:
+                    state = ended
+                else:
+                    state = initial
+                path.count, count, begin = kept, 1, Begin.MOVED
+                continue
             if found.verdict is not Verdict.NONE:
                 crossing = _decide(found, compiled, watch, path, reached)
                 graze = found.verdict is not Verdict.CROSSING
@@ -214,6 +237,30 @@ def _constrained(watch: Watch, state: Array, local: float) -> tuple[Array, float
         return state, 0.0
     following = watch.constraints.project(state, time)
     return following, 0.0 if following is state else off
+
+
+def _blind(
+    watch: Watch, path: Path, first: int, last: int, found: Search
+) -> tuple[int, float] | None:
+    """Return the step, up to what was found in them, that leaves its constraints, and when."""
+    within = watch.constraints.within
+    if within is None:
+        return None
+    where = found.crossing or found.undecided
+    left = search(
+        within,
+        np.full(len(within.outputs), watch.constraints.room),
+        path.times,
+        path.coefficients,
+        watch.parameters,
+        watch.start,
+        first,
+        last if where is None else where.step + 1,
+    )
+    blind = left.crossing or left.undecided
+    if blind is None or (where is not None and blind.time > where.time):
+        return None
+    return blind.step, blind.time
 
 
 def _decide(

@@ -29,12 +29,18 @@ class Constraints(NamedTuple):
     project : callable
         From a state that is off and the absolute time to the nearest one that is not; the same
         object where it cannot be brought nearer.
+    within : Tape or None
+        Outputs: what falls below minus `room` along a step that did not see something that the
+        flow meets (a narrow bump under a sliding point); None where that cannot be.
+    room : float
     """
 
     tape: Tape
     targets: Array
     weights: Array
     project: Callable[[Array, float], Array]
+    within: Tape | None = None
+    room: float = 0.0
 
     def off(self, state: Array, parameters: Array, time: float) -> float:
         """Return how far a state is off, in tolerances."""
