@@ -196,7 +196,7 @@ def _relation(
         trace = case.sound[0]
         image = other.trace
         assert image.outcome is trace.outcome, f"the changed scene ends: {image.message}"
-        assert_same(trace, image, case.nudged, reading=reading)
+        assert_same(trace, image, case.sensitivity, reading=reading)
 
     return Property(name, holds)
 

@@ -2,15 +2,16 @@
 
 Two computations of one motion differ by their errors, which the motion itself makes grow. How
 much is measured: the same run with parameters changed by a relative `NUDGE` shows how far a small
-error moves every event. Where it changes which events there are, or where grown errors are no
-longer small, nobody can tell from two runs whether they agree, and `Undecidable` says so.
+error moves every event, and the condition of every event how far the rounding of where it is
+found. Where it changes which events there are, or where grown errors are no longer small, nobody
+can tell from two runs whether they agree, and `Undecidable` says so.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from statechart.summed import without_summed
 from statechart.trace import Jump, Key, Trace
 
-__all__ = ["NUDGE", "Reading", "Undecidable", "assert_same"]
+__all__ = ["NUDGE", "Reading", "Sensitivity", "Undecidable", "assert_same"]
 
 Array = NDArray[np.float64]
 
@@ -28,6 +29,8 @@ NUDGE = 1e-7
 # Rounding where a run starts (as much as ten events), and of what every event is located by.
 _LOCATED = 1e-13
 _START = 10
+# Rounding of the terms of a margin where it falls, which the event's condition magnifies.
+_ROUNDING = 1e-14
 # Errors of steps add up to at most so many times their number times the tolerance.
 _FACTOR = 10.0
 # Grown to this part of a variable's size, errors cannot be told from a different motion.
@@ -58,12 +61,34 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """How errors grow in a run.
+
+    Attributes
+    ----------
+    nudged : sequence of Trace
+        The run with its parameters changed by a relative `NUDGE`, one way and another.
+    conditions : sequence of float or None
+        Of its events, from `statechart.condition.conditions`. What a flight of a millionth of
+        the run lasts is known to a millionth of the digits: a body leaves where its impact was
+        found, to rounding, and that nudged parameters do not show.
+    """
+
+    nudged: Sequence[Trace]
+    conditions: Sequence[float | None]
+
+
+@dataclass(frozen=True, eq=False)
 class _Event:
-    """A jump as numbers to compare: what it is, and (time, state before, state after)."""
+    """A jump as numbers to compare: what it is, and (time, state before, state after).
+
+    `rounded` is the relative error that rounding has caused by then.
+    """
 
     what: tuple[str, str, Key, Key]
     numbers: Array
     skipped: float
+    rounded: float = 0.0
 
     @property
     def t(self) -> float:
@@ -83,7 +108,7 @@ class _Story:
 def assert_same(
     reference: Trace,
     other: Trace,
-    nudged: Sequence[Trace],
+    sensitivity: Sensitivity,
     *,
     reading: Reading | None = None,
     until: tuple[float, Array] | None = None,
@@ -94,9 +119,8 @@ def assert_same(
     ----------
     reference, other : Trace
         The runs.
-    nudged : sequence of Trace
-        The run of `reference` with its parameters changed by a relative `NUDGE`, one way and
-        another.
+    sensitivity : Sensitivity
+        Of `reference`.
     reading : Reading, optional
         How to read `other`, where it is that of a transformed model.
     until : (float, (n,) array), optional
@@ -109,16 +133,18 @@ def assert_same(
     Undecidable
         If that cannot be told.
     """
-    stories = [_story(trace, Reading()) for trace in (reference, *nudged)]
+    stories = [_story(trace, Reading()) for trace in (reference, *sensitivity.nudged)]
+    stories[0] = _rounded(stories[0], sensitivity.conditions)
     stories.append(_story(other, reading or Reading()))
     if until is not None:
         stories = [*(_shortened(story, *until) for story in stories[:-1]), stories[-1]]
     first, *near, second = _without_skipped(stories)
-    error = _FACTOR * (_error(reference) + _error(other))
+    error = bare = _FACTOR * (_error(reference) + _error(other))
     floor = np.zeros(len(first.end))
     traces = (reference,) if reading else (reference, other)
     floor[1:] = sum(t.tolerances.get(kind, 0.0) for t in traces for kind in ("gap", "speed"))
     for i, (mine, its) in enumerate(zip(first.events, second.events, strict=False)):
+        error = bare + mine.rounded
         if mine.what != its.what:
             _part(first, second, near, i, error, (reference, other))
         shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
@@ -165,6 +191,14 @@ def _story(trace: Trace, reading: Reading) -> _Story:
         np.concatenate([[t_end], final, final]),
         np.concatenate([[t_end], sizes, sizes]),
     )
+
+
+def _rounded(story: _Story, conditions: Sequence[float | None]) -> _Story:
+    rounded, events = 0.0, []
+    for event, condition in zip_longest(story.events, conditions[: len(story.events)]):
+        rounded += _ROUNDING * min(condition or 0.0, 1.0 / _ROUNDING)
+        events.append(replace(event, rounded=rounded))
+    return replace(story, events=tuple(events))
 
 
 def _without_skipped(stories: list[_Story]) -> list[_Story]:

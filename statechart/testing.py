@@ -28,13 +28,15 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from statechart.automaton import Automaton, Margin, Setup
-from statechart.comparison import NUDGE, Reading, Undecidable, assert_same
+from statechart.comparison import NUDGE, Reading, Sensitivity, Undecidable, assert_same
 from statechart.compose import Mode
+from statechart.condition import conditions
 from statechart.declaration import Declaration
 from statechart.engines import choose
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.formula import parse
 from statechart.kinds import kind
+from statechart.observe import Observer
 from statechart.simulate import Simulator
 from statechart.tape import Tape, compile_tape
 from statechart.trace import Arc, Outcome, Trace
@@ -236,8 +238,8 @@ class Case:
         return tuple(self.traces.values())
 
     @cached_property
-    def nudged(self) -> tuple[Trace, ...]:
-        """The run with all parameters changed by a relative `NUDGE`, in three ways."""
+    def sensitivity(self) -> Sensitivity:
+        """How errors grow: parameters changed by a relative `NUDGE` in three ways, conditions."""
         values = self.subject.model.values(self.parameters)
         names = [
             name
@@ -259,7 +261,9 @@ class Case:
                 found.append(trace)
         if not found:
             raise Undecidable("no run with slightly changed parameters comes to its end")
-        return tuple(found)
+        trace = self.trace
+        observer = Observer(self.subject.simulators[next(iter(self.traces))])
+        return Sensitivity(found, conditions(observer, trace))
 
     def shorter(self, until: float) -> Trace:
         """Return the run of the most accurate engine up to `until`."""
@@ -499,7 +503,7 @@ def assert_engines_agree(case: Case) -> None:
     """Check that all engines take the same modes at the same times through the same states."""
     first, *others = case.sound
     for other in others:
-        assert_same(first, other, case.nudged)
+        assert_same(first, other, case.sensitivity)
 
 
 def assert_prefix(case: Case) -> None:
@@ -512,7 +516,7 @@ def assert_prefix(case: Case) -> None:
     state = arc.states(np.array([min(until - arc.start.high, arc.duration)]))[0]
     shorter = case.shorter(until)
     assert shorter.outcome is Outcome.HORIZON, f"run ended: {shorter.outcome.name}"
-    assert_same(trace, shorter, case.nudged, until=(until, state))
+    assert_same(trace, shorter, case.sensitivity, until=(until, state))
 
 
 def _each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:

@@ -15,7 +15,7 @@ from statechart.chart import Chart
 from statechart.checking import check, examine
 from statechart.comparison import Reading
 from statechart.document import interpret, load, read_text
-from statechart.testing import Subject, dense, generic, ranges
+from statechart.testing import Subject, assert_prefix, dense, generic, ranges
 
 
 def model(text):
@@ -147,6 +147,15 @@ def test_a_good_chart_passes_every_property():
 def test_a_good_scene_passes_every_property():
     report = check(model(ROD), examples=6, seed=1)
     assert report.passed, report.text()
+
+
+@pytest.mark.parametrize("e", [1e-4, 1e-6])
+def test_the_rounding_of_an_impact_explains_what_the_flight_after_it_lasts(e):
+    case = Subject(model(ROD)).case({"vy": 0.0, "e": e})
+    first, *others = case.sensitivity.conditions
+    assert first < 1.0
+    assert others[0] == pytest.approx(first / e)
+    assert_prefix(case)
 
 
 def test_a_reset_that_gains_speed_breaks_the_invariant():

@@ -152,7 +152,7 @@ def test_mirrored_and_in_other_units_conditions_fail_at_the_same_places() -> Non
     case = Subject(scene).case({})
     for changed, reading in (mirrored(scene), rescaled(scene)):
         image = Subject(changed).case({}).traces["taylor"]
-        assert_same(case.traces["taylor"], image, case.nudged, reading=reading)
+        assert_same(case.traces["taylor"], image, case.sensitivity, reading=reading)
 
 
 def test_off_is_a_state_of_the_region_and_counted() -> None:

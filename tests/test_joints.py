@@ -282,7 +282,7 @@ def test_mirrored_and_in_other_units_linkages_move_alike(name: str) -> None:
     case = subject.case({})
     for changed, reading in (mirrored(scene), rescaled(scene)):
         image = Subject(changed).case({}).traces[name]
-        assert_same(case.traces[name], image, case.nudged, reading=reading)
+        assert_same(case.traces[name], image, case.sensitivity, reading=reading)
 
 
 _DOCUMENT = """\

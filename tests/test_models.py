@@ -42,7 +42,7 @@ def test_a_shipped_model_runs_alike_by_every_method(name, method):
         assert trace.modes == case.trace.modes
         return
     try:
-        assert_same(case.trace, trace, case.nudged)
+        assert_same(case.trace, trace, case.sensitivity)
     except Undecidable:
         assert name in GROWING
 
