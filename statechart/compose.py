@@ -99,7 +99,12 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
 def _shared(
     loads: Sequence[Loads], substitution: Mapping[sp.Symbol, sp.Expr]
 ) -> tuple[Definition, ...]:
-    """Solve for what the motion leaves open."""
+    """Solve for what the motion leaves open.
+
+    Displacements are eliminated first, by contacts whose forces they are: at a contact of large
+    friction that is on its edge, normal equations square a stiffness of 1/mu^2 that is no part of
+    the forces.
+    """
     sums: dict[sp.Symbol, list[sp.Expr]] = {}
     for load in loads:
         for unknown, term in load.balances.items():
@@ -107,8 +112,9 @@ def _shared(
     equations = [*(e for load in loads for e in load.equations)]
     equations += [sp.Add(*terms) for terms in sums.values()]
     unknowns = [unknown for load in loads for unknown in load.carried]
-    unknowns += dict.fromkeys(unknown for load in loads for unknown in load.unknowns)
-    return solve_linear([e.xreplace(substitution) for e in equations], unknowns)
+    open_ones = dict.fromkeys(unknown for load in loads for unknown in load.unknowns)
+    unknowns += open_ones
+    return solve_linear([e.xreplace(substitution) for e in equations], unknowns, before=open_ones)
 
 
 def product_modes(automaton: Automaton) -> Iterable[Key]:

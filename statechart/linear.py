@@ -8,7 +8,7 @@ singularities left are those of the mode itself, such as the Painleve boundary.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import sympy as sp
 from sympy.utilities.iterables import connected_components
@@ -47,7 +47,10 @@ Equation = tuple[Row, sp.Expr, int]
 
 
 def solve_linear(
-    equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], paired: int = 0
+    equations: Sequence[sp.Expr],
+    unknowns: Sequence[sp.Symbol],
+    paired: int = 0,
+    before: Collection[sp.Symbol] = (),
 ) -> tuple[Definition, ...]:
     """Solve `equations` (each = 0, linear in `unknowns`).
 
@@ -62,6 +65,8 @@ def solve_linear(
         motion with their accelerations, those of constraints with their forces. Large systems are
         solved by pivots that are then positive whatever the state is: masses seen along a motion
         that is left, compliances seen by a force.
+    before : collection of Symbol
+        Unknowns to eliminate before others, where pivots are numbers.
 
     Returns
     -------
@@ -83,7 +88,7 @@ def solve_linear(
     sizes: dict[sp.Expr, float] = {}
     while True:
         rows = [equation for equation in rows if equation[0]]
-        pivot = _pivot(rows, sizes, mirrored)
+        pivot = _pivot(rows, sizes, mirrored, before)
         if pivot is None:
             break
         index, unknown, where = pivot
@@ -135,12 +140,15 @@ def _row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.
 
 
 def _pivot(
-    rows: list[Equation], sizes: dict[sp.Expr, float], wanted: tuple[int, sp.Symbol] | None
+    rows: list[Equation],
+    sizes: dict[sp.Expr, float],
+    wanted: tuple[int, sp.Symbol] | None,
+    before: Collection[sp.Symbol],
 ) -> tuple[int, sp.Symbol, str] | None:
     """Choose the cheapest pivot that divides by a factor of the determinant only.
 
     `sizes` keeps those of the coefficients seen so far: 0 where they are not numbers; `wanted` is
-    the equation and the unknown that come before others of their kind.
+    the equation and the unknown that come before others of their kind, `before` such unknowns.
     """
 
     def size(coefficient: sp.Expr) -> float:
@@ -155,7 +163,7 @@ def _pivot(
     for row, _, _ in rows:
         for unknown in row:
             count[unknown] = count.get(unknown, 0) + 1
-    best: tuple[int, int, sp.Symbol, str] | None = None
+    best: tuple[tuple[bool, int], int, sp.Symbol, str] | None = None
     for index, (row, _, origin) in enumerate(rows):
         largest = max(map(size, row.values()))
         for unknown, coefficient in row.items():
@@ -163,8 +171,9 @@ def _pivot(
                 return index, unknown, "column"
             if size(coefficient) >= max(_SMALLEST, 0.1 * largest):
                 # Markowitz: the fill that the elimination can make.
-                cost = (len(row) - 1) * (count[unknown] - 1)
-                cost = -1 if (origin, unknown) == wanted else cost
+                fill = (len(row) - 1) * (count[unknown] - 1)
+                fill = -1 if (origin, unknown) == wanted else fill
+                cost = unknown not in before, fill
                 if best is None or cost < best[0]:
                     best = (cost, index, unknown, "number")
     return None if best is None else best[1:]

@@ -288,6 +288,32 @@ def test_contacts_at_one_point_move_as_one(name: str) -> None:
     assert two.final == pytest.approx(one.final, abs=1e-9)
 
 
+@pytest.mark.parametrize("mu", [0.5, 6e3, 3e4])
+def test_a_rod_upright_in_a_corner_is_known_to_stand_whatever_the_friction(mu: float) -> None:
+    scene = Scene(
+        name="corner",
+        gravity=1,
+        bodies={"rod": Body(mass=1, inertia=0.1, start={"x": -3, "y": 1})},
+        surfaces={"floor": Surface(height=0), "wall": Surface(line=((-3, 1), (-3, 0)))},
+        contacts={
+            name: Contact(
+                point=Point(body="rod", at=(0, end)), surface=surface, friction=mu, restitution=0
+            )
+            for name, end, surface in (("foot", -1, "floor"), ("C", -1, "wall"), ("D", 1, "wall"))
+        },
+    )
+    trace = run(scene, until=10.0)
+    assert (trace.outcome, trace.modes) == (Outcome.HORIZON, (("pin",) * 3,))
+    assert trace.certified
+    simulator = Simulator(automaton(scene), engine("taylor"))
+    found = Observer(simulator).final(trace, ["foot.V", "foot.H", "C.V", "C.H", "D.V", "D.H"])
+    # The force in the corner's wall is along its edge (n, t) of the cone; the top bears nothing.
+    n, t = 1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu)
+    by_wall = t / 2.0
+    expected = [1.0 - t * by_wall, -n * by_wall, n * by_wall, -t * by_wall, 0.0, 0.0]
+    assert found == pytest.approx(expected, abs=1e-13)
+
+
 def test_without_friction_only_normal_forces_are_shared() -> None:
     modes = (Free(), Slide())
     scene = standing([-1.0, 0.2, 1.0], speed=0.5, friction=0, modes=modes)
