@@ -18,6 +18,7 @@ from contacts.heap_kernels import DONE, HARD, MEMORY, NOT_FINITE, step_heap
 from contacts.impulse import Stepping
 from contacts.kernels import FREE
 from contacts.mechanics import Mechanics
+from contacts.numbers import check_finite, check_physical
 from contacts.recognise import Chunk
 from contacts.scales import Scales
 from contacts.scene import Scene
@@ -253,8 +254,9 @@ class HeapStepper:
         initial = further[: 6 * len(scene.bodies)]
         known = scene.values(overrides)
         if overrides:
-            scene.check_numbers(known)
+            check_physical(scene, known)
         if not np.isfinite(initial).all():
+            check_finite(scene, known)
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         bodies = SteppedHeap(scene, self._owners, known)
         length = float(np.abs(initial.reshape(2, -1, 3)[0, :, :2]).max() + bodies.sizes.max())

@@ -11,7 +11,7 @@ from contacts.modes import ContactMode, Free, Pin, Slide, as_mode
 from contacts.shapes import INDEX, Shape
 from statechart.declaration import Part
 from statechart.errors import DeclarationProblem
-from statechart.fields import FormulaText, RelationText
+from statechart.fields import FiniteText, FormulaText, RelationText
 from statechart.formula import parse
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "Contact",
     "Coordinate",
     "Force",
+    "Gravity",
     "Joint",
     "Pair",
     "Path",
@@ -28,8 +29,19 @@ __all__ = [
     "Surface",
 ]
 
-Pair = tuple[FormulaText, FormulaText]
+Pair = tuple[FiniteText, FiniteText]
 """Two components, along x and y."""
+
+
+def _components(value: Any) -> str:
+    return "components" if isinstance(value, list | tuple) else "downwards"
+
+
+Gravity = Annotated[
+    Annotated[FiniteText, Tag("downwards")] | Annotated[Pair, Tag("components")],
+    Discriminator(_components),
+]
+"""An acceleration downwards, or its two components."""
 
 Simultaneous = Literal["plastic", "capped", "sequential"]
 """What coupled contacts do that are hit at once."""
@@ -48,8 +60,8 @@ _DeclaredMode = Annotated[
 class Coordinate(Part):
     """A generalised coordinate that positions of bodies are formulas of."""
 
-    start: FormulaText = Field(default=0, description="Value at the start.")
-    rate: FormulaText = Field(default=0, description="Its rate at the start.")
+    start: FiniteText = Field(default=0, description="Value at the start.")
+    rate: FiniteText = Field(default=0, description="Its rate at the start.")
 
 
 class Body(Part):
@@ -65,14 +77,14 @@ class Body(Part):
         default=None, description="About the centre of mass; a particle has none."
     )
     position: Pair | None = Field(default=None, description="Of the centre of mass.")
-    angle: FormulaText | None = Field(
+    angle: FiniteText | None = Field(
         default=None, description="Counter-clockwise; only with position."
     )
-    start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FormulaText] = Field(
+    start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FiniteText] = Field(
         default={}, description="Initial position and velocity of a free body; 0 where not given."
     )
     shape: Shape | None = Field(default=None, description="Outline, for collisions.")
-    copies: FormulaText | None = Field(
+    copies: FiniteText | None = Field(
         default=None,
         description="How many bodies like this there are: NAME0, NAME1, ...; their start may use "
         "index, which counts them from 0.",
@@ -138,8 +150,8 @@ class Surface(Part):
     left to right. A surface may be carried by a body, or displaced in time.
     """
 
-    height: FormulaText | None = Field(default=None, description="y as a formula of x.")
-    incline: FormulaText | None = Field(default=None, description="Angle of slope, rad.")
+    height: FiniteText | None = Field(default=None, description="y as a formula of x.")
+    incline: FiniteText | None = Field(default=None, description="Angle of slope, rad.")
     through: Pair = Field(default=(0, 0), description="A point of the incline.")
     line: tuple[Pair, Pair] | None = Field(
         default=None, description="Two points; the solid is on the right going from one to two."
@@ -148,7 +160,7 @@ class Surface(Part):
         default=None, description="As a line, but it ends at the two points."
     )
     circle: Pair | None = Field(default=None, description="Centre; the solid is inside.")
-    radius: FormulaText | None = Field(default=None, description="Of the circle.")
+    radius: FiniteText | None = Field(default=None, description="Of the circle.")
     body: str | None = Field(default=None, description="What carries it, in that body's frame.")
     displacement: Pair = Field(
         default=(0, 0), description="How far it has moved as a whole: formulas of time."
@@ -274,14 +286,14 @@ class Force(Part):
     body: str
     force: Pair = (0, 0)
     at: Pair = (0, 0)
-    moment: FormulaText = 0
+    moment: FiniteText = 0
 
 
 class Path(Part):
     """A place in the world, or one component of it, as formulas of time."""
 
-    x: FormulaText | None = None
-    y: FormulaText | None = None
+    x: FiniteText | None = None
+    y: FiniteText | None = None
 
     @model_validator(mode="after")
     def _something(self) -> Self:

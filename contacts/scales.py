@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from contacts.kernels import largest_sizes
 from contacts.mechanics import Mechanics
+from statechart.errors import DeclarationProblem
 from statechart.formula import parse
 from statechart.tape import compile_tape
 
@@ -62,21 +63,25 @@ class ScaleTape:
         scene = mechanics.scene
         lengths: list[sp.Expr] = []
         speeds: list[sp.Expr] = []
+        owners: list[tuple[str, ...]] = []
         masses: list[sp.Expr] = []
         for name, body in scene.bodies.items():
             centre, _ = mechanics.body_frame(name)
             lengths += centre
             speeds += [mechanics.rate(component) for component in centre]
+            owners += [("bodies", name)] * 2
             known = dict(zip(scene.parameters, parameters, strict=False))
             masses.append(parse(body.mass).to_sympy(known))
         for name in scene.contacts:
             geometry = mechanics.contact(name)
             lengths += [geometry.symbols.gap, *geometry.point]
             speeds += [mechanics.rate(component) for component in geometry.point]
+            owners += [("contacts", name)] * 3
         for joint in scene.joints.values():
             place = mechanics.point(joint.point)
             lengths += place
             speeds += [mechanics.rate(component) for component in place]
+            owners += [("joints", name)] * 2
         pushes = [
             force / mechanics.mass_matrix[i, i]
             for i, force in enumerate(mechanics.generalised_forces)
@@ -94,6 +99,7 @@ class ScaleTape:
         groups = [lengths, speeds, pushes, [mass], [duration], *([g] for g in mechanics.gravity)]
         self._gravity = len(mechanics.gravity)
         groups += moves
+        self._owners = owners
         self._begins = np.array([*accumulate(map(len, groups), initial=0)])
         self._tape = compile_tape(
             [expression for group in groups for expression in group],
@@ -104,9 +110,25 @@ class ScaleTape:
         )
 
     def at(self, values: Array, state: Array) -> Scales:
-        """Return the scales of a run that starts at `state` (2 n,)."""
+        """Return the scales of a run that starts at `state` (2 n,).
+
+        Raises
+        ------
+        DeclarationProblem
+            If a place or the gravity there is not finite.
+        """
         sizes = np.empty(len(self._begins) - 1)
-        largest_sizes(self._tape.at(state, values, 0.0), self._begins, sizes)
+        numbers = self._tape.at(state, values, 0.0)
+        for place, owner in enumerate(self._owners):
+            if not math.isfinite(numbers[place]):
+                raise DeclarationProblem(
+                    "its place at the start is not finite",
+                    advice="look for a logarithm, a root or a quotient without a value there",
+                    loc=owner,
+                )
+        if not np.isfinite(numbers[self._begins[5] : self._begins[5 + self._gravity]]).all():
+            raise DeclarationProblem("must be finite", loc=("gravity",))
+        largest_sizes(numbers, self._begins, sizes)
         largest = sizes.tolist()
         length, speed, push, mass, duration = largest[:5]
         moves = largest[5 + self._gravity :]

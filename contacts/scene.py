@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from contacts.controls import Controller, Controls
+from contacts.numbers import check_finite, check_physical
 from contacts.parts import (
     Body,
     Contact,
     Coordinate,
     Force,
+    Gravity,
     Joint,
-    Pair,
     Path,
     Point,
     Resolution,
@@ -24,8 +24,8 @@ from contacts.parts import (
 )
 from contacts.shapes import INDEX, Collision, check_collisions, check_copies, copies
 from statechart.declaration import TIME, Declaration, check_names
-from statechart.errors import DeclarationProblem, FormulaError
-from statechart.fields import FormulaText, NameText, problem
+from statechart.errors import DeclarationProblem
+from statechart.fields import FormulaText, NameText
 from statechart.formula import close_matches, parse, parse_relation
 from statechart.transitions import check_listening
 
@@ -43,7 +43,7 @@ class Scene(Declaration):
     """
 
     kind: Literal["scene"] = "scene"
-    gravity: FormulaText | Pair = Field(
+    gravity: Gravity = Field(
         default=0, description="Acceleration downwards, or its two components."
     )
     coordinates: dict[NameText, Coordinate] = Field(default={})
@@ -286,53 +286,27 @@ class Scene(Declaration):
         return self
 
     @model_validator(mode="after")
-    def _numbers_are_physical(self) -> Self:
-        self.check_numbers(self.values())
-        check_collisions(self, self.values())
+    def _coordinates_move_bodies(self) -> Self:
+        texts = [text for body in self.bodies.values() for text in body.position or ()]
+        texts += [body.angle for body in self.bodies.values() if body.angle is not None]
+        used = frozenset[str]().union(*(parse(text).names for text in texts))
+        for name in self.coordinates:
+            if name not in used:
+                raise DeclarationProblem(
+                    "it moves no body",
+                    advice="use it in the position or the angle of a body, or remove it",
+                    loc=("coordinates", name),
+                    key=True,
+                )
         return self
 
-    def check_numbers(self, values: Mapping[str, float]) -> None:
-        """Check masses, inertias, friction and restitution for `values` of the parameters.
-
-        Raises
-        ------
-        DeclarationProblem
-            At the first that is out of its bounds.
-        """
-        for name, body in self.bodies.items():
-            _bounded(values, body.mass, ("bodies", name, "mass"), "positive", positive=True)
-            if body.inertia is not None:
-                _bounded(values, body.inertia, ("bodies", name, "inertia"), "zero or positive")
-        for name, contact in self.contacts.items():
-            at = ("contacts", name)
-            for key, words, most in (
-                ("friction", "zero or positive", math.inf),
-                ("restitution", "between 0 and 1", 1.0),
-            ):
-                text: FormulaText | None = getattr(contact, key)
-                if text is None:
-                    continue
-                for state, known in self._in_states(text, values):
-                    where = f"{words}{state}"
-                    infinite = key == "friction"
-                    _bounded(known, text, (*at, key), where, most=most, infinite=infinite)
-
-    def _in_states(
-        self, text: FormulaText, values: Mapping[str, float]
-    ) -> Iterator[tuple[str, Mapping[str, float]]]:
-        """Yield the values that a contact's coefficient may see, and in which state."""
-        controls = self.controlled
-        region = controls.region_of(text)
-        if region is None:
-            yield "", values
-            return
-        for state in self.regions[region].states:
-            set_ = controls.values(region, state)
-            used = parse(text).names.intersection(set_)
-            yield (
-                f" in state {state!r} of {region!r}",
-                {**values, **{name: parse(set_[name]).value(values) for name in used}},
-            )
+    @model_validator(mode="after")
+    def _numbers_are_physical(self) -> Self:
+        values = self.values()
+        check_physical(self, values)
+        check_finite(self, values)
+        check_collisions(self, values)
+        return self
 
     @model_validator(mode="after")
     def _uses_exist(self) -> Self:
@@ -381,22 +355,3 @@ class Scene(Declaration):
         for index, text in enumerate(texts):
             where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
             check_names(parse(text), known, *where)
-
-
-def _bounded(
-    values: Mapping[str, float],
-    text: FormulaText,
-    loc: tuple[str, ...],
-    words: str,
-    *,
-    most: float = math.inf,
-    positive: bool = False,
-    infinite: bool = False,
-) -> None:
-    try:
-        value = parse(text).value(values)
-    except FormulaError as error:
-        raise problem(error, *loc) from None
-    within = 0.0 <= value <= most and not (positive and value == 0.0)
-    if not within or (math.isinf(value) and not infinite):
-        raise DeclarationProblem(f"must be {words}, not {value:g}", loc=loc)

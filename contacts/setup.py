@@ -14,6 +14,7 @@ from contacts.classify import ContactLaw
 from contacts.gates import Gates
 from contacts.joints import redundant
 from contacts.mechanics import COEFFICIENTS, Mechanics
+from contacts.numbers import check_finite, check_physical
 from contacts.parts import Contact, Point
 from contacts.regions import states as states_of
 from contacts.scales import Scales, ScaleTape
@@ -185,6 +186,11 @@ class SceneNumbers:
         self._stops = tuple(stops)
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [row.force for row in mechanics.joint_rows]
+        self._of_forces = {
+            name
+            for name, stop in stops.items()
+            if stop.expression.free_symbols.intersection(forces)
+        }
         self._stop_tape = compile_tape(
             [margin.expression for margin in stops.values()],
             variables=(*mechanics.q, *mechanics.v),
@@ -217,13 +223,26 @@ class SceneNumbers:
         initial = further[: -len(self._inertias)]
         key = tuple(sorted(overrides.items()))
         if overrides and key not in self._physical:
-            self._scene.check_numbers(self._scene.values(overrides))
+            check_physical(self._scene, self._scene.values(overrides))
             self._physical.add(key)
         if not all(map(math.isfinite, initial.tolist())):
+            check_finite(self._scene, self._scene.values(overrides))
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         values, implied = self._implied(values, initial)
-        scales = self._scales.at(values, initial)
+        try:
+            scales = self._scales.at(values, initial)
+        except DeclarationProblem:
+            # It is a formula's fault where one has no finite value.
+            check_finite(self._scene, self._scene.values(overrides))
+            raise
         margins = self._stop_tape.at(initial, values, 0.0).tolist()
+        for name, margin in zip(self._stops, margins, strict=True):
+            if math.isnan(margin) and name not in self._of_forces:
+                raise DeclarationProblem(
+                    "it has no value at the start, so that nobody could watch it",
+                    advice="look for a logarithm, a root or a quotient without a value there",
+                    loc=("stop", "conditions", name),
+                )
         tolerances = {
             "gap": max(10.0 * relative, _ROUNDING) * scales.length,
             "speed": max(10.0 * relative, 10.0 * _ROUNDING) * scales.speed,
@@ -243,7 +262,10 @@ class SceneNumbers:
             contacts=self.contacts(values),
             capture=math.sqrt(max(relative, _ROUNDING)) * scales.speed,
             bands={
-                **{n: _ROUNDING * abs(v) for n, v in zip(self._stops, margins, strict=True)},
+                **{
+                    n: _ROUNDING * abs(v) if math.isfinite(v) else 0.0
+                    for n, v in zip(self._stops, margins, strict=True)
+                },
                 **self.gates.bands(values, initial, scales.sizes),
             },
         )

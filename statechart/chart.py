@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from statechart.declaration import TIME, Declaration, Part, check_names
 from statechart.errors import DeclarationProblem, FormulaError
-from statechart.fields import FormulaText, Label, NameText, RelationText, problem
+from statechart.fields import FiniteText, Label, NameText, RelationText, problem
 from statechart.formula import close_matches, parse, parse_relation
 from statechart.transitions import BaseTransition, check_listening, check_region
 
@@ -18,7 +18,7 @@ __all__ = ["Chart", "Region", "State", "Transition"]
 class State(Part):
     """One state of a region: how variables change in it, and what holds in it."""
 
-    flows: dict[str, FormulaText] = Field(
+    flows: dict[str, FiniteText] = Field(
         default={}, description="Variable to its time derivative; without one it is constant."
     )
     invariants: dict[Label, RelationText] = Field(
@@ -32,7 +32,7 @@ class Transition(BaseTransition):
     ``on: zeno`` waits for no other region: it fires where jumps out of the state accumulate.
     """
 
-    updates: dict[str, FormulaText] = Field(
+    updates: dict[str, FiniteText] = Field(
         default={}, description="Variable to its new value, of the values before the jump."
     )
 
@@ -64,7 +64,7 @@ class Chart(Declaration):
     """
 
     kind: Literal["chart"] = "chart"
-    variables: dict[NameText, FormulaText] = Field(
+    variables: dict[NameText, FiniteText] = Field(
         min_length=1, description="Variable to its initial value."
     )
     regions: dict[NameText, Region] = Field(min_length=1)
@@ -132,7 +132,7 @@ class Chart(Declaration):
                 )
         return self
 
-    def _flows(self) -> list[tuple[str, str, str, FormulaText]]:
+    def _flows(self) -> list[tuple[str, str, str, FiniteText]]:
         return [
             (region, state, name, flow)
             for region, declared in self.regions.items()

@@ -47,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except DeclarationError as error:
         return _say(str(error), _WRONG)
     except StatechartError as error:
-        return _say(str(error), _FAILED)
+        file = getattr(chosen, "file", "")
+        return _say(f"{file}: {error}" if file else str(error), _FAILED)
     except KeyboardInterrupt:
         return _say("interrupted", _FAILED)
     except BrokenPipeError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -304,8 +305,10 @@ class Declaration(Part):
                 end = parse(self.stop.time).value(values)
             except FormulaError as error:
                 raise problem(error, "stop", "time") from None
-            if end < 0:
-                raise DeclarationProblem("must not be negative", loc=("stop", "time"))
+            if not 0.0 <= end < math.inf:
+                raise DeclarationProblem(
+                    f"must be a finite time from 0 on, not {end:g}", loc=("stop", "time")
+                )
         return self
 
     @model_validator(mode="after")

@@ -86,6 +86,19 @@ class Document:
         at = self.existing(loc)
         return self._keys.get(at, self._values[at]) if key else self._values[at]
 
+    def where(self, text: str) -> Loc:
+        """Return the place of the first value that is `text`; the top if none is."""
+
+        def of(value: Any) -> Any:
+            for part in loc:
+                value = value[part]
+            return value
+
+        for loc in self._values:
+            if of(self.data) == text:
+                return loc
+        return ()
+
     def existing(self, loc: Loc) -> Loc:
         """Return the parts of `loc` that lead down the data."""
         at: Loc = ()
@@ -269,7 +282,7 @@ class _Builder:
         try:
             return resolve(event.value)
         except ValueError:
-            self._fail(event, "a number of too many digits")
+            self._fail(event, "a number of too many digits, or too large for a float")
 
     def _position(self, event: Event) -> Position:
         mark = event.start_mark

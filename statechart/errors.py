@@ -128,6 +128,8 @@ class FormulaError(DeclarationError):
         Where in the formula's text, counted from 0.
     name : str
         The named formula concerned, where several are handled at once; else empty.
+    text : str
+        The formula as written.
     """
 
     def __init__(
@@ -140,10 +142,12 @@ class FormulaError(DeclarationError):
         column: int | None = None,
         offset: int = 0,
         name: str = "",
+        text: str = "",
     ) -> None:
         super().__init__(message, advice=advice, source=source, line=line, column=column)
         self.offset = offset
         self.name = name
+        self.text = text
 
 
 class DeclarationProblem(ValueError):

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.formula import NAME, RESERVED, parse, parse_relation
 
-__all__ = ["FormulaText", "Label", "NameText", "Real", "RelationText", "problem"]
+__all__ = ["FiniteText", "FormulaText", "Label", "NameText", "Real", "RelationText", "problem"]
 
 
 def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
@@ -37,11 +37,25 @@ def _formula(value: Any) -> Any:
     return str(value) if isinstance(value, float) and math.isinf(value) else value
 
 
+def _without_infinity(value: str | int | float) -> str | int | float:
+    formula = parse(value)
+    if formula.names_infinity:
+        raise DeclarationProblem(
+            f"formula {formula.text!r}: must be finite",
+            advice="infinite can be friction, and parameters that stand for it",
+        )
+    return value
+
+
 def _relation(value: str) -> str:
     try:
-        parse_relation(value)
+        relation = parse_relation(value)
     except FormulaError as error:
         raise problem(error) from None
+    if relation.left.names_infinity or relation.right.names_infinity:
+        raise DeclarationProblem(
+            f"formula {value!r}: nothing is compared with infinity", advice="write a finite number"
+        )
     return value
 
 
@@ -59,6 +73,9 @@ def _name(value: str) -> str:
 
 FormulaText = Annotated[str | int | float, BeforeValidator(_formula)]
 """A number or a formula that can be read; kept as written (infinity as the text `inf`)."""
+
+FiniteText = Annotated[FormulaText, AfterValidator(_without_infinity)]
+"""A formula that does not name infinity: it is computed with, not compared."""
 
 RelationText = Annotated[str, AfterValidator(_relation)]
 """A comparison of two formulas, kept as written."""

@@ -33,6 +33,7 @@ from statechart.syntax import (
     close_matches,
     evaluate,
     names_in,
+    nodes,
     undeclared,
 )
 
@@ -145,6 +146,11 @@ class Formula:
     def names(self) -> frozenset[str]:
         """The declared names that it uses."""
         return frozenset(name.name for name in names_in(self.root))
+
+    @property
+    def names_infinity(self) -> bool:
+        """Whether the constant `inf` occurs in it."""
+        return any(isinstance(node, Constant) and node.name == "inf" for node in nodes(self.root))
 
     def require(self, known: Iterable[str]) -> None:
         """Check that it uses only names in `known`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
@@ -48,16 +49,27 @@ def declaration_error(
         What it should have been.
     """
     errors = error.errors(include_url=False)
-    # A list whose items are all wrong is empty to pydantic: no news beside what is wrong with them.
-    inside = {details["loc"][:-1] for details in errors}
-    found = [
-        _one(details, document, model)
-        for details in errors
-        if details["type"] != "too_short" or details["loc"] not in inside
-    ]
+    found = [_one(details, document, model) for details in errors if not _implied(details, errors)]
     found.sort(key=lambda one: (one.line or 0, one.column or 0))
     found[0].others = tuple(found[1:])
     return found[0]
+
+
+def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
+    """Whether an error is no news beside the others."""
+    if details["type"] == "too_short":
+        # A list whose items are all wrong is empty to pydantic.
+        return any(other["loc"][:-1] == details["loc"] for other in errors)
+    if details["type"] == "missing":
+        # A key that is misspelt is missing, too.
+        *above, name = details["loc"]
+        return any(
+            other["type"] == "extra_forbidden"
+            and list(other["loc"][:-1]) == above
+            and difflib.get_close_matches(str(other["loc"][-1]), [str(name)])
+            for other in errors
+        )
+    return False
 
 
 def _one(details: ErrorDetails, document: Document, model: type[BaseModel]) -> DeclarationError:
@@ -87,7 +99,11 @@ def _words(details: ErrorDetails, known: Sequence[str]) -> tuple[str, str]:
             "known:", "known keys:"
         )
     if kind == "missing":
+        if isinstance(last[0], int):
+            return f"must have {last[0] + 1} items", ""
         return f"{last[0]!r} is missing", ""
+    if kind == "too_long":
+        return f"must have {context['max_length']} items, not {context['actual_length']}", ""
     if "error" in context:
         return str(context["error"]), ""
     shown = repr(given) if isinstance(given, str | int | float | None) else type(given).__name__

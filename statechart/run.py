@@ -93,7 +93,11 @@ class Runner:
             model = _declaration(model)
         self.model = model
         read_at = time.perf_counter()
-        self.automaton = _automaton(model)
+        try:
+            self.automaton = _automaton(model)
+        except FormulaError as error:
+            loc = self.document.where(error.text) if self.document else ()
+            raise self._formula(error, loc) from None
         self._timings = {"read": read_at - began, "compose": time.perf_counter() - read_at}
         self._progress = progress
         self._options: dict[str, Any] = {
@@ -373,7 +377,7 @@ class Runner:
             message, advice=problem.advice, source=at.source, line=at.line, column=at.column
         )
 
-    def _formula(self, error: FormulaError, loc: tuple[str, ...]) -> DeclarationError:
+    def _formula(self, error: FormulaError, loc: tuple[str | int, ...]) -> DeclarationError:
         problem = DeclarationProblem(
             error.message, advice=error.advice, loc=loc, offset=error.offset
         )

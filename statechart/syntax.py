@@ -33,6 +33,7 @@ __all__ = [
     "close_matches",
     "evaluate",
     "names_in",
+    "nodes",
     "undeclared",
 ]
 
@@ -190,6 +191,7 @@ class Source:
             column=place.column if place else None,
             offset=offset,
             name=name,
+            text=self.text,
         )
 
 
@@ -407,11 +409,15 @@ def _children(node: Node) -> tuple[Node, ...]:
 
 def names_in(node: Node) -> Iterator[Name]:
     """Yield every name in `node`, left to right."""
+    return (part for part in nodes(node) if isinstance(part, Name))
+
+
+def nodes(node: Node) -> Iterator[Node]:
+    """Yield `node` and all below it, left to right."""
     pending = [node]
     while pending:
         node = pending.pop()
-        if isinstance(node, Name):
-            yield node
+        yield node
         pending.extend(reversed(_children(node)))
 
 

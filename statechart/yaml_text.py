@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -48,13 +49,18 @@ def resolve(text: str) -> Any:
     Raises
     ------
     ValueError
-        If it is an integer of thousands of digits.
+        If it is an integer of thousands of digits, or a number beyond the range of floats.
     """
     if text in _WORDS:
         return _WORDS[text]
     if _INTEGER.fullmatch(text):
         return int(text)
-    return float(text) if _FLOAT.fullmatch(text) else text
+    if not _FLOAT.fullmatch(text):
+        return text
+    number = float(text)
+    if math.isinf(number):
+        raise ValueError(f"{text} is more than a float can hold")
+    return number
 
 
 def dump(model: BaseModel) -> str:

@@ -1,0 +1,172 @@
+"""What the numbers of a scene must be: finite, and physical."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from contacts.parts import Point
+from statechart.errors import DeclarationProblem, FormulaError
+from statechart.fields import FormulaText, problem
+from statechart.formula import parse
+
+if TYPE_CHECKING:
+    from contacts.scene import Scene
+
+__all__ = ["check_finite", "check_physical"]
+
+Loc = tuple[str | int, ...]
+
+
+def check_physical(scene: Scene, values: Mapping[str, float]) -> None:
+    """Check masses, inertias, friction, restitution and radii.
+
+    Parameters
+    ----------
+    scene : Scene
+        As declared.
+    values : mapping of str to float
+        Of its parameters.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first that is out of its bounds.
+    """
+    for name, body in scene.bodies.items():
+        _bounded(values, body.mass, ("bodies", name, "mass"), "positive", positive=True)
+        if body.inertia is not None:
+            _bounded(values, body.inertia, ("bodies", name, "inertia"), "zero or positive")
+    for name, surface in scene.surfaces.items():
+        if surface.radius is not None:
+            at = ("surfaces", name, "radius")
+            _bounded(values, surface.radius, at, "positive", positive=True)
+    for name, contact in scene.contacts.items():
+        for key, words, most in (
+            ("friction", "zero or positive", math.inf),
+            ("restitution", "between 0 and 1", 1.0),
+        ):
+            text: FormulaText | None = getattr(contact, key)
+            if text is None:
+                continue
+            for state, known in _in_states(scene, text, values):
+                _bounded(
+                    known,
+                    text,
+                    ("contacts", name, key),
+                    f"{words}{state}",
+                    most=most,
+                    infinite=key == "friction",
+                )
+
+
+def check_finite(scene: Scene, values: Mapping[str, float]) -> None:
+    """Check that places, gravity and the initial state are finite, and that lines have two ends.
+
+    Parameters
+    ----------
+    scene : Scene
+        As declared.
+    values : mapping of str to float
+        Of its parameters.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first formula that has no finite value.
+    """
+    for loc, text in _places(scene):
+        formula = parse(text)
+        if not formula.names <= values.keys():
+            # A start that uses the number of a copy.
+            continue
+        try:
+            value = formula.value(values)
+        except FormulaError as error:
+            raise problem(error, *loc) from None
+        if math.isinf(value):
+            raise DeclarationProblem(f"must be finite, not {value:g}", loc=loc)
+    for name, surface in scene.surfaces.items():
+        for form in ("line", "edge"):
+            ends = getattr(surface, form)
+            if ends is not None:
+                one, two = ([parse(text).value(values) for text in end] for end in ends)
+                if one == two:
+                    raise DeclarationProblem(
+                        "its two points are one",
+                        advice="give two points of the line that are apart",
+                        loc=("surfaces", name, form),
+                    )
+
+
+def _pair(texts: Sequence[FormulaText], *loc: str | int) -> Iterator[tuple[Loc, FormulaText]]:
+    yield from (((*loc, index), text) for index, text in enumerate(texts))
+
+
+def _places(scene: Scene) -> Iterator[tuple[Loc, FormulaText]]:
+    """Yield the formulas of parameters alone, and where they stand."""
+    if isinstance(scene.gravity, tuple):
+        yield from _pair(scene.gravity, "gravity")
+    else:
+        yield ("gravity",), scene.gravity
+    for name, coordinate in scene.coordinates.items():
+        yield ("coordinates", name, "start"), coordinate.start
+        yield ("coordinates", name, "rate"), coordinate.rate
+    for name, body in scene.bodies.items():
+        for key, text in body.start.items():
+            yield ("bodies", name, "start", key), text
+    for name, surface in scene.surfaces.items():
+        at = ("surfaces", name)
+        if surface.incline is not None:
+            yield (*at, "incline"), surface.incline
+            yield from _pair(surface.through, *at, "through")
+        for form in ("line", "edge"):
+            for index, end in enumerate(getattr(surface, form) or ()):
+                yield from _pair(end, *at, form, index)
+        yield from _pair(surface.circle or (), *at, "circle")
+    for name, contact in scene.contacts.items():
+        yield from _pair(contact.point.at, "contacts", name, "point", "at")
+    for name, joint in scene.joints.items():
+        yield from _pair(joint.point.at, "joints", name, "point", "at")
+        if isinstance(joint.to, Point):
+            yield from _pair(joint.to.at, "joints", name, "to", "at")
+    for name, force in scene.forces.items():
+        yield from _pair(force.at, "forces", name, "at")
+
+
+def _in_states(
+    scene: Scene, text: FormulaText, values: Mapping[str, float]
+) -> Iterator[tuple[str, Mapping[str, float]]]:
+    """Yield the values that a contact's coefficient may see, and in which state."""
+    controls = scene.controlled
+    region = controls.region_of(text)
+    if region is None:
+        yield "", values
+        return
+    for state in scene.regions[region].states:
+        set_ = controls.values(region, state)
+        used = parse(text).names.intersection(set_)
+        yield (
+            f" in state {state!r} of {region!r}",
+            {**values, **{name: parse(set_[name]).value(values) for name in used}},
+        )
+
+
+def _bounded(
+    values: Mapping[str, float],
+    text: FormulaText,
+    loc: tuple[str, ...],
+    words: str,
+    *,
+    most: float = math.inf,
+    positive: bool = False,
+    infinite: bool = False,
+) -> None:
+    try:
+        value = parse(text).value(values)
+    except FormulaError as error:
+        raise problem(error, *loc) from None
+    within = 0.0 <= value <= most and not (positive and value == 0.0)
+    if not within or (math.isinf(value) and not infinite):
+        raise DeclarationProblem(f"must be {words}, not {value:g}", loc=loc)

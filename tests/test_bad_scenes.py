@@ -1,0 +1,154 @@
+"""What a wrong scene gets: one message with its place and what to do, before anything is run."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from statechart.document import read_text
+from statechart.errors import DeclarationError
+from statechart.run import Runner
+
+SCENE = """\
+kind: scene
+name: thrown
+parameters: {m: 1, mu: 0.5, e: 0.5, h: 1, g: 9.81, big: inf}
+gravity: g
+bodies:
+  rod: {mass: m, inertia: 1/3, start: {y: h, angle: 0.3}}
+surfaces:
+  ground: {height: 0}
+contacts:
+  tip: {point: {body: rod, at: [0, -0.5]}, surface: ground, friction: mu, restitution: e}
+stop: {time: 1}
+outputs:
+  y: {value: rod.y}
+"""
+CHAIN = (
+    "surfaces:",
+    "  arm: {mass: 1, inertia: 1, start: {x: 2, y: 2}}\n"
+    "joints:\n"
+    "  a: {point: {body: rod, at: [0, -0.5]}, to: [0, 0]}\n"
+    "  b: {point: {body: rod, at: [0, 0.5]}, to: {body: arm}}\n"
+    "  c: @{point: {body: arm, at: [0, 1]}, to: [9, 9]}\n"
+    "surfaces:",
+)
+
+
+def refused(*pairs: tuple[str, str]) -> DeclarationError:
+    """Return the error of the scene so changed; it must stand where the text has an @."""
+    text = SCENE
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new, 1)
+    before, _, _ = text.partition("@")
+    with pytest.raises(DeclarationError) as caught:
+        Runner(read_text(text.replace("@", "", 1), "f.yaml")).start()
+    error = caught.value
+    line = before.count("\n") + 1
+    column = len(before) - (before.rfind("\n") + 1) + 1
+    assert str(error).startswith(f"f.yaml:{line}:{column}: ")
+    assert not error.others
+    return error
+
+
+def test_the_scene_itself_is_fine() -> None:
+    assert Runner(read_text(SCENE)).start()[0] == ("free",)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("gravity: g", "@gravty: 9.81", "did you mean 'gravity'?"),
+        ("mass: m", "@mas: m", "did you mean 'mass'?"),
+        ("gravity: g", "gravity: @[1, 2, 3]", "must have 2 items, not 3"),
+        ("gravity: g", "gravity: @.nan", "a finite number"),
+        ("gravity: g", "gravity: @.inf", "must be finite"),
+        ("gravity: g", "gravity: @1e400", "too large for a float"),
+        ("gravity: g", "gravity: 9.81@/(h-m)", "division by zero"),
+        ("gravity: g", "gravity: 9@**9**9", "exponent"),
+        ("gravity: g", "gravity: '@__import__(1)'", "unknown function '__import__'"),
+        ("angle: 0.3", "angle: 1@/(h-h)", "division by zero"),
+        ("angle: 0.3", "angle: @sqrt(-h)", "sqrt has no value"),
+        ("y: h, angle", "y: @inf, angle", "must be finite"),
+        ("y: h, angle", "y: @h*big, angle", "must be finite, not inf"),
+        ("height: 0", "height: @inf*x", "must be finite"),
+        ("height: 0", "line: @[[0, 0], [0, m - 1]]", "its two points are one"),
+        ("height: 0", "line: @[[0, 0]]", "must have 2 items"),
+        ("height: 0", "circle: [0, 0], radius: @m - 1", "must be positive, not 0"),
+        ("height: 0", "circle: [0, 0], radius: @-1", "must be positive, not -1"),
+        ("time: 1", "time: @inf", "must be a finite time from 0 on, not inf"),
+        ("time: 1", "time: 1@/0", "division by zero"),
+        ("1}\n", "1, conditions: {low: @sqrt(rod.y - 5) <= 1}}\n", "has no value at the start"),
+        ("1}\n", "1, conditions: {low: 1@/(rod.y - rod.y) <= 1}}\n", "it has no real value"),
+        ("1}\n", "1, conditions: {low: @rod.y >= inf}}\n", "nothing is compared with infinity"),
+        ("bodies:", "coordinates: {@q: {start: 1}}\nbodies:", "it moves no body"),
+        ("mass: m", "mass: @-m", "must be positive, not -1"),
+        ("friction: mu", "friction: @-mu", "must be zero or positive, not -0.5"),
+        ("restitution: e", "restitution: @3*e", "must be between 0 and 1, not 1.5"),
+        ("restitution: e", "restitution: @-e", "must be between 0 and 1, not -0.5"),
+        ("stop:", "modes: {tip: @pin}\nstop:", "its gap is open or opening"),
+    ],
+)
+def test_every_wrong_scene_has_its_place_and_words(old: str, new: str, words: str) -> None:
+    assert words in str(refused((old, new)))
+
+
+@pytest.mark.parametrize(
+    ("height", "words"),
+    [
+        ("log(x - 5)", "its place at the start is not finite"),
+        ("0.8", "starts inside its surface, 0.277668 deep; move the body out of the surface"),
+    ],
+)
+def test_a_contact_that_starts_nowhere_or_inside_is_named(height: str, words: str) -> None:
+    found = refused(("height: 0", f"height: {height}"), ("tip: {", "tip: @{"))
+    assert found.message.startswith("contacts.tip: ")
+    assert words in str(found)
+
+
+@pytest.mark.parametrize(
+    ("path", "at", "words"),
+    [
+        ("0, 2", "j: ", "joint 'j' is open at the start"),
+        ("time, 1", "k: ", "the joints 'j', 'k' contradict one another: no velocity of the bodies"),
+        ("time**2, 1", "k: ", "contradict one another: no acceleration of the bodies"),
+    ],
+)
+def test_joints_that_contradict_are_named(path: str, at: str, words: str) -> None:
+    held = "\n  ".join(
+        f"{name}: {{point: {{body: rod}}, to: [{to}]}}" for name, to in (("j", path), ("k", "0, 1"))
+    )
+    joints = f"joints:\n  {held}\n".replace(at, f"{at}@")
+    assert words in str(refused(("contacts:", f"{joints}contacts:")))
+
+
+def test_a_joint_that_does_not_hold_at_the_start_says_which_velocities_would() -> None:
+    error = refused(("contacts:", "joints: {j: @{point: {body: rod}, to: [time, 1]}}\ncontacts:"))
+    assert error.message == (
+        "joints.j: joint 'j' does not hold at the start: its point of 'rod' and its place in the "
+        "world are moving apart at 1"
+    )
+    assert error.advice == "velocities that it allows: rod.dx = 1"
+
+
+def test_a_loop_that_cannot_close_says_how_near_it_comes() -> None:
+    error = refused(CHAIN)
+    assert "'c' is open at the start" in error.message
+    assert "no position near the start closes all joints (least distance found" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "words"),
+    [
+        ("h", math.inf, "bodies.rod.start.y: must be finite, not inf with h=inf set"),
+        ("g", math.inf, "gravity: must be finite, not inf with g=inf set"),
+        ("m", 0.0, "bodies.rod.mass: must be positive, not 0 with m=0 set"),
+        ("h", 0.1, "starts inside its surface, 0.377668 deep with h=0.1 set"),
+        ("g", math.nan, "parameter 'g' must be a number"),
+    ],
+)
+def test_values_that_are_set_are_judged_too(parameter: str, value: float, words: str) -> None:
+    with pytest.raises(DeclarationError, match=words):
+        Runner(read_text(SCENE)).run({parameter: value})
