@@ -105,7 +105,8 @@ def section(title: str, source: str, study: Study) -> str:
         f"## {title}",
         "",
         f"`{source}`; reference {study.reference}, checked by {study.check}; they differ by "
-        f"{study.resolution.largest or 0.0:.1e}.",
+        f"{study.resolution.largest or 0.0:.1e}, the tolerance of forces is worth "
+        f"{study.shift.largest or 0.0:.1e}.",
         "",
         f"![{title}: error against time and evaluations](images/trade_{name}.png)",
         "",

@@ -1,4 +1,4 @@
-"""Runs from a start that is slightly off: what small errors are magnified into."""
+"""Runs that are slightly off: what small errors are magnified into, and what tolerances shift."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from statechart.automaton import Automaton, Flow, Laws, Setup
 from statechart.constraints import Constraints
 from statechart.trace import Clock, Jump, Key
 
-__all__ = ["nudged"]
+__all__ = ["nudged", "widened"]
 
 Array = NDArray[np.float64]
 
@@ -21,23 +21,36 @@ _LEAST = 8.0 * float(np.finfo(float).eps)
 
 
 def nudged(automaton: Automaton) -> Automaton:
-    """Return the automaton with every initial value larger by the same small part.
+    """Return the automaton with every initial value larger by the same small part, and `widened`.
 
     That part is the tolerance of the run, or a few roundings where that is more. One factor for
     all keeps symmetric starts symmetric, and zeros zero.
     """
-    return replace(automaton, laws=_Nudged(automaton.laws))
+    return replace(automaton, laws=_Nudged(automaton.laws, moved=True))
+
+
+def widened(automaton: Automaton) -> Automaton:
+    """Return the automaton with the tolerances of all forces doubled.
+
+    A mode is left where a force is below zero by its tolerance, whatever the engine and however
+    tight: all runs are late by that, and only one with another tolerance shows by how much.
+    """
+    return replace(automaton, laws=_Nudged(automaton.laws, moved=False))
 
 
 class _Nudged:
-    """Laws that start a run elsewhere, and are those of `laws` otherwise."""
+    """Laws of a run that is off, and those of `laws` otherwise."""
 
-    def __init__(self, laws: Laws) -> None:
-        self._laws = laws
+    def __init__(self, laws: Laws, *, moved: bool) -> None:
+        self._laws, self._moved = laws, moved
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
         setup = self._laws.setup(overrides, relative)
-        return replace(setup, initial=setup.initial * (1.0 + max(relative, _LEAST)))
+        tolerances = dict(setup.tolerances)
+        if "force" in tolerances:
+            tolerances["force"] *= 2.0
+        initial = setup.initial * (1.0 + max(relative, _LEAST)) if self._moved else setup.initial
+        return replace(setup, initial=initial, tolerances=tolerances)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         return self._laws.begin(setup)

@@ -29,6 +29,9 @@ class Request:
         Tolerance of the first run, where an accuracy or a budget is asked for.
     basis : str
         What that was chosen by.
+    measured : float or None
+        End of the runs that it was chosen by, where they were measured: what they say holds of a
+        run to this end with the parameters of the model.
     """
 
     engine: str | None = None
@@ -38,7 +41,8 @@ class Request:
     step: float | None = None
     budget: float | None = None
     first: float | None = None
-    basis: str = "estimated: nothing was measured of this model"
+    basis: str = "estimated: nothing was measured of this run"
+    measured: float | None = None
 
     def settled(self, model: Declaration, automaton: Automaton) -> Request:
         """Return what is asked for with what the model's settings say in the place of None.
@@ -89,7 +93,7 @@ class Request:
         from statechart.study import fingerprint
 
         if study.fingerprint != fingerprint(model):
-            return replace(self, basis="estimated: the study given is of another model")
+            return replace(self, basis="estimated: the study given is of another model or version")
         found = study.choose(
             accuracy=self.accuracy,
             budget=self.budget,
@@ -106,6 +110,7 @@ class Request:
             method=found.method,
             first=first,
             basis=f"measured: {found.label}",
+            measured=study.until,
         )
 
     def _stepping(self, model: Declaration, automaton: Automaton) -> Request:

@@ -24,6 +24,7 @@ from statechart.errors import (
 from statechart.estimate import Answer, Cost, tighten, within
 from statechart.formula import close_matches, parse
 from statechart.kinds import kind
+from statechart.locating import located
 from statechart.nudge import nudged
 from statechart.observe import Observer
 from statechart.request import Request
@@ -97,7 +98,8 @@ class Runner:
             self.automaton = _automaton(model)
         except FormulaError as error:
             loc = self.document.where(error.text) if self.document else ()
-            raise self._formula(error, loc) from None
+            with located(self.document, {}, loc):
+                raise
         self._timings = {"read": read_at - began, "compose": time.perf_counter() - read_at}
         self._progress = progress
         self._options: dict[str, Any] = {
@@ -149,7 +151,11 @@ class Runner:
         end = self.end(overrides, until=until)
         variant = self.model.variant(overrides)
         if variant is not self.model:
-            return self._other(variant).run(overrides, until=end, throw=throw)
+            return self._other(variant, self._options).run(overrides, until=end, throw=throw)
+        measured = self._request.measured
+        if measured is not None and (overrides or end != measured):
+            unmeasured = self._other(self.model, {**self._options, "study": None})
+            return unmeasured.run(overrides, until=end, throw=throw)
         began = time.perf_counter()
         answer = self._answer(overrides, end)
         observer, trace, estimate = answer.observer, answer.trace, answer.estimate
@@ -199,12 +205,8 @@ class Runner:
         overrides = dict(parameters or {})
         self._check(overrides)
         relative = math.nan if self.step is not None else self._engine.tolerance
-        try:
+        with located(self.document, overrides):
             return self.automaton.laws.setup(overrides, relative)
-        except DeclarationProblem as problem:
-            raise self._located(problem, overrides) from None
-        except FormulaError as error:
-            raise self._formula(error, ("parameters", error.name)) from None
 
     def _choose(self, tolerance: float | None) -> tuple[Engine, str]:
         asked = self._request
@@ -237,24 +239,18 @@ class Runner:
                 raise DeclarationError(f"the end must be a finite time from 0 on, not {until:g}")
             return until
         text = self.model.stop.time
-        if text is None:
-            raise self._located(
-                DeclarationProblem(
+        with located(self.document, {} if text is None else overrides, ("stop", "time")):
+            if text is None:
+                raise DeclarationProblem(
                     "the run has no end",
                     advice="write stop: {time: 10}, or say until when",
                     loc=("stop",),
-                ),
-                {},
-            )
-        try:
+                )
             end = parse(text).value(values)
-        except FormulaError as error:
-            raise self._formula(error, ("stop", "time")) from None
-        if not 0.0 <= end < math.inf:
-            raise self._located(
-                DeclarationProblem(f"must be a finite time, not {end:g}", loc=("stop", "time")),
-                overrides,
-            )
+            if not 0.0 <= end < math.inf:
+                raise DeclarationProblem(
+                    f"must be a finite time, not {end:g}", loc=("stop", "time")
+                )
         return end
 
     def _check(self, overrides: Mapping[str, float]) -> dict[str, float]:
@@ -268,10 +264,8 @@ class Runner:
                 )
             if math.isnan(value):
                 raise DeclarationError(f"parameter {name!r} must be a number, not nan")
-        try:
+        with located(self.document, overrides):
             return self.model.values(overrides)
-        except FormulaError as error:
-            raise self._formula(error, ("parameters", error.name)) from None
 
     def _once(
         self, tolerance: float, overrides: Mapping[str, float], end: float, *, off: bool = False
@@ -279,11 +273,8 @@ class Runner:
         observer = self._observer(tolerance, off)
         limit = self.model.settings.max_jumps
         try:
-            trace = observer.simulator.run(overrides, until=end, max_jumps=limit, throw=False)
-        except DeclarationProblem as problem:
-            raise self._located(problem, overrides) from None
-        except FormulaError as error:
-            raise self._formula(error, ("parameters", error.name)) from None
+            with located(self.document, overrides):
+                trace = observer.simulator.run(overrides, until=end, max_jumps=limit, throw=False)
         except StatechartError as error:
             if not self._fall_back(error):
                 raise
@@ -304,9 +295,9 @@ class Runner:
             found = self._observers[tolerance, off] = Observer(simulator)
         return found
 
-    def _other(self, variant: Declaration) -> Runner:
-        """Return what runs another model in the place of this one."""
-        other = Runner(variant, **self._options)
+    def _other(self, model: Declaration, options: Mapping[str, Any]) -> Runner:
+        """Return what runs another model, or by other options, in the place of this one."""
+        other = Runner(model, **options)
         other.document = self.document
         return other
 
@@ -350,38 +341,13 @@ class Runner:
         return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
 
     def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
-        try:
+        with located(self.document, overrides):
             if self.automaton.stepper is not None and self.step is not None:
                 self._check(overrides)
                 return self.automaton.stepper().start(overrides)
             setup = self.setup(overrides)
             flow, _ = self.automaton.laws.begin(setup)
-        except DeclarationProblem as problem:
-            raise self._located(problem, overrides) from None
-        except FormulaError as error:
-            raise self._formula(error, ("parameters", error.name)) from None
         return flow.mode, (*setup.warnings, flow.warning)
-
-    def _located(
-        self, problem: DeclarationProblem, overrides: Mapping[str, float]
-    ) -> DeclarationError:
-        """Return a problem with its place in the document, and the overrides that led to it."""
-        path = ".".join(map(str, problem.loc))
-        message = f"{path}: {problem.message}" if path else problem.message
-        if overrides:
-            message += " with " + ", ".join(f"{k}={v:g}" for k, v in overrides.items()) + " set"
-        if self.document is None:
-            return DeclarationError(message, advice=problem.advice)
-        at = self.document.position(problem.loc, key=problem.key).shifted(problem.offset)
-        return DeclarationError(
-            message, advice=problem.advice, source=at.source, line=at.line, column=at.column
-        )
-
-    def _formula(self, error: FormulaError, loc: tuple[str | int, ...]) -> DeclarationError:
-        problem = DeclarationProblem(
-            error.message, advice=error.advice, loc=loc, offset=error.offset
-        )
-        return self._located(problem, {})
 
 
 def run(

@@ -7,6 +7,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -203,10 +204,14 @@ class Study(_Record):
         The run that the others are compared with, and the independent one that it was compared
         with itself.
     resolution : Errors
-        Difference of these two: nothing smaller can be told.
+        Difference of these two.
+    shift : Errors
+        Of the reference from its run with twice the tolerance of forces, which all runs share.
     parted : float or None
         When these two left each other: then the motion is chaotic or on a knife's edge, and what
         is measured is when runs leave the reference, not errors.
+    step : float
+        Of the check, where it steps in time: no finer step can be judged. Else 0.
     planned : int
         Number of settings.
     points : tuple of Point
@@ -215,14 +220,16 @@ class Study(_Record):
         Setting -> why it was not run.
     """
 
-    format: Literal["statechart trade 2"] = "statechart trade 2"
+    format: Literal["statechart trade 3"] = "statechart trade 3"
     model: str
     fingerprint: str
     until: float
     reference: str
     check: str
     resolution: Errors
+    shift: Errors
     parted: float | None
+    step: float = 0.0
     planned: int
     points: tuple[Point, ...] = ()
     left_out: dict[str, str] = {}
@@ -232,6 +239,11 @@ class Study(_Record):
         """Whether every setting was run or left out for a reason."""
         return len(self.points) + len(self.left_out) >= self.planned
 
+    @property
+    def least(self) -> float:
+        """What can be told: smaller errors may be those of the reference."""
+        return max(self.resolution.largest or 0.0, self.shift.largest or 0.0)
+
     def error(self, point: Point) -> float | None:
         """Return the error of a point: the largest, and no less than what can be told.
 
@@ -240,7 +252,7 @@ class Study(_Record):
         largest = point.errors.largest
         if self.parted is not None or largest is None or not math.isfinite(largest):
             return None
-        return max(largest, self.resolution.largest or 0.0)
+        return max(largest, self.least)
 
     def comparable(self, point: Point) -> bool:
         """Whether a point took the modes of the reference and has an error."""
@@ -272,7 +284,7 @@ class Study(_Record):
         if not point.same_modes:
             return False
         error = self.error(point)
-        if error is None or promise < (self.resolution.largest or 0.0):
+        if error is None or promise < self.least:
             return None
         return error <= promise
 
@@ -314,7 +326,7 @@ class Study(_Record):
                 for p in points
                 if p.steps >= _STEPS_PER_FLOW * p.flows
             ]
-        least = _RESOLVED * (self.resolution.largest or 0.0)
+        least = _RESOLVED * self.least
         pairs = [(p.setting.fineness, self.error(p)) for p in points]
         return [(x, e) for x, e in pairs if e is not None and least < e < _SATURATED]
 
@@ -361,6 +373,7 @@ class Study(_Record):
     def report(self) -> dict[str, Any]:
         """Return the study as one plain object, with what follows from its points."""
         shown = self.model_dump(mode="json")
+        shown["least"] = self.least
         front = self.front()
         for point, plain in zip(self.points, shown["points"], strict=True):
             plain["label"] = point.setting.label
@@ -377,9 +390,12 @@ class Study(_Record):
 
 
 def fingerprint(model: Declaration) -> str:
-    """Return what tells a model from any other; what does not move it is left out."""
+    """Return what tells a model from any other, and from itself run by another version.
+
+    What does not move the model is left out.
+    """
     told = model.model_dump(mode="json", exclude={"doc", "ranges", "settings"})
-    text = json.dumps(told, sort_keys=True, default=str)
+    text = json.dumps([version("contact-statecharts"), told], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

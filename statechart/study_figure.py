@@ -63,9 +63,8 @@ def figure(study: Study) -> Figure:
             for ax in (times, works, promises):
                 ax.set_ylabel("relative error")
                 ax.set_yscale("log")
-                if study.resolution.largest:
-                    least = study.resolution.largest
-                    ax.axhspan(least / 10.0, least, color=_GRID, zorder=0)
+                if study.least > 0.0:
+                    ax.axhspan(study.least / 10.0, study.least, color=_GRID, zorder=0)
         else:
             for ax in (times, works, promises):
                 ax.set_ylabel("time at which the run leaves the reference")

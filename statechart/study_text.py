@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from statechart.study import Point, Study
 from statechart.summary import table
+from statechart.trace import Outcome
 
 __all__ = ["text"]
 
@@ -43,8 +44,12 @@ def _head(study: Study) -> list[str]:
         f"reference: {study.reference}, checked by {study.check}",
     ]
     if study.parted is None:
-        told = study.resolution.largest or 0.0
-        lines.append(f"the two differ by {told:.2g}; smaller errors cannot be told")
+        shift = study.shift.largest or 0.0
+        lines.append(
+            f"the two differ by {study.resolution.largest or 0.0:.2g}"
+            + (f", and forces have a tolerance worth {shift:.2g}" if shift > 0.0 else "")
+            + "; smaller errors cannot be told"
+        )
     else:
         lines.append(
             f"the two leave each other at t = {study.parted:.6g}: chaotic, or on a knife's edge; "
@@ -70,14 +75,19 @@ def _foot(study: Study) -> str:
             f"{slope.of} of {slope.family}: {fineness} to the power {slope.slope:.3g} "
             f"(theory {slope.theory:.3g}), {slope.points} points"
         )
-    lines += [f"left out: {label}: {why}" for label, why in study.left_out.items()]
+    reasons: dict[str, list[str]] = {}
+    for label, why in study.left_out.items():
+        reasons.setdefault(why, []).append(label)
+    lines += [f"left out: {', '.join(labels)}: {why}" for why, labels in reasons.items()]
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
 
 
 def _modes(point: Point) -> str:
-    if point.same_modes:
+    if point.diverged is None:
         return "same"
-    return f"others from t = {point.diverged:.6g}" if point.diverged is not None else "others"
+    # Where both parted from the reference and failed, that it failed is more.
+    ended = "" if Outcome[point.outcome].succeeded else f", {point.outcome}"
+    return f"others from t = {point.diverged:.6g}{ended}"
 
 
 def _number(value: float | None) -> str:

@@ -2,38 +2,18 @@
 
 from __future__ import annotations
 
-import math
-import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from statechart.accuracy import compare, paired, parted
 from statechart.automaton import Automaton
-from statechart.declaration import Declaration
-from statechart.engine import Engine
-from statechart.engines import choose
-from statechart.errors import DeclarationError, SimulationError, StatechartError
-from statechart.estimate import BELOW, BRIEF, Answer, Cost, tighten
-from statechart.kinds import kind
-from statechart.nudge import nudged
-from statechart.observe import Observer
-from statechart.outputs import Outputs
-from statechart.outputs import Result as Output
+from statechart.bench import Bench
+from statechart.errors import DeclarationError, StatechartError
 from statechart.run import Runner
-from statechart.simulate import Simulator
-from statechart.stepping import SteppingSimulator
-from statechart.study import Errors, Point, Setting, Study, fingerprint
+from statechart.study import Setting, Study, fingerprint
 from statechart.study_file import load, save
-from statechart.trace import Jump, Outcome, Trace
 
 __all__ = ["plan", "trade"]
-
-Array = NDArray[np.float64]
 
 # Tolerances of every method, as powers of ten: from where it begins to be of use to where it only
 # takes long.
@@ -48,15 +28,8 @@ _TAYLOR = (1e-3, 1e-6, 1e-9, 1e-12, 2.2e-16)
 # Of time stepping, as parts of the run.
 _STEPS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
 _ACCURACIES = (1e-3, 1e-6, 1e-9)
-# References, the best first: any one is checked by the next that can run the model.
-_REFERENCES = (
-    Setting(engine="taylor", tolerance=2.2e-16),
-    Setting(engine="scipy", method="DOP853", tolerance=2.3e-14),
-    Setting(engine="scipy", method="LSODA", tolerance=1e-13),
-)
-# Repeats end once they took so many seconds; a family whose run takes longer than the second, once
-# compiled, is tightened no more.
-_ENOUGH, _TOO_LONG = 2.0, 4.0
+# A family whose run takes longer than so many seconds, once compiled, is tightened no more.
+_TOO_LONG = 4.0
 
 
 def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
@@ -132,17 +105,17 @@ def trade(
     """
     end = runner.end(until=until)
     runner.start()
-    bench = _Bench(runner.model, runner.automaton, end, repeats, clock)
+    bench = Bench(runner.model, runner.automaton, end, repeats, clock)
     known = None if folder is None else load(folder)
     mark = fingerprint(runner.model)
     if known is not None and (known.fingerprint, known.until) != (mark, end):
         raise DeclarationError(
             f"{folder} holds the study of another model, or of {known.model!r} as it was before it "
-            "was changed",
+            "was changed or by another version",
             advice="name another folder, or remove trade.json there",
         )
     progress("reference")
-    reference, study = _reference(bench, mark)
+    reference, study = bench.reference(mark)
     if settings is None:
         settings = plan(runner.automaton, reference.trace.t_end)
     points = {} if known is None else {p.setting: p for p in known.points if p.setting in settings}
@@ -156,22 +129,29 @@ def trade(
             save(folder, found)
         return found
 
-    slow: dict[str, str] = {}
+    slow = {
+        p.setting.family: f"{p.setting.label} took {p.seconds:.3g} s already"
+        for p in points.values()
+        if p.seconds > _TOO_LONG
+    }
     for place, setting in enumerate(settings):
         if setting in points or setting.label in left_out:
             continue
         if setting.family in slow:
             left_out[setting.label] = slow[setting.family]
             continue
+        if setting.step is not None and setting.step <= study.step:
+            left_out[setting.label] = f"no coarser than the check, {study.check}"
+            continue
         try:
             point = bench.measure(setting, reference)
+        except KeyboardInterrupt:
+            break
         except StatechartError as error:
             left_out[setting.label] = str(error)
             progress(f"{setting.label} ({place + 1} of {len(settings)}): left out, {error}")
             kept()
             continue
-        if point is None:
-            break
         points[setting] = point
         if point.seconds > _TOO_LONG:
             slow[setting.family] = f"{setting.label} took {point.seconds:.3g} s already"
@@ -184,181 +164,3 @@ def trade(
             + f", {point.seconds:.3g} s"
         )
     return kept()
-
-
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """A run that others are compared with, or that is compared."""
-
-    observer: Observer
-    trace: Trace
-    outputs: Mapping[str, Output]
-    sizes: Mapping[str, Output]
-
-    @classmethod
-    def of(cls, observer: Observer, trace: Trace) -> _Run:
-        outputs = Outputs(observer)
-        return cls(observer, trace, outputs.of(trace), outputs.sizes(trace))
-
-    def energies(self, jumps: Sequence[Jump]) -> Array | None:
-        """Return the energy (m + 1,) before each of some jumps and at the end, if there is one."""
-        if "energy" not in self.observer.automaton.observables:
-            return None
-        before = self.observer.at(self.trace, ["energy"], jumps, before=True)[:, 0]
-        return np.append(before, self.observer.final(self.trace, ["energy"]))
-
-
-@dataclass(frozen=True, eq=False)
-class _Bench:
-    """Runs a model at settings, and takes the time."""
-
-    model: Declaration
-    automaton: Automaton
-    until: float
-    repeats: int
-    clock: Callable[[], float]
-
-    def engine(self, setting: Setting, tolerance: float) -> Engine:
-        return choose(engine=setting.engine, method=setting.method, tolerance=tolerance)[0]
-
-    def observer(self, setting: Setting, fineness: float, *, off: bool = False) -> Observer:
-        """Return the observer of a setting's simulator, at a tolerance or a step.
-
-        `off`: its runs start off by the tolerance.
-        """
-        if setting.step is not None:
-            return Observer(SteppingSimulator(self.automaton, fineness))
-        automaton = nudged(self.automaton) if off else self.automaton
-        return Observer(Simulator(automaton, self.engine(setting, fineness)))
-
-    def once(self, observer: Observer) -> Trace:
-        return observer.simulator.run(
-            until=self.until, max_jumps=self.model.settings.max_jumps, throw=False
-        )
-
-    def answerer(self, setting: Setting) -> Callable[[], Answer]:
-        """Return what makes the run of a setting; what it compiles is kept for the next time."""
-        observers: dict[tuple[float, bool], Observer] = {}
-
-        def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
-            observer = observers.get((tolerance, off))
-            if observer is None:
-                observer = observers[tolerance, off] = self.observer(setting, tolerance, off=off)
-            return observer, self.once(observer)
-
-        def answer() -> Answer:
-            if setting.accuracy is not None:
-                floor = self.engine(setting, math.ulp(0.0)).tolerance
-                return tighten(once, setting.accuracy, first=setting.accuracy * BELOW, floor=floor)
-            observer, trace = once(setting.fineness, False)
-            counts = trace.counts
-            cost = Cost(1, counts.get("steps", 0), counts.get("evaluations", 0), 0.0)
-            return Answer(observer, trace, None, cost)
-
-        return answer
-
-    def measure(self, setting: Setting, reference: _Run) -> Point | None:
-        """Run a setting and compare it; None where the user interrupted it."""
-        answer = self.answerer(setting)
-
-        def timed() -> tuple[Answer, float]:
-            began = self.clock()
-            found = answer()
-            return found, self.clock() - began
-
-        found, first = timed()
-        times: list[float] = []
-        # The first run compiles, however long it takes: times are of those that follow.
-        while len(times) < self.repeats and sum(times) < _ENOUGH:
-            if found.trace.outcome is Outcome.INTERRUPTED:
-                return None
-            found, seconds = timed()
-            times.append(seconds)
-        if found.trace.outcome is Outcome.INTERRUPTED:
-            return None
-        seconds = statistics.median(times)
-        run = _Run.of(found.observer, found.trace)
-        errors, diverged = self.errors(reference, run)
-        return Point(
-            setting=setting,
-            outcome=found.trace.outcome.name,
-            same_modes=diverged is None,
-            diverged=diverged,
-            parted=parted(reference.trace, found.trace, brief=BRIEF),
-            refused=found.warnings[0] if found.warnings else "",
-            errors=errors,
-            seconds=seconds,
-            repeats=len(times),
-            compiling=max(first - seconds, 0.0),
-            steps=found.cost.steps,
-            evaluations=found.cost.evaluations,
-            flows=len(found.trace.arcs),
-        )
-
-    def errors(self, reference: _Run, run: _Run) -> tuple[Errors, float | None]:
-        """Return the errors of a run, and when it took other modes than the reference."""
-        found = compare(
-            reference.trace,
-            run.trace,
-            reference.outputs,
-            run.outputs,
-            sizes_of_outputs=reference.sizes,
-            brief=BRIEF,
-        )
-        pairs, _ = paired(reference.trace, run.trace, brief=BRIEF)
-        ours = run.energies([other for _, other in pairs])
-        theirs = reference.energies([one for one, _ in pairs])
-        energy = None
-        if ours is not None and theirs is not None and found.state < math.inf:
-            size = float(np.abs(theirs).max()) or 1.0
-            energy = float(np.abs(ours - theirs).max()) / size
-        same = found.diverged is None
-        offered = kind(str(getattr(self.model, "kind", ""))).violations
-        violated = {} if offered is None else offered(self.model, run.observer, run.trace)
-        errors = Errors(
-            state=found.state if found.state < math.inf else None,
-            times=found.times if same else None,
-            outputs=found.outputs if same and found.outputs < math.inf else None,
-            energy=energy,
-            violations=dict(violated),
-        )
-        return errors, found.diverged
-
-
-def _reference(bench: _Bench, mark: str) -> tuple[_Run, Study]:
-    """Make the reference and the run that checks it; return it, and a study without points."""
-    runs: list[tuple[Setting, _Run]] = []
-    failures = []
-    for setting in _REFERENCES:
-        try:
-            observer = bench.observer(setting, setting.fineness)
-            trace = bench.once(observer)
-        except StatechartError as error:
-            failures.append(f"{setting.label}: {error}")
-            continue
-        if trace.outcome is Outcome.INTERRUPTED:
-            raise KeyboardInterrupt
-        if not trace.outcome.succeeded:
-            failures.append(f"{setting.label}: {trace.message}")
-            continue
-        runs.append((setting, _Run.of(observer, trace)))
-        if len(runs) == 2:
-            break
-    else:
-        raise SimulationError(
-            "no reference to compare with, two engines must reach the end of the run:\n  "
-            + "\n  ".join(failures)
-        )
-    (setting, reference), (other, check) = runs
-    resolution, _ = bench.errors(reference, check)
-    study = Study(
-        model=bench.model.name,
-        fingerprint=mark,
-        until=bench.until,
-        reference=setting.label,
-        check=other.label,
-        resolution=resolution,
-        parted=parted(reference.trace, check.trace, brief=BRIEF),
-        planned=0,
-    )
-    return reference, study

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib.util import find_spec
 
 from statechart.engine import Engine
@@ -27,9 +28,10 @@ def choose(
     engine : str
         One of `ENGINES`; `auto` takes taylor where heyoka is installed, else scipy.
     method : str, optional
-        Of the engine scipy, which alone has several; DOP853 by default.
+        Of the engine scipy, DOP853 by default; the engine taylor has `long double`.
     tolerance : float, optional
-        Relative tolerance; 2.2e-16 by default for taylor, 1e-12 for scipy.
+        Relative tolerance; 2.2e-16 by default for taylor (its least with a method), 1e-12
+        for scipy.
 
     Returns
     -------
@@ -64,16 +66,19 @@ def _has_heyoka() -> bool:
 
 
 def _taylor(method: str | None, tolerance: float | None) -> Engine:
-    if method is not None:
-        raise DeclarationError(
-            f"the engine taylor has no method {method!r}",
-            advice="leave the method out, or take the engine scipy",
-        )
     if not _has_heyoka():
         raise DeclarationError(
             "the engine taylor needs heyoka, which is not installed",
             advice="take the engine scipy, or install heyoka (conda has it for every platform)",
         )
-    from statechart.engines.taylor import Taylor
+    from statechart.engines.taylor import LONG_DOUBLE, Taylor, has_long_double
 
-    return Taylor(tolerance or _TAYLOR_TOLERANCE)
+    if method is None:
+        return Taylor(tolerance or _TAYLOR_TOLERANCE)
+    if method != LONG_DOUBLE or not has_long_double():
+        raise DeclarationError(
+            f"the engine taylor has no method {method!r}"
+            + (" on this machine" if method == LONG_DOUBLE else ""),
+            advice="leave the method out, or take the engine scipy",
+        )
+    return Taylor(tolerance or math.ulp(0.0), extended=True)

@@ -24,10 +24,12 @@ from statechart.engines.stepping import OFF, Step, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure
 from statechart.kernels.polynomials import append_steps
 
-__all__ = ["Taylor", "Unsupported"]
+__all__ = ["LONG_DOUBLE", "Taylor", "Unsupported", "has_long_double"]
 
 Array = NDArray[np.float64]
 
+LONG_DOUBLE = "long double"
+"""Method that integrates in the processor's extended precision."""
 
 # Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB.
 _COMPACT = 240
@@ -44,13 +46,19 @@ class Unsupported(StatechartError):  # noqa: N818 -- named after what the flow i
     """A formula that has no Taylor series everywhere (abs, sign, min, max)."""
 
 
+def has_long_double() -> bool:
+    """Whether there is a long double of more digits than a double, and heyoka computes with it."""
+    finer = np.finfo(np.longdouble).eps < np.finfo(float).eps
+    return bool(finer) and hasattr(hy, "taylor_adaptive_ldbl")
+
+
 @dataclass(eq=False)
 class _Stepper:
     integrator: Any
     # Views into the integrator's own memory.
-    state: Array
-    pars: Array
-    series: Array
+    state: NDArray[Any]
+    pars: NDArray[Any]
+    series: NDArray[Any]
     used: NDArray[np.intp]  # indices of the automaton's parameters that the equations mention
     parametric: bool
     compiled: Step | None
@@ -67,16 +75,21 @@ class Taylor(Engine):
     ----------
     tolerance : float
         Relative tolerance; the order follows from it (20 at 2.2e-16).
+    extended : bool
+        Integrate every flow in long doubles (see `has_long_double`): slower, for references. What
+        the flow hands on is rounded once: dense output, events and jumps are in doubles.
     """
 
     name = "taylor"
-    method = "taylor"
 
-    def __init__(self, tolerance: float) -> None:
-        self.tolerance = max(tolerance, float(np.finfo(float).eps))
+    def __init__(self, tolerance: float, *, extended: bool = False) -> None:
+        self.method = LONG_DOUBLE if extended else "taylor"
+        self._number: type[Any] = np.longdouble if extended else float
+        self.tolerance = max(tolerance, float(np.finfo(self._number).eps))
 
     def compile(self, automaton: Automaton, mode: Mode) -> _Stepper:
         """Compile the rates; identical modes come from heyoka's cache on disk."""
+        extended = self._number is not float
         convert = _Converter(automaton, dict(mode.definitions))
         states = [hy.expression(f"v{i}") for i in range(len(automaton.variables))]
         system = [
@@ -84,17 +97,19 @@ class Taylor(Engine):
         ]
         integrator = hy.taylor_adaptive(
             system,
-            [0.0] * len(states),
-            tol=self.tolerance,
+            [self._number(0)] * len(states),
+            tol=self._number(self.tolerance),
+            fp_type=self._number,
             # Loops in the compiled code cost small modes up to half of their speed; without them
-            # the compiler needs half a minute for a mode of two thousand operations.
-            compact_mode=_operations(mode) > _COMPACT,
+            # the compiler needs half a minute for a mode of two thousand operations. Of long
+            # doubles it takes several times as long.
+            compact_mode=extended or _operations(mode) > _COMPACT,
         )
         # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
         # cancel); the first is the start of the arc.
         used = np.array(convert.used[: max(len(integrator.pars) - 1, 0)], dtype=np.intp)
         state, pars, series = integrator.state, integrator.pars, integrator.tc
-        compiled = Step.of(integrator)
+        compiled = None if extended else Step.of(integrator)
         address = 0 if compiled is None else compiled.address
         return _Stepper(
             integrator,
@@ -128,12 +143,14 @@ class Taylor(Engine):
         path.room(count, *stepper.shape)
         if stepper.compiled is None:
             if begin is not Begin.ON:
-                stepper.integrator.time = 0.0
+                stepper.integrator.time = self._number(0.0)
                 stepper.state[:] = state
                 if stepper.parametric:
                     stepper.pars[0] = watch.start + reached
                     stepper.pars[1:] = watch.parameters[stepper.used]
-            taken, finite, h, left = _one_by_one(stepper, path, until - reached, count, end)
+            taken, finite, h, left = _one_by_one(
+                stepper, path, self._number(until - reached), count, end
+            )
             made = Steps(finite == taken and h == left, first, state)
             last = first + finite
         else:
@@ -177,9 +194,9 @@ class Taylor(Engine):
 
 
 def _one_by_one(
-    stepper: _Stepper, path: Path, duration: float, count: int, end: Array
+    stepper: _Stepper, path: Path, duration: Any, count: int, end: Array
 ) -> tuple[int, int, float, float]:
-    """Do what the compiled loop does with heyoka's own calls."""
+    """Do what the compiled loop does with heyoka's own calls, in the precision of `duration`."""
     if count > len(stepper.durations):
         stepper.durations = np.empty(count)
     step, durations = stepper.integrator.step, stepper.durations
@@ -188,14 +205,16 @@ def _one_by_one(
     taken = 0
     while taken < count:
         h = step(left, True)[1]
-        series[first + taken] = now
+        with np.errstate(over="ignore"):  # of what no double can hold, the step is not finite
+            series[first + taken] = now
         durations[taken] = h
         taken += 1
         # The step is cut to end at the duration exactly, and then its length is what was left.
         if h == left or not h > 0.0:
             break
         left -= h
-    return taken, append_steps(durations, taken, first, path.times, series, end), h, left
+    finite = append_steps(durations, taken, first, path.times, series, end)
+    return taken, finite, float(h), float(left)
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {

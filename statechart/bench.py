@@ -1,0 +1,267 @@
+"""Where `statechart trade` runs a model and takes the time: settings, and a reference for them."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.accuracy import compare, paired, parted
+from statechart.automaton import Automaton
+from statechart.declaration import Declaration
+from statechart.engine import Engine
+from statechart.engines import choose
+from statechart.errors import SimulationError, StatechartError
+from statechart.estimate import BELOW, BRIEF, Answer, Cost, tighten
+from statechart.kinds import kind
+from statechart.nudge import nudged, widened
+from statechart.observe import Observer
+from statechart.outputs import Outputs
+from statechart.outputs import Result as Output
+from statechart.simulate import Simulator, error_of
+from statechart.stepping import SteppingSimulator
+from statechart.study import Errors, Point, Setting, Study
+from statechart.trace import Jump, Outcome, Trace
+
+__all__ = ["Bench", "Run"]
+
+Array = NDArray[np.float64]
+
+# References, the best first: any one is checked by the next of another engine, or another method
+# of scipy, that can run the model. What steps in time is last, at parts of the run.
+_REFERENCES = (
+    Setting(engine="taylor", method="long double", tolerance=1.1e-19),
+    Setting(engine="taylor", tolerance=2.2e-16),
+    Setting(engine="scipy", method="DOP853", tolerance=2.3e-14),
+    Setting(engine="scipy", method="LSODA", tolerance=1e-13),
+)
+_STEPS = (1e-4, 3e-4)
+# Repeats end once they took so many seconds.
+_ENOUGH = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run that others are compared with, or that is compared."""
+
+    observer: Observer
+    trace: Trace
+    outputs: Mapping[str, Output]
+    sizes: Mapping[str, Output]
+
+    @classmethod
+    def of(cls, observer: Observer, trace: Trace) -> Run:
+        """Evaluate the outputs of a trace."""
+        outputs = Outputs(observer)
+        return cls(observer, trace, outputs.of(trace), outputs.sizes(trace))
+
+    def energies(self, jumps: Sequence[Jump]) -> Array | None:
+        """Return the energy (m + 1,) before each of some jumps and at the end, if there is one."""
+        if "energy" not in self.observer.automaton.observables:
+            return None
+        before = self.observer.at(self.trace, ["energy"], jumps, before=True)[:, 0]
+        return np.append(before, self.observer.final(self.trace, ["energy"]))
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Runs a model at settings, and takes the time."""
+
+    model: Declaration
+    automaton: Automaton
+    until: float
+    repeats: int
+    clock: Callable[[], float]
+
+    def engine(self, setting: Setting, tolerance: float) -> Engine:
+        """Return the engine of a setting, at a tolerance."""
+        return choose(engine=setting.engine, method=setting.method, tolerance=tolerance)[0]
+
+    def observer(self, setting: Setting, fineness: float, *, off: bool = False) -> Observer:
+        """Return the observer of a setting's simulator, at a tolerance or a step.
+
+        `off`: its runs start off by the tolerance.
+        """
+        if setting.step is not None:
+            return Observer(SteppingSimulator(self.automaton, fineness))
+        automaton = nudged(self.automaton) if off else self.automaton
+        return Observer(Simulator(automaton, self.engine(setting, fineness)))
+
+    def reference(self, mark: str) -> tuple[Run, Study]:
+        """Make the reference and the run that checks it.
+
+        Parameters
+        ----------
+        mark : str
+            Fingerprint of the model.
+
+        Returns
+        -------
+        Run
+            The reference.
+        Study
+            Of it, without points.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If the user interrupted one of them.
+        SimulationError
+            If not two of them come to the end of the run.
+        """
+        settings: tuple[Setting, ...] = _REFERENCES
+        if self.automaton.stepper is not None:
+            settings += tuple(
+                Setting(engine="impulse", step=float(f"{self.until * part:.3g}")) for part in _STEPS
+            )
+        runs: list[tuple[Setting, Run]] = []
+        failures = []
+        for setting in settings:
+            if any(setting.engine == "taylor" == known.engine for known, _ in runs):
+                continue
+            try:
+                runs.append((setting, self._ended(self.observer(setting, setting.fineness))))
+            except StatechartError as error:
+                failures.append(f"{setting.label}: {error}")
+            if len(runs) == 2:
+                break
+        else:
+            raise SimulationError(
+                "no reference to compare with, two engines must reach the end of the run:\n  "
+                + "\n  ".join(failures)
+            )
+        (setting, reference), (other, check) = runs
+        shift = Errors()
+        if setting.step is None:
+            engine = self.engine(setting, setting.fineness)
+            late = self._ended(Observer(Simulator(widened(self.automaton), engine)))
+            shift, _ = self.errors(reference, late)
+        resolution, _ = self.errors(reference, check)
+        study = Study(
+            model=self.model.name,
+            fingerprint=mark,
+            until=self.until,
+            reference=setting.label,
+            check=other.label,
+            resolution=resolution,
+            shift=shift,
+            parted=parted(reference.trace, check.trace, brief=BRIEF),
+            step=other.step or 0.0,
+            planned=0,
+        )
+        return reference, study
+
+    def _ended(self, observer: Observer) -> Run:
+        """Return a run that came to its end; raise where it did not."""
+        trace = self.once(observer)
+        if trace.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        if not trace.outcome.succeeded:
+            raise error_of(trace)
+        return Run.of(observer, trace)
+
+    def once(self, observer: Observer) -> Trace:
+        """Run the model."""
+        return observer.simulator.run(
+            until=self.until, max_jumps=self.model.settings.max_jumps, throw=False
+        )
+
+    def answerer(self, setting: Setting) -> Callable[[], Answer]:
+        """Return what makes the run of a setting; what it compiles is kept for the next time."""
+        observers: dict[tuple[float, bool], Observer] = {}
+
+        def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
+            observer = observers.get((tolerance, off))
+            if observer is None:
+                observer = observers[tolerance, off] = self.observer(setting, tolerance, off=off)
+            return observer, self.once(observer)
+
+        def answer() -> Answer:
+            if setting.accuracy is not None:
+                floor = self.engine(setting, math.ulp(0.0)).tolerance
+                return tighten(once, setting.accuracy, first=setting.accuracy * BELOW, floor=floor)
+            observer, trace = once(setting.fineness, False)
+            counts = trace.counts
+            cost = Cost(1, counts.get("steps", 0), counts.get("evaluations", 0), 0.0)
+            return Answer(observer, trace, None, cost)
+
+        return answer
+
+    def measure(self, setting: Setting, reference: Run) -> Point:
+        """Run a setting and compare it.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If the user interrupted it.
+        StatechartError
+            If the engine cannot run the model.
+        """
+        answer = self.answerer(setting)
+
+        def timed() -> tuple[Answer, float]:
+            began = self.clock()
+            found = answer()
+            if found.trace.outcome is Outcome.INTERRUPTED:
+                raise KeyboardInterrupt
+            if found.trace.outcome is Outcome.UNSUPPORTED:
+                raise error_of(found.trace)
+            return found, self.clock() - began
+
+        found, first = timed()
+        times: list[float] = []
+        # The first run compiles, however long it takes: times are of those that follow.
+        while len(times) < self.repeats and sum(times) < _ENOUGH:
+            found, seconds = timed()
+            times.append(seconds)
+        seconds = statistics.median(times)
+        run = Run.of(found.observer, found.trace)
+        errors, diverged = self.errors(reference, run)
+        return Point(
+            setting=setting,
+            outcome=found.trace.outcome.name,
+            same_modes=diverged is None,
+            diverged=diverged,
+            parted=parted(reference.trace, found.trace, brief=BRIEF),
+            refused=found.warnings[0] if found.warnings else "",
+            errors=errors,
+            seconds=seconds,
+            repeats=len(times),
+            compiling=max(first - seconds, 0.0),
+            steps=found.cost.steps,
+            evaluations=found.cost.evaluations,
+            flows=len(found.trace.arcs),
+        )
+
+    def errors(self, reference: Run, run: Run) -> tuple[Errors, float | None]:
+        """Return the errors of a run, and when it took other modes than the reference."""
+        found = compare(
+            reference.trace,
+            run.trace,
+            reference.outputs,
+            run.outputs,
+            sizes_of_outputs=reference.sizes,
+            brief=BRIEF,
+        )
+        pairs, _ = paired(reference.trace, run.trace, brief=BRIEF)
+        ours = run.energies([other for _, other in pairs])
+        theirs = reference.energies([one for one, _ in pairs])
+        energy = None
+        if ours is not None and theirs is not None and found.state < math.inf:
+            size = float(np.abs(theirs).max()) or 1.0
+            energy = float(np.abs(ours - theirs).max()) / size
+        same = found.diverged is None
+        offered = kind(str(getattr(self.model, "kind", ""))).violations
+        violated = {} if offered is None else offered(self.model, run.observer, run.trace)
+        errors = Errors(
+            state=found.state if found.state < math.inf else None,
+            times=found.times if same else None,
+            outputs=found.outputs if same and found.outputs < math.inf else None,
+            energy=energy,
+            violations=dict(violated),
+        )
+        return errors, found.diverged
