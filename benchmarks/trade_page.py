@@ -19,8 +19,10 @@ from PIL import Image
 from statechart.document import read_text
 from statechart.files import write_atomic
 from statechart.run import Runner
+from statechart.slopes import slopes
 from statechart.study import Point, Study
 from statechart.study_figure import figure
+from statechart.study_text import omitted
 from statechart.trade import trade
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -44,13 +46,15 @@ What a run costs and what it is worth, measured. All of this page is written by
 
 `statechart trade FILE -o DIR` makes the same study of any model: a table, its data (`trade.json`,
 `trade.csv`) and a figure. Each run is compared with a reference, the tightest run of one engine,
-which is checked by the tightest run of another: errors below the difference of these two cannot
-be told, and are shown as that difference (grey in the figures). An error is the largest of those
-of the final state, the times of events and the outputs, each relative to its own size. A time is
-the median of three runs that follow one which compiles. A run that takes other modes than the
-reference is shown as such (hollow), and has no part in fronts and slopes; modes that differ for
-less than a millionth of the run count as the same. Where the two references leave each other the
-motion is chaotic: then the study shows when each run leaves the reference, instead of an error.
+which is checked by the tightest run of another: errors below the difference of these two, or
+below what the tolerance of forces is worth, cannot be told, and are shown as the larger of the two
+(grey in the figures). The reference integrates in long doubles where the processor has them. An
+error is the largest of those of the final state, the times of events and the outputs, each
+relative to its own size. A time is the median of three runs that follow one which compiles. A run
+that takes other modes than the reference is shown as such (hollow), and has no part in fronts and
+slopes; modes that differ for less than a millionth of the run count as the same. Where the two
+references leave each other the motion is chaotic: then the study shows when each run leaves the
+reference, instead of an error.
 
 What to expect:
 
@@ -58,7 +62,8 @@ What to expect:
   error is in proportion to it, though: most often one to ten tolerances, up to thirty behind
   several events; a tenth of it with Taylor's method.
 - `--accuracy A` is about the result: it tightens until two runs differ by less than A, and until
-  a start that is off by the tolerance changes the result by less than A, too.
+  a start that is off by the tolerance, and twice the tolerance of forces, change the result by
+  less than A, too.
 - Where flights are parabolas all methods but LSODA follow them exactly, at any tolerance.
 - Slopes: the error follows the tolerance to the power 1; the accepted steps of RK45 and DOP853
   to the powers -1/5 and -1/8, fitted where a flow takes five steps or more and the tolerance
@@ -98,8 +103,9 @@ def section(title: str, source: str, study: Study) -> str:
             f"{p.evaluations or ''} | {p.seconds * 1e3:.3g} ms | {p.compiling * 1e3:.2g} ms |"
         )
     missed = ", ".join(f"{f} {few} of {many}" for f, (few, many) in study.missed().items())
-    slopes = ", ".join(
-        f"{s.of} of {s.family} {s.slope:.2f} (theory {s.theory:.3g})" for s in study.slopes()
+    powers = ", ".join(
+        f"{s.of} of {s.family} {s.slope:.2f} +- {s.scatter:.1g} (theory {s.theory:.3g})"
+        for s in slopes(study)
     )
     lines = [
         f"## {title}",
@@ -114,9 +120,9 @@ def section(title: str, source: str, study: Study) -> str:
         "",
         f"\\* nothing else is as accurate and faster. What missed its tolerance: {missed}.",
     ]
-    if slopes:
-        lines.append(f"Slopes fitted: {slopes}.")
-    lines += [f"Left out: {label}: {why}." for label, why in study.left_out.items()]
+    if powers:
+        lines.append(f"Slopes fitted: {powers}.")
+    lines += [f"Left out: {line}." for line in omitted(study)]
     return "\n".join(lines) + "\n"
 
 

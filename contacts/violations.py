@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from contacts.modes import OFF
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from statechart.formula import parse
@@ -33,9 +34,9 @@ def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, floa
     Returns
     -------
     dict
-        `constraint`: how deep a contact point is in its surface, or how far off it while the
-        contact is closed. `cone`: how far a force of a closed contact is outside the cone of
-        friction, measured across its edge, or pulls. Both 0 without contacts.
+        `constraint`: how deep a contact point is in its surface, unless the contact is off, or
+        how far off it while the contact is closed. `cone`: how far a force of a closed contact is
+        outside the cone of friction, measured across its edge, or pulls. Both 0 without contacts.
     """
     if not scene.contacts:
         return {"constraint": 0.0, "cone": 0.0}
@@ -48,8 +49,9 @@ def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, floa
     deepest = outside = 0.0
     for place, (name, contact) in enumerate(scene.contacts.items()):
         gap, normal, tangential = (samples.columns[f"{name}.{what}"] for what in ("gap", "V", "H"))
-        closed = np.array([key[place] != "free" for key in samples.modes])[samples.mode]
-        deepest = max(deepest, _largest(-gap), _largest(np.abs(gap[closed])))
+        closed = np.array([key[place] not in ("free", OFF) for key in samples.modes])[samples.mode]
+        off = np.array([key[place] == OFF for key in samples.modes])[samples.mode]
+        deepest = max(deepest, _largest(-gap[~off]), _largest(np.abs(gap[closed])))
         mu = math.inf if contact.friction is None else parse(contact.friction).value(values)
         n, t = (
             (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu))

@@ -48,16 +48,27 @@ _ENOUGH = 2.0
 class Run:
     """A run that others are compared with, or that is compared."""
 
+    setting: Setting
     observer: Observer
     trace: Trace
     outputs: Mapping[str, Output]
     sizes: Mapping[str, Output]
 
     @classmethod
-    def of(cls, observer: Observer, trace: Trace) -> Run:
+    def of(cls, setting: Setting, observer: Observer, trace: Trace) -> Run:
         """Evaluate the outputs of a trace."""
         outputs = Outputs(observer)
-        return cls(observer, trace, outputs.of(trace), outputs.sizes(trace))
+        return cls(setting, observer, trace, outputs.of(trace), outputs.sizes(trace))
+
+    def brief(self, other: Run) -> float:
+        """Return for which part of the run the modes of another may differ from this reference's.
+
+        A reference that steps in time knows no event better than to its step.
+        """
+        if self.setting.step is None:
+            return BRIEF
+        step = max(self.setting.step, other.setting.step or 0.0)
+        return max(BRIEF, 2.0 * step / self.trace.t_end)
 
     def energies(self, jumps: Sequence[Jump]) -> Array | None:
         """Return the energy (m + 1,) before each of some jumps and at the end, if there is one."""
@@ -118,13 +129,13 @@ class Bench:
             settings += tuple(
                 Setting(engine="impulse", step=float(f"{self.until * part:.3g}")) for part in _STEPS
             )
-        runs: list[tuple[Setting, Run]] = []
+        runs: list[Run] = []
         failures = []
         for setting in settings:
-            if any(setting.engine == "taylor" == known.engine for known, _ in runs):
+            if any(setting.engine == "taylor" == known.setting.engine for known in runs):
                 continue
             try:
-                runs.append((setting, self._ended(self.observer(setting, setting.fineness))))
+                runs.append(self._ended(setting, self.observer(setting, setting.fineness)))
             except StatechartError as error:
                 failures.append(f"{setting.label}: {error}")
             if len(runs) == 2:
@@ -134,11 +145,11 @@ class Bench:
                 "no reference to compare with, two engines must reach the end of the run:\n  "
                 + "\n  ".join(failures)
             )
-        (setting, reference), (other, check) = runs
-        shift = Errors()
+        reference, check = runs
+        setting, shift = reference.setting, Errors()
         if setting.step is None:
             engine = self.engine(setting, setting.fineness)
-            late = self._ended(Observer(Simulator(widened(self.automaton), engine)))
+            late = self._ended(setting, Observer(Simulator(widened(self.automaton), engine)))
             shift, _ = self.errors(reference, late)
         resolution, _ = self.errors(reference, check)
         study = Study(
@@ -146,23 +157,23 @@ class Bench:
             fingerprint=mark,
             until=self.until,
             reference=setting.label,
-            check=other.label,
+            check=check.setting.label,
             resolution=resolution,
             shift=shift,
-            parted=parted(reference.trace, check.trace, brief=BRIEF),
-            step=other.step or 0.0,
+            parted=parted(reference.trace, check.trace, brief=reference.brief(check)),
+            step=check.setting.step or 0.0,
             planned=0,
         )
         return reference, study
 
-    def _ended(self, observer: Observer) -> Run:
+    def _ended(self, setting: Setting, observer: Observer) -> Run:
         """Return a run that came to its end; raise where it did not."""
         trace = self.once(observer)
         if trace.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
         if not trace.outcome.succeeded:
             raise error_of(trace)
-        return Run.of(observer, trace)
+        return Run.of(setting, observer, trace)
 
     def once(self, observer: Observer) -> Trace:
         """Run the model."""
@@ -219,14 +230,14 @@ class Bench:
             found, seconds = timed()
             times.append(seconds)
         seconds = statistics.median(times)
-        run = Run.of(found.observer, found.trace)
+        run = Run.of(setting, found.observer, found.trace)
         errors, diverged = self.errors(reference, run)
         return Point(
             setting=setting,
             outcome=found.trace.outcome.name,
             same_modes=diverged is None,
             diverged=diverged,
-            parted=parted(reference.trace, found.trace, brief=BRIEF),
+            parted=parted(reference.trace, run.trace, brief=reference.brief(run)),
             refused=found.warnings[0] if found.warnings else "",
             errors=errors,
             seconds=seconds,
@@ -245,9 +256,9 @@ class Bench:
             reference.outputs,
             run.outputs,
             sizes_of_outputs=reference.sizes,
-            brief=BRIEF,
+            brief=reference.brief(run),
         )
-        pairs, _ = paired(reference.trace, run.trace, brief=BRIEF)
+        pairs, _ = paired(reference.trace, run.trace, brief=reference.brief(run))
         ours = run.energies([other for _, other in pairs])
         theirs = reference.energies([one for one, _ in pairs])
         energy = None

@@ -101,7 +101,10 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--until", metavar="T", type=_number, help="end of the run")
     run.add_argument("--engine", choices=("auto", "taylor", "scipy", "impulse"))
     run.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
-    run.add_argument("--method", metavar="M", help="RK45, DOP853, Radau or LSODA (engine scipy)")
+    run.add_argument(
+        "--method", metavar="M",
+        help="RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)",
+    )  # fmt: skip
     error = run.add_mutually_exclusive_group()
     error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
     error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")

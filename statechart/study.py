@@ -6,43 +6,17 @@ import hashlib
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from statechart.declaration import Declaration
+from statechart.slopes import slopes, unfitted
 
-__all__ = ["SLOPES", "Errors", "Point", "Setting", "Slope", "Study", "fingerprint", "ordered"]
-
-Quantity = Literal["error", "steps"]
-
-SLOPES: Mapping[str, Mapping[Quantity, float]] = {
-    "RK45": {"error": 1.0, "steps": -1.0 / 5.0},
-    "DOP853": {"error": 1.0, "steps": -1.0 / 8.0},
-    "impulse": {"error": 1.0},
-}
-"""Powers of the tolerance (of the step, where it is fixed) that error and steps of a family follow.
-
-SciPy keeps the error of every step, of order p in its length, at the tolerance and goes on with
-the better of its two solutions: the steps are as long as tol^(1/p), p = 5 for RK45 and 8 for
-DOP853, and the error of all of them is of order h^p = tol (Hairer, Norsett, Wanner, "Solving
-Ordinary Differential Equations I", section II.4). Steps are those accepted: the part that is
-rejected falls with the tolerance. The theory of a fixed step is order 1 (Moreau, Jean)."""
-
-# What a slope of the error is fitted to: above, the error is as large as the motion; below, in
-# multiples of what the reference resolves, rounding is in the way.
-_SATURATED, _RESOLVED = 1e-1, 20.0
-# A slope of the steps is fitted where a flow takes at least so many: its first step and its last,
-# which an event cuts short, are no matter of the tolerance.
-_STEPS_PER_FLOW = 5.0
-_LEAST_POINTS = 3
-# The tolerance decides errors and steps where the finest run takes so many times the steps of the
-# coarsest. Flights along parabolas and bodies at rest take steps that no tolerance decides: at six
-# times they are no more than a sixth of all.
-_GROWN: Mapping[Quantity, float] = {"error": 3.0, "steps": 6.0}
+__all__ = ["Errors", "Point", "Setting", "Study", "fingerprint", "ordered"]
 
 _Time = Annotated[float, Field(ge=0)]
 
@@ -167,30 +141,6 @@ class Point(_Record):
     flows: int
 
 
-class Slope(_Record):
-    """A straight line, in logarithms, through points of a family of settings.
-
-    Attributes
-    ----------
-    family : str
-        See `Setting.family`.
-    of : str
-        What follows the fineness, the tolerance or the step: error, or steps (accepted ones).
-    slope : float
-        With which power.
-    theory : float
-        What it should be, see `SLOPES`.
-    points : int
-        How many points it was fitted to.
-    """
-
-    family: str
-    of: Quantity
-    slope: float
-    theory: float
-    points: int
-
-
 class Study(_Record):
     """A model at many settings.
 
@@ -299,37 +249,6 @@ class Study(_Record):
                 missed[point.setting.family] += not kept
         return {family: (missed[family], count) for family, count in told.items()}
 
-    def slopes(self) -> tuple[Slope, ...]:
-        """Fit the slopes of the families that have enough points to fit, where a theory holds."""
-        found = []
-        for family, theories in SLOPES.items():
-            for of, theory in theories.items():
-                fitted = self.fitted(family, of)
-                if len(fitted) < _LEAST_POINTS:
-                    continue
-                x, y = np.log(np.array(fitted)).T
-                slope = float(np.polynomial.polynomial.polyfit(x, y, 1)[1])
-                found.append(
-                    Slope(family=family, of=of, slope=slope, theory=theory, points=len(fitted))
-                )
-        return tuple(found)
-
-    def fitted(self, family: str, of: Quantity) -> list[tuple[float, float]]:
-        """Return (fineness, error or steps) of the points that a slope is fitted to."""
-        points = [p for p in self.points if p.setting.family == family and p.same_modes]
-        steps = [p.steps for p in points]
-        if not points or max(steps) < _GROWN[of] * min(steps):
-            return []
-        if of == "steps":
-            return [
-                (p.setting.fineness, float(p.steps))
-                for p in points
-                if p.steps >= _STEPS_PER_FLOW * p.flows
-            ]
-        least = _RESOLVED * self.least
-        pairs = [(p.setting.fineness, self.error(p)) for p in points]
-        return [(x, e) for x, e in pairs if e is not None and least < e < _SATURATED]
-
     def choose(
         self,
         *,
@@ -385,7 +304,8 @@ class Study(_Record):
             family: {"missed": missed, "of": count}
             for family, (missed, count) in self.missed().items()
         }
-        shown["slopes"] = [slope.model_dump(mode="json") for slope in self.slopes()]
+        shown["slopes"] = [asdict(slope) for slope in slopes(self)]
+        shown["no_slope"] = unfitted(self)
         return shown
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from statechart.errors import StatechartError
 from statechart.figure import LINES, STYLE, render
 from statechart.files import write_atomic
-from statechart.study import Point, Slope, Study
+from statechart.slopes import Slope, fitted, slopes
+from statechart.study import Point, Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +26,8 @@ __all__ = ["figure", "write"]
 
 _MARKERS = "osD^vPX"
 _INK, _GRID = "#333333", "#E6E6E6"
+# A scale of fewer decades has more than one mark in each.
+_SHORT = 100.0
 
 
 def figure(study: Study) -> Figure:
@@ -52,7 +55,7 @@ def figure(study: Study) -> Figure:
             _draw(promises, points, fineness, heights, look)
             if family not in ("impulse", "accuracy"):
                 _draw(steps, points, fineness, [float(p.steps) for p in points], look)
-            for slope in study.slopes() if study.parted is None else ():
+            for slope in slopes(study) if study.parted is None else ():
                 if slope.family == family:
                     _slope(promises if slope.of == "error" else steps, study, slope, look.colour)
         if study.parted is None:
@@ -67,10 +70,17 @@ def figure(study: Study) -> Figure:
                     ax.axhspan(study.least / 10.0, study.least, color=_GRID, zorder=0)
         else:
             for ax in (times, works, promises):
-                ax.set_ylabel("time at which the run leaves the reference")
-                ax.axhline(study.parted, color=_INK, linewidth=0.8, linestyle=(0, (1, 2)))
+                ax.set_ylabel("time of leaving the reference")
+                ax.axhline(
+                    study.parted,
+                    color=_INK,
+                    linewidth=0.8,
+                    linestyle=(0, (1, 2)),
+                    label="the check leaves it",
+                )
         steps.set_ylabel("accepted steps")
         steps.set_yscale("log")
+        steps.set_visible(bool(steps.lines))
         for ax, label in (
             (times, "time of a run, s"),
             (works, "evaluations of the rates (impulse: steps)"),
@@ -142,12 +152,17 @@ def _families(study: Study) -> list[str]:
 
 
 def _dress(ax: Axes, label: str) -> None:
-    from matplotlib.ticker import NullLocator
+    from matplotlib.ticker import LogLocator, NullLocator
 
     ax.set_xscale("log")
     ax.set_xlabel(label)
     ax.xaxis.set_minor_locator(NullLocator())
     ax.yaxis.set_minor_locator(NullLocator())
+    for axis in (ax.xaxis, ax.yaxis):
+        low, high = axis.get_data_interval()
+        if axis.get_scale() == "log" and 0.0 < low < high < _SHORT * low:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter("{x:g}")
     ax.grid(visible=True, color=_GRID, linewidth=0.6)
     ax.set_axisbelow(True)
     for side in ("top", "right"):
@@ -206,7 +221,7 @@ def _front(ax: Axes, study: Study) -> None:
 
 def _slope(ax: Axes, study: Study, slope: Slope, colour: str) -> None:
     """Draw a fitted line through the points that it was fitted to, with its power."""
-    x, y = np.log(np.array(study.fitted(slope.family, slope.of))).T
+    x, y = np.log(np.array(fitted(study, slope.family, slope.of))).T
     ends = np.array([x.min(), x.max()])
     line = np.exp(y.mean() + slope.slope * (ends - x.mean()))
     ends = np.exp(ends)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from statechart.slopes import slopes, unfitted
 from statechart.study import Point, Study
 from statechart.summary import table
 from statechart.trace import Outcome
 
-__all__ = ["text"]
+__all__ = ["omitted", "text"]
 
 
 def text(study: Study) -> str:
@@ -52,8 +53,9 @@ def _head(study: Study) -> list[str]:
         )
     else:
         lines.append(
-            f"the two leave each other at t = {study.parted:.6g}: chaotic, or on a knife's edge; "
-            "for every setting, when it leaves the reference"
+            f"the two leave each other at t = {study.parted:.6g}: chaotic, or on a knife's edge"
+            + (", or their steps are too long" if study.step > 0.0 else "")
+            + "; for every setting, when it leaves the reference"
         )
     return lines
 
@@ -69,17 +71,32 @@ def _foot(study: Study) -> str:
     refused = [p.setting.label for p in study.points if p.refused]
     if refused:
         lines.append("said that they did not reach it: " + ", ".join(refused))
-    for slope in study.slopes():
+    for slope in slopes(study):
         fineness = "the step" if slope.family == "impulse" else "the tolerance"
         lines.append(
             f"{slope.of} of {slope.family}: {fineness} to the power {slope.slope:.3g} "
+            f"+- {slope.scatter:.1g} "
             f"(theory {slope.theory:.3g}), {slope.points} points"
         )
-    reasons: dict[str, list[str]] = {}
-    for label, why in study.left_out.items():
-        reasons.setdefault(why, []).append(label)
-    lines += [f"left out: {', '.join(labels)}: {why}" for why, labels in reasons.items()]
+    lines += [f"no slope for {what}: {why}" for what, why in unfitted(study).items()]
+    lines += [f"left out: {line}" for line in omitted(study)]
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
+
+
+def omitted(study: Study) -> list[str]:
+    """Return what was left out and why, one line a reason."""
+    reasons: dict[str, dict[str, list[str]]] = {}
+    for label, why in study.left_out.items():
+        family, _, fineness = label.rpartition(" ")
+        reasons.setdefault(why, {}).setdefault(family, []).append(fineness)
+    return [
+        ", ".join(
+            f"{family} {some[0]}" + (f" to {some[-1]}" if len(some) > 1 else "")
+            for family, some in families.items()
+        )
+        + f": {why}"
+        for why, families in reasons.items()
+    ]
 
 
 def _modes(point: Point) -> str:

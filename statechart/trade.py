@@ -26,7 +26,7 @@ _POWERS: Mapping[str, range] = {
 # Of Taylor's method, which compiles anew for every one.
 _TAYLOR = (1e-3, 1e-6, 1e-9, 1e-12, 2.2e-16)
 # Of time stepping, as parts of the run.
-_STEPS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
+_STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 _ACCURACIES = (1e-3, 1e-6, 1e-9)
 # A family whose run takes longer than so many seconds, once compiled, is tightened no more.
 _TOO_LONG = 4.0

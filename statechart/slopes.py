@@ -1,0 +1,146 @@
+"""With which powers of the tolerance errors and steps of a study fall, against the theory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from statechart.study import Point, Study
+
+__all__ = ["SLOPES", "Slope", "fitted", "slopes", "unfitted"]
+
+Quantity = Literal["error", "steps"]
+
+SLOPES: Mapping[str, Mapping[Quantity, float]] = {
+    "RK45": {"error": 1.0, "steps": -1.0 / 5.0},
+    "DOP853": {"error": 1.0, "steps": -1.0 / 8.0},
+    "impulse": {"error": 1.0},
+}
+"""Powers of the tolerance (of the step, where it is fixed) that error and steps of a family follow.
+
+SciPy keeps the error of every step, of order p in its length, at the tolerance and goes on with
+the better of its two solutions: the steps are as long as tol^(1/p), p = 5 for RK45 and 8 for
+DOP853, and the error of all of them is of order h^p = tol (Hairer, Norsett, Wanner, "Solving
+Ordinary Differential Equations I", section II.4). Steps are those accepted: the part that is
+rejected falls with the tolerance. The theory of a fixed step is order 1 (Moreau, Jean)."""
+
+# What a slope of the error is fitted to: above, the error is as large as the motion; below, in
+# multiples of what the reference resolves, rounding is in the way.
+_SATURATED, _RESOLVED = 1e-1, 20.0
+# A slope of the steps is fitted where a flow takes at least so many: its first step and its last,
+# which an event cuts short, are no matter of the tolerance.
+_STEPS_PER_FLOW = 10.0
+_LEAST_POINTS = 3
+# The tolerance decides errors and steps where the finest run takes so many times the steps of the
+# coarsest. Flights along parabolas and bodies at rest take steps that no tolerance decides: at six
+# times they are no more than a sixth of all.
+_GROWN: Mapping[Quantity, float] = {"error": 3.0, "steps": 6.0}
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A straight line, in logarithms, through points of a family of settings.
+
+    Attributes
+    ----------
+    family : str
+        See `Setting.family`.
+    of : str
+        What follows the fineness, the tolerance or the step: error, or steps (accepted ones).
+    slope : float
+        With which power.
+    scatter : float
+        Standard error of it, from how far the points are off the line. With a fixed step it is
+        large: an event falls anywhere between two steps, and so does its error.
+    theory : float
+        What it should be, see `SLOPES`.
+    points : int
+        How many points it was fitted to.
+    """
+
+    family: str
+    of: Quantity
+    slope: float
+    scatter: float
+    theory: float
+    points: int
+
+
+def slopes(study: Study) -> tuple[Slope, ...]:
+    """Fit the slopes of the families that have enough points to fit, where a theory holds."""
+    found = []
+    for family, theories in SLOPES.items():
+        for of, theory in theories.items():
+            points = fitted(study, family, of)
+            if len(points) < _LEAST_POINTS:
+                continue
+            x, y = np.log(np.array(points)).T
+            # The median slope of all pairs (Theil, 1950; Sen, 1968): where errors of steps and
+            # events happen to cancel, one point is far below the line.
+            i, j = np.triu_indices(len(x), 1)
+            slope = float(np.median((y[j] - y[i]) / (x[j] - x[i])))
+            if slope * theory <= 0.0:
+                continue
+            off = y - np.median(y - slope * x) - slope * x
+            scatter = math.sqrt(float(off @ off) / (len(x) - 2)) / (float(x.std()) * len(x) ** 0.5)
+            found.append(Slope(family, of, slope, scatter, theory, len(points)))
+    return tuple(found)
+
+
+def unfitted(study: Study) -> dict[str, str]:
+    """Return what has no slope, of the families that have a theory and were run -> why."""
+    run = {point.setting.family for point in study.points}
+    known = {(slope.family, slope.of) for slope in slopes(study)}
+    found = {}
+    for family, theories in SLOPES.items():
+        for of in theories:
+            if family not in run or (family, of) in known:
+                continue
+            if study.parted is not None and of == "error":
+                why = "there are no errors"
+            elif len(fitted(study, family, of)) >= _LEAST_POINTS:
+                why = "it does not fall: it is rounding"
+            elif len(_same(study, family)) < _LEAST_POINTS:
+                why = "few runs take the modes of the reference"
+            elif not _grown(study, family, of):
+                why = "the tolerance hardly decides the steps"
+            elif of == "steps":
+                why = f"few runs have {_STEPS_PER_FLOW:g} steps a flow"
+            else:
+                why = (
+                    f"few runs have an error below {_SATURATED:g} and above what can be told "
+                    f"({_RESOLVED * study.least:.0e})"
+                )
+            found[f"{of} of {family}"] = why
+    return found
+
+
+def _same(study: Study, family: str) -> list[Point]:
+    """Return the points of a family that took the reference's modes."""
+    return [p for p in study.points if p.setting.family == family and p.same_modes]
+
+
+def _grown(study: Study, family: str, of: Quantity) -> list[Point]:
+    """Return them if their steps grow enough."""
+    points = _same(study, family)
+    steps = [p.steps for p in points]
+    return points if points and max(steps) >= _GROWN[of] * min(steps) else []
+
+
+def fitted(study: Study, family: str, of: Quantity) -> list[tuple[float, float]]:
+    """Return (fineness, error or steps) of the points that a slope is fitted to."""
+    points = _grown(study, family, of)
+    if of == "steps":
+        return [
+            (p.setting.fineness, float(p.steps))
+            for p in points
+            if p.steps >= _STEPS_PER_FLOW * p.flows
+        ]
+    least = _RESOLVED * max(study.least, float(np.finfo(float).eps))
+    pairs = [(p.setting.fineness, study.error(p)) for p in points]
+    return [(x, e) for x, e in pairs if e is not None and least < e < _SATURATED]
