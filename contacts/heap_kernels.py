@@ -10,20 +10,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from contacts.island_kernels import compliance, island_of, push, swept, velocity
 from contacts.kernels import FREE, PIN, SLIDE
 from contacts.polygons import FOUND, against_surface, between, place
 from contacts.step_kernels import UNKNOWNS, solve_impacts
+from statechart.compiled import kernel
 
 __all__ = ["DONE", "HARD", "MEMORY", "NOT_FINITE", "step_heap"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_kernel = njit(cache=True, no_cfunc_wrapper=True)
 
 DONE, HARD, NOT_FINITE = range(3)
 
@@ -37,14 +36,14 @@ _POINTS = 16
 _DENSE = 40
 
 
-@_kernel
+@kernel
 def _restore(state: Array, old: Array, h: float, n: int) -> None:
     """Take the first half of a step back."""
     for i in range(n):
         state[i] -= 0.5 * h * old[i // 3, i % 3]
 
 
-@_kernel
+@kernel
 def step_heap(
     vertices: Array,
     firsts: Ints,

@@ -9,17 +9,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from contacts.step_kernels import UNKNOWNS
+from statechart.compiled import kernel
 
 __all__ = ["compliance", "island_of", "push", "swept", "velocity"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_kernel = njit(cache=True, no_cfunc_wrapper=True)
 
 _SWEEPS = 2000
 # Largest change of a velocity in a sweep that ends it, relative to the velocities; and in the last
@@ -27,7 +26,7 @@ _SWEEPS = 2000
 _SWEPT, _SWEPT_LAST = 1e-9, 1e-6
 
 
-@_kernel
+@kernel
 def island_of(parents: Ints, body: int) -> int:
     """Return the body that stands for an island (union-find, paths halved in place)."""
     while parents[body] != body:
@@ -36,7 +35,7 @@ def island_of(parents: Ints, body: int) -> int:
     return body
 
 
-@_kernel
+@kernel
 def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
     """Return the velocity of contact i along d (0: normal, 1: tangential)."""
     total = 0.0
@@ -48,7 +47,7 @@ def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
     return total
 
 
-@_kernel
+@kernel
 def push(
     bodies: Ints, rows: Array, inverse: Array, rates: Array, i: int, d: int, amount: float
 ) -> None:
@@ -60,7 +59,7 @@ def push(
                 rates[b, k] += inverse[b, k] * rows[i, d, 3 * side + k] * amount
 
 
-@_kernel
+@kernel
 def compliance(bodies: Ints, rows: Array, inverse: Array, i: int, d: int, j: int, e: int) -> float:
     """Return the velocity of contact i along d per unit impulse of contact j along e."""
     total = 0.0
@@ -75,7 +74,7 @@ def compliance(bodies: Ints, rows: Array, inverse: Array, i: int, d: int, j: int
     return total
 
 
-@_kernel
+@kernel
 def _sweep(
     members: Ints,
     bodies: Ints,
@@ -135,7 +134,7 @@ def _sweep(
     return change <= _SWEPT_LAST * largest
 
 
-@_kernel
+@kernel
 def swept(
     members: Ints,
     bodies: Ints,

@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from contacts.kernels import SOLVED, saddle
+from statechart.compiled import kernel
 
 __all__ = ["FOUND", "RAY", "SPENT", "enumerate_bases", "lemke", "on_support", "row_residual"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
-# Called from Python and from each other only: without what C would need they compile faster.
-_kernel = njit(cache=True, no_cfunc_wrapper=True)
 
 FOUND, RAY, SPENT = range(3)
 # Of a pivot relative to the largest entry of its column: smaller ones are rounding.
@@ -26,7 +25,7 @@ _TIE, _TIE_LAST = 1e-10, 1e-5
 _CANCELLED = 1e-14
 
 
-@_kernel
+@kernel
 def row_residual(matrix: Array, vector: Array, z: Array) -> float:
     """Return the largest violation of a row, relative to its terms."""
     worst = 0.0
@@ -43,7 +42,7 @@ def row_residual(matrix: Array, vector: Array, z: Array) -> float:
     return worst
 
 
-@_kernel
+@kernel
 def on_support(matrix: Array, vector: Array, positive: Bools) -> tuple[bool, Array]:
     """Solve ``w = 0`` where z may be positive, z = 0 elsewhere."""
     which = np.nonzero(positive)[0]
@@ -64,7 +63,7 @@ def on_support(matrix: Array, vector: Array, positive: Bools) -> tuple[bool, Arr
     return True, z
 
 
-@_kernel
+@kernel
 def enumerate_bases(matrix: Array, vector: Array, tolerance: float) -> list[int]:
     """Return the bases, bit i for z_i, that are solved by no z below -tolerance times the largest.
 
@@ -88,7 +87,7 @@ def enumerate_bases(matrix: Array, vector: Array, tolerance: float) -> list[int]
     return found
 
 
-@_kernel
+@kernel
 def _pivot(table: Array, right: Array, r: int, c: int) -> None:
     """Exchange the basic variable of row r with the nonbasic one of column c."""
     width = table.shape[1]
@@ -114,9 +113,9 @@ def _pivot(table: Array, right: Array, r: int, c: int) -> None:
             right[i] = 0.0
 
 
-@_kernel
+@kernel
 def _lexicographic(
-    table: Array, basic: Array, column_of: Array, c: int, one: int, other: int
+    table: Array, basic: Ints, column_of: Ints, c: int, one: int, other: int
 ) -> bool:
     """Whether row `one` precedes row `other` when q is perturbed by (eps, eps^2, ...)."""
     for k in range(len(basic)):
@@ -132,7 +131,7 @@ def _lexicographic(
     return False
 
 
-@_kernel
+@kernel
 def lemke(matrix: Array, vector: Array, cover: Array, limit: int) -> tuple[int, Array, Bools]:
     """Return (outcome, z, basic ones of z).
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from statechart.compiled import kernel
 
 __all__ = ["FOUND", "against_surface", "between", "place"]
 
 Array = NDArray[np.float64]
 
-_kernel = njit(cache=True, no_cfunc_wrapper=True)
 
 FOUND = 5
 """Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""
@@ -29,7 +29,7 @@ _PREFERRED = 1e-3
 _SAME = 1e-3
 
 
-@_kernel
+@kernel
 def place(vertices: Array, x: float, y: float, angle: float) -> Array:
     """Return vertices (k, 2) of a body's frame in the world."""
     c, s = math.cos(angle), math.sin(angle)
@@ -40,7 +40,7 @@ def place(vertices: Array, x: float, y: float, angle: float) -> Array:
     return placed
 
 
-@_kernel
+@kernel
 def against_surface(
     body: Array, centre: Array, radius: float, surface: Array, within: float, found: Array
 ) -> tuple[int, NDArray[np.int64]]:
@@ -79,7 +79,7 @@ def against_surface(
     return count, features
 
 
-@_kernel
+@kernel
 def _farthest(one: Array, other: Array) -> tuple[float, int]:
     """Return the largest separation along an edge normal of `one`, and that edge."""
     best, edge = -math.inf, 0
@@ -96,7 +96,7 @@ def _farthest(one: Array, other: Array) -> tuple[float, int]:
     return best, edge
 
 
-@_kernel
+@kernel
 def _clipped(
     one: Array, edge: int, other: Array, within: float, flip: bool, found: Array
 ) -> tuple[int, NDArray[np.int64]]:
@@ -144,7 +144,7 @@ def _clipped(
     return count, features
 
 
-@_kernel
+@kernel
 def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int, NDArray[np.int64]]:
     """Take the nearest corners of polygons whose facing edges do not overlap."""
     features = np.zeros(len(found), np.int64)
@@ -162,7 +162,7 @@ def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int,
     return 1, features
 
 
-@_kernel
+@kernel
 def _disc_and_polygon(
     centre: Array, radius: float, polygon: Array, flip: bool, within: float, found: Array
 ) -> tuple[int, NDArray[np.int64]]:
@@ -193,7 +193,7 @@ def _disc_and_polygon(
     return 1, features
 
 
-@_kernel
+@kernel
 def between(
     one: Array,
     one_centre: Array,

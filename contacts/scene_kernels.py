@@ -10,20 +10,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from contacts.kernels import FREE, OFF, PIN, SLIDE
 from contacts.step_equations import CONTACT, JOINT, back, factored
 from contacts.step_forces import borne_mode, jammed, resting, shared_forces
 from contacts.step_kernels import UNKNOWNS, impulses_of, solve_contacts, solve_impacts
+from statechart.compiled import kernel
 from statechart.kernels.tapes import tape_values
 
 __all__ = ["BAD_INERTIA", "DONE", "HARD", "NOT_FINITE", "step_scene"]
 
 Array = NDArray[np.float64]
 
-_kernel = njit(cache=True, no_cfunc_wrapper=True)
 
 DONE, HARD, BAD_INERTIA, NOT_FINITE = range(4)
 
@@ -32,7 +31,7 @@ DONE, HARD, BAD_INERTIA, NOT_FINITE = range(4)
 _SLOW = 2.0
 
 
-@_kernel
+@kernel
 def _lasting(
     delassus: Array,
     least: Array,
@@ -63,12 +62,12 @@ def _lasting(
     return steady, slides
 
 
-@_kernel
+@kernel
 def _pivots(contacts: int) -> int:
     return 50 + 20 * UNKNOWNS * contacts
 
 
-@_kernel
+@kernel
 def step_scene(
     code: NDArray[np.int32],
     constants: Array,

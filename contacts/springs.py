@@ -8,10 +8,10 @@ many steps where such forces exist, and leaves all bounds where none do.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from contacts.kernels import SOLVED, independent, saddle
+from statechart.compiled import kernel, part
 
 __all__ = ["APEX", "INSIDE", "LOWER", "UPPER", "springs"]
 
@@ -22,8 +22,6 @@ INSIDE, UPPER, LOWER, APEX = range(4)
 """Where ``w = J y`` is: inside the cone; off it, nearest to its edge with H > 0, with H < 0; off
 it, nearest to its tip."""
 
-_kernel = njit(cache=True, no_cfunc_wrapper=True)
-_inner = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 # Where zones do not determine the displacement, it is moved by what is missing over this; where
 # that never explains the load, it ends beyond all bounds.
@@ -32,7 +30,7 @@ _STEPS, _HALVINGS = 200, 60
 _ROUNDING = 64 * 2.0**-52
 
 
-@_inner
+@part
 def _zone(w: Array, cone: Array, sliding: float) -> int:
     side = UPPER if w[1] > 0.0 else LOWER
     if sliding != 0.0:
@@ -44,7 +42,7 @@ def _zone(w: Array, cone: Array, sliding: float) -> int:
     return side if cone[0] * w[0] + sign * cone[1] * w[1] >= 0.0 else APEX
 
 
-@_inner
+@part
 def _force(zone: int, w: Array, cone: Array, force: Array) -> None:
     """Project `w` as its zone says."""
     if zone == INSIDE:
@@ -57,7 +55,7 @@ def _force(zone: int, w: Array, cone: Array, force: Array) -> None:
         force[0], force[1] = cone[0] * along, edge * along
 
 
-@_inner
+@part
 def _displaced(reach: Array, y: Array, w: Array) -> None:
     for g in range(len(reach)):
         for d in range(2):
@@ -66,7 +64,7 @@ def _displaced(reach: Array, y: Array, w: Array) -> None:
                 w[g, d] += reach[g, d, i] * y[i]
 
 
-@_inner
+@part
 def _missing(reach: Array, forces: Array, load: Array) -> Array:
     left = load.copy()
     for g in range(len(reach)):
@@ -76,7 +74,7 @@ def _missing(reach: Array, forces: Array, load: Array) -> Array:
     return left
 
 
-@_inner
+@part
 def _stiffness(reach: Array, zones: Ints, cones: Array) -> Array:
     size = reach.shape[2]
     result = np.zeros((size, size))
@@ -89,7 +87,7 @@ def _stiffness(reach: Array, zones: Ints, cones: Array) -> Array:
     return result
 
 
-@_inner
+@part
 def _solved(
     stiffness: Array, zones: Ints, cones: Array, reach: Array, load: Array, w: Array, forces: Array
 ) -> bool:
@@ -111,7 +109,7 @@ def _solved(
     return True
 
 
-@_inner
+@part
 def _height(
     reach: Array, cones: Array, sliding: Array, load: Array, y: Array, w: Array, forces: Array
 ) -> float:
@@ -126,7 +124,7 @@ def _height(
     return height
 
 
-@_inner
+@part
 def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
     """Return how far the worst `w` is outside its zone."""
     worst = -np.inf
@@ -147,7 +145,7 @@ def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
     return worst
 
 
-@_kernel
+@kernel
 def springs(
     cones: Array, sliding: Array, reach: Array, load: Array, inward: float
 ) -> tuple[bool, Array, Ints, float]:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from statechart.compiled import kernel
 
 __all__ = ["CONTACT", "JOINT", "back", "factored"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_kernel = njit(cache=True, no_cfunc_wrapper=True)
 
 CONTACT = 6
 """Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition."""
@@ -27,7 +27,7 @@ _SINGULAR = 1e-12
 _LIGHTEST = 1e-9
 
 
-@_kernel
+@kernel
 def _factor(matrix: Array) -> tuple[bool, Ints]:
     """Factor in place with partial pivoting of equilibrated rows; False where singular."""
     size = len(matrix)
@@ -59,7 +59,7 @@ def _factor(matrix: Array) -> tuple[bool, Ints]:
     return True, order
 
 
-@_kernel
+@kernel
 def back(factors: Array, order: Ints, right: Array) -> Array:
     """Return the solution for one right side (m,)."""
     size = len(right)
@@ -77,7 +77,7 @@ def back(factors: Array, order: Ints, right: Array) -> Array:
     return x
 
 
-@_kernel
+@kernel
 def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
     """Return the least inertia (n,) of every coordinate: small beside the bodies' at its levers."""
     reach = np.zeros(n)
@@ -93,7 +93,7 @@ def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
     return _LIGHTEST * heaviest * reach**2
 
 
-@_kernel
+@kernel
 def factored(
     numbers: Array, n: int, h: float, damped: bool, held: Ints, joints: int, light: bool
 ) -> tuple[bool, Array, Ints, Array]:

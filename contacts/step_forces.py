@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from contacts.kernels import (
@@ -15,6 +14,7 @@ from contacts.kernels import (
     independent,
 )
 from contacts.springs import springs
+from statechart.compiled import kernel
 
 __all__ = ["borne_mode", "jammed", "resting", "shared_forces"]
 
@@ -22,13 +22,12 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-_kernel = njit(cache=True, no_cfunc_wrapper=True)
 
 # Velocities below this part of what they are sums of are zero.
 _ROUNDING = 1e-9
 
 
-@_kernel
+@kernel
 def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed: bool) -> int:
     """Return the mode of a contact that bears an impulse, as `contacts.kernels` numbers them.
 
@@ -54,7 +53,7 @@ def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed
     return SLIDE_PLUS if impulse[1] < 0.0 else SLIDE_MINUS
 
 
-@_kernel
+@kernel
 def resting(compliance: Array, least: Array, impulses: Array, a: int) -> tuple[bool, float]:
     """Whether contact `a` stays closed without an impulse; and its slip, 0 where that is rounding.
 
@@ -75,7 +74,7 @@ def resting(compliance: Array, least: Array, impulses: Array, a: int) -> tuple[b
     return abs(after[0]) <= _ROUNDING * terms[0], slip
 
 
-@_kernel
+@kernel
 def jammed(compliance: Array, least: Array, slip: float, cone: Array) -> bool:
     """Whether friction presses a sliding contact into its surface (Painleve's paradox).
 
@@ -97,7 +96,7 @@ def jammed(compliance: Array, least: Array, slip: float, cone: Array) -> bool:
     return bool(compliance[0, 0] * cone[0] + compliance[0, 1] * against <= 0.0)
 
 
-@_kernel
+@kernel
 def _columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> Array:
     """Return what the forces of contacts in their modes do to the coordinates, one row each."""
     size = jacobians.shape[2]
@@ -120,7 +119,7 @@ def _columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> Arra
     return rows[:m]
 
 
-@_kernel
+@kernel
 def shared_forces(
     codes: Ints, cones: Array, jacobians: Array, forces: Array
 ) -> tuple[Bools, Array]:

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from contacts.lemke import FOUND, lemke, on_support
+from statechart.compiled import kernel
 
 __all__ = [
     "LOOSEST",
@@ -30,7 +30,6 @@ __all__ = [
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-_kernel = njit(cache=True, no_cfunc_wrapper=True)
 
 UNKNOWNS = 4
 """Of a contact: normal impulse, tangential one to either side, slip speed."""
@@ -49,7 +48,7 @@ _STEEPEST = 2.0**-12
 _CAP_ROUNDS = 60
 
 
-@_kernel
+@kernel
 def problem(delassus: Array, free: Array, cones: Array) -> tuple[Array, Array]:
     """Return (M, q) as `contacts.complementarity.contact_problem`, four unknowns per contact.
 
@@ -86,7 +85,7 @@ def problem(delassus: Array, free: Array, cones: Array) -> tuple[Array, Array]:
     return matrix, vector
 
 
-@_kernel
+@kernel
 def step_residual(matrix: Array, vector: Array, z: Array) -> float:
     """Return the largest violation of a row, relative to its terms.
 
@@ -117,7 +116,7 @@ def step_residual(matrix: Array, vector: Array, z: Array) -> float:
     return worst
 
 
-@_kernel
+@kernel
 def _settled(z: Array) -> Array:
     """Return z without what is rounding: of impulses, and of slip speeds."""
     largest = np.zeros(2)
@@ -131,7 +130,7 @@ def _settled(z: Array) -> Array:
     return result
 
 
-@_kernel
+@kernel
 def symmetric_scales(matrix: Array) -> Array:
     """Return powers of two that make the diagonal near 1 where it is positive."""
     scales = np.ones(len(matrix))
@@ -141,7 +140,7 @@ def symmetric_scales(matrix: Array) -> Array:
     return scales
 
 
-@_kernel
+@kernel
 def solve_contacts(
     delassus: Array, free: Array, cones: Array, guess: Bools, limit: int
 ) -> tuple[bool, Array, Bools]:
@@ -210,7 +209,7 @@ def solve_contacts(
     return False, np.zeros(size), basis
 
 
-@_kernel
+@kernel
 def _without_rounding(velocities: Array, size: float) -> None:
     """Set to zero what is rounding of velocities as large as `size`."""
     for i in range(len(velocities)):
@@ -219,7 +218,7 @@ def _without_rounding(velocities: Array, size: float) -> None:
                 velocities[i, d] = 0.0
 
 
-@_kernel
+@kernel
 def _known(
     delassus: Array, free: Array, cones: Array, guess: Bools, limit: int, given: Array
 ) -> tuple[bool, Array, Bools]:
@@ -235,7 +234,7 @@ def _known(
     return solve_contacts(delassus, free, cones, guess, limit)
 
 
-@_kernel
+@kernel
 def solve_impacts(
     delassus: Array,
     before: Array,
@@ -291,7 +290,7 @@ def solve_impacts(
     return good, z, basis, pushes, least
 
 
-@_kernel
+@kernel
 def impulses_of(z: Array) -> Array:
     """Return the impulses (m, 2) of a solution."""
     count = len(z) // UNKNOWNS
@@ -302,7 +301,7 @@ def impulses_of(z: Array) -> Array:
     return impulses
 
 
-@_kernel
+@kernel
 def _work_at(delassus: Array, before: Array, free: Array, impulses: Array) -> float:
     total = 0.0
     flat = impulses.ravel()
@@ -314,7 +313,7 @@ def _work_at(delassus: Array, before: Array, free: Array, impulses: Array) -> fl
     return total
 
 
-@_kernel
+@kernel
 def capped(
     delassus: Array, before: Array, free: Array, plastic: Array, elastic: Array
 ) -> tuple[Array, float]:
