@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from contacts import impulse
 from contacts.heap_kernels import DONE, HARD, MEMORY, NOT_FINITE, step_heap
+from contacts.heap_numbers import heap_numbers, owners_of
 from contacts.impulse import Stepping
 from contacts.kernels import FREE
 from contacts.mechanics import Mechanics
@@ -23,7 +24,7 @@ from contacts.recognise import Chunk
 from contacts.scales import Scales
 from contacts.scene import Scene
 from contacts.setup import SceneSetup, scene_parameters
-from contacts.shapes import copies
+from contacts.shapes import check_shapes
 from contacts.stepped_scene import softened_remark, widened
 from statechart.automaton import (
     Automaton,
@@ -70,11 +71,7 @@ _ONLY_IMPULSE = (
 def heap(scene: Scene) -> Automaton:
     """Return the automaton of a scene with collisions: its regions, and what steps it."""
     bodies = scene.single_bodies()
-    owners = [
-        name
-        for name, count in copies(scene, scene.values()).items()
-        for _ in range(1 if count is None else count)
-    ]
+    owners = owners_of(scene)
     scene = scene.model_copy(update={"bodies": bodies})
     parameters = scene_parameters(scene)
     mechanics = Mechanics(scene, parameters.symbols, {})
@@ -255,12 +252,15 @@ class HeapStepper:
         known = scene.values(overrides)
         if overrides:
             check_physical(scene, known)
+            check_shapes(scene, known)
         if not np.isfinite(initial).all():
             check_finite(scene, known)
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         bodies = SteppedHeap(scene, self._owners, known)
-        length = float(np.abs(initial.reshape(2, -1, 3)[0, :, :2]).max() + bodies.sizes.max())
-        speed = math.sqrt(math.hypot(*bodies.gravity) * length)
+        length = float(
+            np.abs(initial.reshape(2, -1, 3)[0, :, :2]).max() + bodies.numbers.sizes.max()
+        )
+        speed = math.sqrt(math.hypot(*bodies.numbers.gravity) * length)
         speed = max(speed, float(np.abs(initial[len(initial) // 2 :]).max())) or 1.0
         scales = Scales(length, speed, speed**2 / length, 1.0, np.ones(len(initial)))
         setup = SceneSetup(
@@ -302,50 +302,9 @@ class SteppedHeap:
     """
 
     def __init__(self, scene: Scene, owners: Sequence[str], known: Mapping[str, float]) -> None:
-        def number(text: str | int | float) -> float:
-            return parse(text).value(known)
-
+        self.numbers = heap_numbers(scene, owners, known)
         self._names = tuple(scene.bodies)
         count = len(self._names)
-        corners: list[list[float]] = []
-        firsts, radii, sizes, inverse = [0], [], [], []
-        for name, body in scene.bodies.items():
-            shape, radius = body.shape, 0.0
-            mine: list[list[float]] = []
-            if shape is not None and shape.polygon is not None:
-                mine = [[number(x), number(y)] for x, y in shape.polygon]
-            elif shape is not None and shape.disc is not None:
-                radius = number(shape.disc)
-            mass, inertia = number(body.mass), number(body.inertia or 0)
-            if not inertia > 0.0:
-                raise DeclarationProblem(
-                    "a body that collides needs a positive inertia",
-                    loc=("bodies", name, "inertia"),
-                )
-            corners += mine
-            firsts.append(len(corners))
-            radii.append(radius)
-            sizes.append(max([math.hypot(*corner) for corner in mine], default=radius))
-            inverse.append([1.0 / mass, 1.0 / mass, 1.0 / inertia])
-        self._vertices = np.array(corners, dtype=float).reshape(-1, 2)
-        self._firsts = np.array(firsts, dtype=np.int64)
-        self._radii, self.sizes = np.array(radii), np.array(sizes)
-        self._inverse = np.array(inverse)
-        declared = scene.gravity
-        self.gravity = np.array(
-            [number(part) for part in declared]
-            if isinstance(declared, tuple)
-            else [0.0, -number(declared)]
-        )
-        self._surfaces = np.array(
-            [
-                _straight(scene, name, number)
-                for name in scene.surfaces
-                if any(name in collision.surfaces for collision in scene.collisions.values())
-            ],
-            dtype=float,
-        ).reshape(-1, 4)
-        self._pairs, self._materials = _materials(scene, owners, number)
         self._keys = np.zeros((_PER_BODY * count, 2), dtype=np.int64)
         self._memory = np.zeros((_PER_BODY * count, MEMORY))
         self._remembered = 0
@@ -369,7 +328,7 @@ class SteppedHeap:
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps; see `SteppedScene.steps`."""
-        bodies = len(self._names)
+        bodies, of = len(self._names), self.numbers
         states = np.empty((count + 1, 6 * bodies))
         states[0] = state
         now = state.copy()
@@ -381,8 +340,8 @@ class SteppedHeap:
         given, done, softened = np.zeros(0), 0, False
         while done < count:
             taken, status, self._remembered, delassus, least, cones = step_heap(
-                self._vertices, self._firsts, self._radii, self.sizes, self._inverse,
-                self.gravity, self._surfaces, self._pairs, self._materials, h, now,
+                of.vertices, of.firsts, of.radii, of.sizes, of.inverse,
+                of.gravity, of.surfaces, of.pairs, of.materials, h, now,
                 self._keys, self._memory, self._remembered, given, softened,
                 states[done + 1 :], solved[done:], impulses[done:], codes[done:], struck[done:],
                 gaps[done:], approach[done:], closing[done:], self._counts,
@@ -427,41 +386,3 @@ class SteppedHeap:
         if status == HARD and len(cones):
             return widened(delassus, least, cones)
         raise UnsolvedImpulses("an island of many contacts was swept without settling")
-
-
-def _straight(
-    scene: Scene, name: str, number: Callable[[str | int | float], float]
-) -> tuple[float, float, float, float]:
-    """Return a point of a straight surface, and its unit normal out of the solid."""
-    surface = scene.surfaces[name]
-    if surface.height is not None:
-        return 0.0, number(surface.height), 0.0, 1.0
-    if surface.line is not None:
-        (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in surface.line)
-        length = math.hypot(x1 - x0, y1 - y0)
-        return x0, y0, (y0 - y1) / length, (x1 - x0) / length
-    angle = number(surface.incline or 0)
-    x, y = surface.through
-    return number(x), number(y), -math.sin(angle), math.cos(angle)
-
-
-def _materials(
-    scene: Scene, owners: Sequence[str], number: Callable[[str | int | float], float]
-) -> tuple[NDArray[np.int64], Array]:
-    """Return which law bodies touch each other and surfaces by (b, b + s), and the laws (m, 3)."""
-    names = list(scene.bodies)
-    used = {name for collision in scene.collisions.values() for name in collision.surfaces}
-    surfaces = [name for name in scene.surfaces if name in used]
-    pairs = np.full((len(names), len(names) + len(surfaces)), -1, dtype=np.int64)
-    laws = []
-    for law, collision in enumerate(scene.collisions.values()):
-        mu = number(collision.friction)
-        edge = (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1, mu), mu / math.hypot(1, mu))
-        laws.append((*edge, number(collision.restitution)))
-        members = [i for i, owner in enumerate(owners) if owner in collision.bodies]
-        others = [len(names) + surfaces.index(name) for name in collision.surfaces]
-        for one in members:
-            for other in [k for k in members if k > one] + others:
-                if pairs[one, other] < 0:
-                    pairs[one, other] = law
-    return pairs, np.array(laws)

@@ -96,6 +96,13 @@ class Scene(Declaration):
                 result[f"{name}{index}"] = self.bodies[name].numbered(index)
         return result
 
+    @property
+    def whole(self) -> frozenset[str]:
+        """Parameters that count copies of bodies."""
+        counts = [b.copies for b in self.bodies.values() if b.copies is not None]
+        used = frozenset[str]().union(*(parse(text).names for text in counts))
+        return used & frozenset(self.parameters)
+
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the scene itself, or the one with as many copies as `overrides` make."""
         if copies(self, self.values()) == copies(self, self.values(overrides)):

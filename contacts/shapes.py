@@ -16,7 +16,15 @@ from statechart.formula import close_matches, parse
 if TYPE_CHECKING:
     from contacts.scene import Scene
 
-__all__ = ["INDEX", "Collision", "Shape", "check_collisions", "check_copies", "copies"]
+__all__ = [
+    "INDEX",
+    "Collision",
+    "Shape",
+    "check_collisions",
+    "check_copies",
+    "check_shapes",
+    "copies",
+]
 
 INDEX = "index"
 """What formulas of a body's start call the number of a copy, from 0."""
@@ -119,9 +127,7 @@ def check_collisions(scene: Scene, values: Mapping[str, float]) -> None:
     DeclarationProblem
         At the first thing that is wrong.
     """
-    for name, body in scene.bodies.items():
-        if body.shape is not None:
-            _check_shape(scene, name, body.shape, values)
+    check_shapes(scene, values)
     if not scene.collisions:
         return
     for section in ("contacts", "joints", "forces", "coordinates", "regions", "modes"):
@@ -166,6 +172,21 @@ def check_collisions(scene: Scene, values: Mapping[str, float]) -> None:
                 raise DeclarationProblem(
                     f"shapes collide with straight surfaces at rest; {one!r} is not", loc=loc
                 )
+
+
+def check_shapes(scene: Scene, values: Mapping[str, float]) -> None:
+    """Check the numbers of shapes and collisions for `values` of the parameters.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first that is out of its bounds.
+    """
+    for name, body in scene.bodies.items():
+        if body.shape is not None:
+            _check_shape(scene, name, body.shape, values)
+    for name, collision in scene.collisions.items():
+        at = ("collisions", name)
         for key, most in (("friction", np.inf), ("restitution", 1.0)):
             text = getattr(collision, key)
             check_names(parse(text), scene.parameters, *at, key)

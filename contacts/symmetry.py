@@ -16,6 +16,7 @@ import numpy as np
 from contacts.controls import Controller, ControlState
 from contacts.parts import Body, Contact, Force, Joint, Pair, Path, Point, Surface
 from contacts.scene import Scene
+from contacts.shapes import Shape
 from statechart.comparison import Reading
 from statechart.declaration import TIME, Stop
 from statechart.fields import FormulaText
@@ -165,6 +166,7 @@ class _Change:
             surfaces={name: self._surface(surface) for name, surface in old.surfaces.items()},
             contacts={name: self._contact(contact) for name, contact in old.contacts.items()},
             joints={name: self._joint(joint) for name, joint in old.joints.items()},
+            collisions=old.collisions,
             forces={name: self._force(force) for name, force in old.forces.items()},
             # Controls keep their values: what their unit is only the formulas say that use them.
             controls={
@@ -180,7 +182,9 @@ class _Change:
                     for label, text in old.stop.conditions.items()
                 },
             ),
-            settings=old.settings,
+            settings=old.settings
+            if old.settings.step is None
+            else old.settings.model_copy(update={"step": old.settings.step * self.time}),
         )
 
     @property
@@ -190,7 +194,7 @@ class _Change:
         found = {TIME: self.time, "energy": self.energy}
         for name in old.coordinates:
             found |= {name: self.own[0], old.rate_name(name): self.own[1]}
-        for name in old.bodies:
+        for name in old.single_bodies():
             found |= {f"{name}.x": self.x, f"{name}.y": self.y, f"{name}.angle": self.angle}
             found |= {f"{name}.dx": self.rates[0], f"{name}.dy": self.rates[1]}
             found[f"{name}.dangle"] = self.spin
@@ -216,7 +220,17 @@ class _Change:
             position=None if body.position is None else self._pair(body.position),
             angle=None if body.angle is None else _times(body.angle, self.angle),
             start={key: _times(text, factors[key]) for key, text in body.start.items()},
+            shape=None if body.shape is None else self._shape(body.shape),
+            copies=body.copies,
         )
+
+    def _shape(self, shape: Shape) -> Shape:
+        if shape.polygon is None:
+            assert shape.disc is not None
+            return Shape(disc=_times(shape.disc, abs(self.x)))
+        corners = [self._pair(corner) for corner in shape.polygon]
+        # In a mirror they go round the other way.
+        return Shape(polygon=tuple(corners if self.x > 0.0 else corners[::-1]))
 
     def _surface(self, surface: Surface) -> Surface:
         height, radius = surface.height, surface.radius

@@ -285,6 +285,11 @@ class Declaration(Part):
         formulas = {name: parse(text) for name, text in self.parameters.items()}
         return evaluate_parameters(formulas, overrides or {})
 
+    @property
+    def whole(self) -> frozenset[str]:
+        """Parameters that count something: their values are whole numbers."""
+        return frozenset()
+
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the model that runs with `overrides`: another where they change what it has."""
         return self

@@ -1,0 +1,165 @@
+"""Colliding bodies as numbers: outlines, masses, surfaces, and who touches whom by which law."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.scene import Scene
+from contacts.shapes import copies
+from statechart.errors import DeclarationProblem
+from statechart.formula import parse
+
+__all__ = ["HeapNumbers", "heap_numbers", "owners_of"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class HeapNumbers:
+    """What does not change in a run of colliding bodies.
+
+    Attributes
+    ----------
+    vertices : (v, 2), firsts : (b + 1,)
+        Corners of all bodies in their frames, and where those of a body begin; none of discs.
+    radii, sizes : (b,)
+        Of discs; and how far a body reaches from its centre.
+    inverse : (b, 3)
+        1/mass, 1/mass, 1/moment of inertia.
+    gravity : (2,)
+    surfaces : (s, 4)
+        A point, and the unit normal out of the solid.
+    pairs : (b, b + s) array of int
+        Which law bodies touch each other and surfaces by; -1: they do not.
+    materials : (m, 3)
+        Laws: edge of the cone (2), restitution.
+    """
+
+    vertices: Array
+    firsts: NDArray[np.int64]
+    radii: Array
+    sizes: Array
+    inverse: Array
+    gravity: Array
+    surfaces: Array
+    pairs: NDArray[np.int64]
+    materials: Array
+
+
+def owners_of(scene: Scene) -> list[str]:
+    """Return what each of the single bodies is a copy of, or itself."""
+    return [
+        name
+        for name, count in copies(scene, scene.values()).items()
+        for _ in range(1 if count is None else count)
+    ]
+
+
+def heap_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]) -> HeapNumbers:
+    """Evaluate a scene with collisions.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its bodies one by one.
+    owners : sequence of str
+        See `owners_of`.
+    known : mapping of str to float
+        Parameters.
+
+    Raises
+    ------
+    DeclarationProblem
+        If a body that collides has no inertia.
+    """
+
+    def number(text: str | int | float) -> float:
+        return parse(text).value(known)
+
+    corners: list[list[float]] = []
+    firsts, radii, sizes, inverse = [0], [], [], []
+    for name, body in scene.bodies.items():
+        shape, radius = body.shape, 0.0
+        mine: list[list[float]] = []
+        if shape is not None and shape.polygon is not None:
+            mine = [[number(x), number(y)] for x, y in shape.polygon]
+        elif shape is not None and shape.disc is not None:
+            radius = number(shape.disc)
+        mass, inertia = number(body.mass), number(body.inertia or 0)
+        if not inertia > 0.0:
+            raise DeclarationProblem(
+                "a body that collides needs a positive inertia",
+                loc=("bodies", name, "inertia"),
+            )
+        corners += mine
+        firsts.append(len(corners))
+        radii.append(radius)
+        sizes.append(max([math.hypot(*corner) for corner in mine], default=radius))
+        inverse.append([1.0 / mass, 1.0 / mass, 1.0 / inertia])
+    declared = scene.gravity
+    pairs, materials = _materials(scene, owners, number)
+    return HeapNumbers(
+        np.array(corners, dtype=float).reshape(-1, 2),
+        np.array(firsts, dtype=np.int64),
+        np.array(radii),
+        np.array(sizes),
+        np.array(inverse),
+        np.array(
+            [number(part) for part in declared]
+            if isinstance(declared, tuple)
+            else [0.0, -number(declared)]
+        ),
+        np.array(
+            [
+                _straight(scene, name, number)
+                for name in scene.surfaces
+                if any(name in collision.surfaces for collision in scene.collisions.values())
+            ],
+            dtype=float,
+        ).reshape(-1, 4),
+        pairs,
+        materials,
+    )
+
+
+def _straight(
+    scene: Scene, name: str, number: Callable[[str | int | float], float]
+) -> tuple[float, float, float, float]:
+    """Return a point of a straight surface, and its unit normal out of the solid."""
+    surface = scene.surfaces[name]
+    if surface.height is not None:
+        return 0.0, number(surface.height), 0.0, 1.0
+    if surface.line is not None:
+        (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in surface.line)
+        length = math.hypot(x1 - x0, y1 - y0)
+        return x0, y0, (y0 - y1) / length, (x1 - x0) / length
+    angle = number(surface.incline or 0)
+    x, y = surface.through
+    return number(x), number(y), -math.sin(angle), math.cos(angle)
+
+
+def _materials(
+    scene: Scene, owners: Sequence[str], number: Callable[[str | int | float], float]
+) -> tuple[NDArray[np.int64], Array]:
+    """Return which law bodies touch each other and surfaces by (b, b + s), and the laws (m, 3)."""
+    names = list(scene.bodies)
+    used = {name for collision in scene.collisions.values() for name in collision.surfaces}
+    surfaces = [name for name in scene.surfaces if name in used]
+    pairs = np.full((len(names), len(names) + len(surfaces)), -1, dtype=np.int64)
+    laws = []
+    for law, collision in enumerate(scene.collisions.values()):
+        mu = number(collision.friction)
+        edge = (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1, mu), mu / math.hypot(1, mu))
+        laws.append((*edge, number(collision.restitution)))
+        members = [i for i, owner in enumerate(owners) if owner in collision.bodies]
+        others = [len(names) + surfaces.index(name) for name in collision.surfaces]
+        for one in members:
+            for other in [k for k in members if k > one] + others:
+                if pairs[one, other] < 0:
+                    pairs[one, other] = law
+    return pairs, np.array(laws)

@@ -1,0 +1,176 @@
+"""Properties of every run of colliding bodies, computed from their outlines and masses.
+
+Distances are found by projection on all normals of edges, vectorised over the steps; nothing of
+the collision detection that was run is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.heap_numbers import HeapNumbers, heap_numbers, owners_of
+from contacts.scene import Scene
+from contacts.testing import no_growth, step_ends
+from statechart.testing import Case, Property, Subject
+from statechart.trace import Trace
+
+__all__ = [
+    "assert_depths",
+    "assert_energy_of_steps",
+    "assert_free_fall",
+    "assert_impulses_of_bodies",
+    "heap_properties",
+]
+
+Array = NDArray[np.float64]
+
+_ROUNDING = 1e-13
+
+
+def assert_depths(numbers: HeapNumbers, trace: Trace) -> None:
+    """Check that nothing overlaps by more than the fastest approach makes in a step."""
+    count = len(numbers.sizes)
+    starts = [arc.coefficients[:, : 3 * count, 0] for arc in trace.arcs]
+    states = np.concatenate([*starts, trace.final[None, : 3 * count]]).reshape(-1, count, 3)
+    times = np.concatenate(
+        [*(arc.start.high + arc.times[:-1] for arc in trace.arcs), [trace.t_end]]
+    )
+    outlines = [_placed(numbers, states[:, b], b) for b in range(count)]
+    allowed = trace.tolerances["gap"] * (1.0 + _ROUNDING)
+    for b, other in zip(*np.nonzero(numbers.pairs >= 0), strict=True):
+        if other < count:
+            reach = numbers.sizes[b] + numbers.sizes[other]
+            away = np.hypot(*(states[:, b, :2] - states[:, other, :2]).T)
+            if (away > reach).all():
+                continue
+            gaps = _between(outlines[b], numbers.radii[b], outlines[other], numbers.radii[other])
+            what = trace.regions[other]
+        else:
+            x, y, *normal = numbers.surfaces[other - count]
+            gaps = ((outlines[b] - [x, y]) @ np.array(normal)).min(axis=1) - numbers.radii[b]
+            what = "a surface"
+        k = int(np.argmin(gaps))
+        if gaps[k] < -allowed:
+            raise AssertionError(
+                f"{trace.regions[b]} is {-gaps[k]:.6g} deep in {what} at t = {times[k]:.17g}; "
+                f"a step at the fastest approach is {allowed:.3g}"
+            )
+
+
+def _placed(numbers: HeapNumbers, states: Array, b: int) -> Array:
+    """Return the corners (m, k, 2) of a polygon, or the centre (m, 1, 2) of a disc."""
+    own = numbers.vertices[numbers.firsts[b] : numbers.firsts[b + 1]]
+    if not len(own):
+        return states[:, None, :2]
+    cos, sin = np.cos(states[:, 2, None]), np.sin(states[:, 2, None])
+    turned = np.stack([cos * own[:, 0] - sin * own[:, 1], sin * own[:, 0] + cos * own[:, 1]], -1)
+    return turned + states[:, None, :2]
+
+
+def _between(one: Array, radius: float, other: Array, other_radius: float) -> Array:
+    """Return the gaps (m,) of two bodies; of polygons, along the best of their normals."""
+    both = radius + other_radius
+    if one.shape[1] == 1 and other.shape[1] == 1:
+        return np.hypot(*(one - other)[:, 0].T) - both
+    if one.shape[1] == 1:
+        one, other = other, one
+    gaps = _along_normals(one, other)
+    if other.shape[1] > 1:
+        return np.maximum(gaps, _along_normals(other, one))
+    # Beside a corner the disc is nearest to that.
+    sides = np.roll(one, -1, axis=1) - one
+    to = other - one
+    along = np.clip((to * sides).sum(-1) / (sides * sides).sum(-1), 0.0, 1.0)
+    nearest = np.linalg.norm(to - along[..., None] * sides, axis=-1).min(axis=1)
+    return np.where(gaps > 0.0, nearest, gaps) - both
+
+
+def _along_normals(one: Array, other: Array) -> Array:
+    """Return the largest distance (m,) of the points `other` along a normal of `one`."""
+    sides = np.roll(one, -1, axis=1) - one
+    normals = np.stack([sides[..., 1], -sides[..., 0]], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    away = np.einsum("mkd,mjd->mkj", normals, other) - (normals * one).sum(-1)[..., None]
+    return np.asarray(away.min(axis=2).max(axis=1))
+
+
+def assert_free_fall(numbers: HeapNumbers, trace: Trace) -> None:
+    """Check that gravity alone acts on a body that is free."""
+    count = len(numbers.sizes)
+    fall = np.array([*numbers.gravity, 0.0])
+    for arc in trace.arcs:
+        assert arc.solved is not None  # steps have numbers
+        free = np.array([state == "free" for state in arc.mode])
+        off = np.abs(arc.solved.reshape(-1, count, 3)[:, free] - fall)
+        speeds = np.abs(arc.coefficients[:, 3 * count :, 0]).reshape(-1, count, 3)[:, free]
+        allowed = _ROUNDING * (np.abs(fall).max() + speeds / trace.step)
+        if (off > allowed).any():
+            b = np.flatnonzero(free)[int(np.argmax((off > allowed).any(axis=(0, 2))))]
+            raise AssertionError(
+                f"{trace.regions[b]} is free from t = {arc.start.high:.17g} and does not fall"
+            )
+
+
+def assert_impulses_of_bodies(numbers: HeapNumbers, trace: Trace) -> None:
+    """Check that impulses push, and stay within the friction of the roughest contact."""
+    for jump in trace.jumps:
+        for name, (normal, tangential) in jump.impulse.items():
+            laws = numbers.pairs[trace.regions.index(name)]
+            others = numbers.pairs[:, trace.regions.index(name)]
+            edges = numbers.materials[np.unique([*laws[laws >= 0], *others[others >= 0]])]
+            outside = min(n * abs(tangential) - t * normal for n, t, _ in edges)
+            allowed = 100.0 * _ROUNDING * np.hypot(normal, tangential)
+            where = f"the impulse on {name} at t = {jump.t:.17g}"
+            assert normal >= -allowed, f"{where} pulls: {normal:.6g}"
+            assert outside <= allowed, f"{where} is outside the cone: {tangential:.6g}/{normal:.6g}"
+
+
+def assert_energy_of_steps(numbers: HeapNumbers, subject: Subject, trace: Trace) -> None:
+    """Check that the energy grows in no step by more than ``h^2/8 f^T M^-1 f``."""
+    assert trace.step is not None
+    energy = [subject.automaton.observables["energy"]]
+    points: list[tuple[float, float, str]] = []
+    for arc in trace.arcs:
+        ends = arc.times[step_ends(trace, arc)]
+        times = arc.start.high + ends
+        values = subject.values(trace, energy, arc.states(ends), times)[:, 0]
+        where = f"in {subject.automaton.label(arc.mode)}"
+        points += [(t, e, where) for t, e in zip(times.tolist(), values.tolist(), strict=True)]
+    size = max((abs(e) for _, e, _ in points), default=0.0)
+    weights = float(numbers.gravity @ numbers.gravity) / numbers.inverse[:, 0]
+    rate = trace.step / 8.0 * float(weights.sum())
+    no_growth(points, 100.0 * _ROUNDING * size + rate * trace.step, rate)
+
+
+def heap_properties(scene: Scene) -> tuple[Property, ...]:
+    """Return what holds for every scene of colliding bodies."""
+
+    def each(check: Callable[[HeapNumbers, Subject, Trace], None]) -> Callable[[Case], None]:
+        def holds(case: Case) -> None:
+            model, trace = case.subject.model, case.trace
+            assert isinstance(model, Scene)
+            values = {name: trace.parameters[name] for name in model.parameters}
+            single = model.model_copy(update={"bodies": model.single_bodies()})
+            numbers = heap_numbers(single, owners_of(model), model.values(values))
+            check(numbers, case.subject, trace)
+
+        return holds
+
+    return (
+        Property(
+            "no body is deeper than a step takes it",
+            each(lambda numbers, _, trace: assert_depths(numbers, trace)),
+        ),
+        Property(
+            "no force without contact",
+            each(lambda numbers, _, trace: assert_free_fall(numbers, trace)),
+        ),
+        Property(
+            "impulses push, within friction",
+            each(lambda numbers, _, trace: assert_impulses_of_bodies(numbers, trace)),
+        ),
+        Property("energy grows by no more than the scheme's bound", each(assert_energy_of_steps)),
+    )
