@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from contacts.island_kernels import compliance, island_of, push, swept, velocity
 from contacts.kernels import FREE, PIN, SLIDE
 from contacts.polygons import FOUND, against_surface, between, place
-from contacts.step_kernels import UNKNOWNS, solve_impacts
+from contacts.step_kernels import UNKNOWNS, solve_impacts, steady_impulses
 from statechart.compiled import kernel
 
 __all__ = ["DONE", "HARD", "MEMORY", "NOT_FINITE", "step_heap"]
@@ -41,6 +41,40 @@ def _restore(state: Array, old: Array, h: float, n: int) -> None:
     """Take the first half of a step back."""
     for i in range(n):
         state[i] -= 0.5 * h * old[i // 3, i % 3]
+
+
+@kernel
+def _swept_steady(
+    members: Ints,
+    bodies: Ints,
+    rows: Array,
+    inverse: Array,
+    cones: Array,
+    wanted: Array,
+    before: Array,
+    free: Array,
+    rebounds: NDArray[np.bool_],
+    loose: Array,
+    pushes: Array,
+    sliding: NDArray[np.bool_],
+    guesses: NDArray[np.bool_],
+    hit: NDArray[np.bool_],
+    steady: Array,
+) -> None:
+    """Write what is force of the impulses of a swept island: see `steady_impulses`."""
+    for i in members:
+        steady[i, 0], steady[i, 1] = pushes[i, 0], pushes[i, 1]
+    if not hit[members].any():
+        return
+    others = members[~hit[members]]
+    alone = np.zeros_like(pushes)
+    if len(others) and not swept(
+        others, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose, alone,
+        sliding.copy(), guesses.copy(),
+    ):  # fmt: skip
+        alone[others] = pushes[others]
+    for i in members:
+        steady[i, 0], steady[i, 1] = alone[i, 0], alone[i, 1]
 
 
 @kernel
@@ -115,7 +149,7 @@ def step_heap(
     new_memory = np.empty((most, MEMORY))
     cones, elastic = np.empty((most, 2)), np.empty(most)
     before, free, wanted = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2))
-    pushes = np.empty((most, 2))
+    pushes, steady = np.empty((most, 2)), np.empty((most, 2))
     hit, sliding = np.empty(most, np.bool_), np.empty(most, np.bool_)
     guesses = np.empty((most, UNKNOWNS), np.bool_)
     centres = np.empty((b_count, 2))
@@ -249,6 +283,7 @@ def step_heap(
         for i in range(m):
             owners[i] = island_of(parents, bodies[i, 0])
         rates = loose.copy()
+        rebounds = hit[:m] & (elastic[:m] > 0.0)
         for island in range(b_count):
             members = np.nonzero(owners == island)[0]
             size = len(members)
@@ -258,9 +293,14 @@ def step_heap(
             if soften:
                 wanted[members, 0] = np.maximum(wanted[members, 0], 0.0)
             if size > _DENSE and swept(
-                members, bodies, rows, inverse, cones, wanted, loose, pushes, sliding, guesses
-            ):
+                members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
+                pushes, sliding, guesses,
+            ):  # fmt: skip
                 counts[1] += 1
+                _swept_steady(
+                    members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
+                    pushes, sliding, guesses, hit, steady,
+                )  # fmt: skip
                 continue
             delassus = np.zeros((2 * size, 2 * size))
             unforced = np.empty((size, 2))
@@ -278,32 +318,39 @@ def step_heap(
                             )
                 for u in range(UNKNOWNS):
                     guess[UNKNOWNS * a + u] = guesses[i, u]
-            rebounds = hit[members] & (elastic[members] > 0.0)
             good, z, basis_found, chosen, least = solve_impacts(
-                delassus, start, unforced, wanted[members], ours, rebounds, guess,
+                delassus, start, unforced, wanted[members], ours, rebounds[members], guess,
                 given if k == 0 else given[:0], soften,
             )  # fmt: skip
             if not good:
                 # All but degenerate: the sweeps need no basis.
                 counts[1] += 1
-                if not swept(members, bodies, rows, inverse, cones, wanted, loose, pushes,
-                              sliding, guesses):  # fmt: skip
+                if not swept(
+                    members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
+                    pushes, sliding, guesses,
+                ):  # fmt: skip
                     _restore(state, old, h, n)
                     return k, HARD, remembered, delassus, least, ours
+                _swept_steady(
+                    members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
+                    pushes, sliding, guesses, hit, steady,
+                )  # fmt: skip
                 continue
+            forces, _ = steady_impulses(delassus, least, ours, z, chosen, hit[members])
             for a in range(size):
                 i = members[a]
                 pushes[i, 0], pushes[i, 1] = chosen[a, 0], chosen[a, 1]
+                steady[i, 0], steady[i, 1] = forces[a, 0], forces[a, 1]
                 sliding[i] = z[UNKNOWNS * a + 3] > 0.0
                 for u in range(UNKNOWNS):
                     guesses[i, u] = basis_found[UNKNOWNS * a + u]
-        steady = loose.copy()
+        forced = loose.copy()
         for i in range(m):
             for d in range(2):
                 if pushes[i, d] != 0.0:
                     push(bodies, rows, inverse, rates, i, d, pushes[i, d])
-                    if not hit[i]:
-                        push(bodies, rows, inverse, steady, i, d, pushes[i, d])
+                if steady[i, d] != 0.0:
+                    push(bodies, rows, inverse, forced, i, d, steady[i, d])
             pressed = pushes[i, 0] > 0.0
             lasts = pressed and not (hit[i] and elastic[i] > 0.0)
             keys[i, 0], keys[i, 1] = new_keys[i, 0], new_keys[i, 1]
@@ -335,7 +382,7 @@ def step_heap(
         for b in range(b_count):
             for d in range(3):
                 at = 3 * b + d
-                solved[k, at] = (steady[b, d] - old[b, d]) / h
+                solved[k, at] = (forced[b, d] - old[b, d]) / h
                 state[n + at] = rates[b, d]
                 state[at] += 0.5 * h * rates[b, d]
                 if not math.isfinite(state[at]):

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.step_kernels import UNKNOWNS
+from contacts.step_kernels import UNKNOWNS, capped
 from statechart.compiled import kernel
 
 __all__ = ["compliance", "island_of", "push", "swept", "velocity"]
@@ -135,6 +135,21 @@ def _sweep(
 
 
 @kernel
+def _moved(
+    members: Ints, bodies: Ints, rows: Array, inverse: Array, impulses: Array, still: Array
+) -> Array:
+    """Return how impulses change the velocities (m, 2) of the contacts; `still` is all zero."""
+    rates, moved = still.copy(), np.empty((len(members), 2))
+    for i in members:
+        for d in range(2):
+            push(bodies, rows, inverse, rates, i, d, impulses[i, d])
+    for a in range(len(members)):
+        for d in range(2):
+            moved[a, d] = velocity(bodies, rows, rates, members[a], d)
+    return moved
+
+
+@kernel
 def swept(
     members: Ints,
     bodies: Ints,
@@ -142,15 +157,49 @@ def swept(
     inverse: Array,
     cones: Array,
     wanted: Array,
+    before: Array,
+    free: Array,
+    rebounds: NDArray[np.bool_],
     loose: Array,
     pushes: Array,
     sliding: NDArray[np.bool_],
     guesses: NDArray[np.bool_],
 ) -> bool:
-    """Solve an island by sweeps from the impulses of the step before."""
+    """Solve an island by sweeps from the impulses of the step before.
+
+    Restitution that would add energy is reduced, as `step_kernels.solve_impacts` does.
+
+    Parameters
+    ----------
+    members : (m,) array of int
+        The island's contacts.
+    bodies, rows, inverse, cones, wanted, before, free, rebounds
+        Of all contacts, and of bodies; see `heap_kernels.step_heap`.
+    loose : (b, 3)
+        Rates without impulses.
+    pushes, sliding, guesses
+        Changed in place.
+    """
     part = pushes.copy()
     if not _sweep(members, bodies, rows, inverse, cones, wanted, loose.copy(), part):
         return False
+    if rebounds[members].any():
+        soft, plastic = wanted.copy(), pushes.copy()
+        for i in members:
+            if rebounds[i]:
+                soft[i, 0] = 0.0
+        if not _sweep(members, bodies, rows, inverse, cones, soft, loose.copy(), plastic):
+            return False
+        still = np.zeros_like(loose)
+        chosen, _ = capped(
+            before[members],
+            free[members],
+            plastic[members],
+            part[members],
+            _moved(members, bodies, rows, inverse, plastic, still),
+            _moved(members, bodies, rows, inverse, part, still),
+        )
+        part[members] = chosen
     for i in members:
         pushes[i, 0], pushes[i, 1] = part[i, 0], part[i, 1]
         edge = cones[i, 0] * abs(part[i, 1]) - cones[i, 1] * part[i, 0]

@@ -133,9 +133,12 @@ def _clipped(
             part = (kept - s) / (t - s)
             x, y = x + part * (u - x), y + part * (v - y)
         gap = nx * (x - one[edge, 0]) + ny * (y - one[edge, 1])
-        # Two points that are one but for rounding would share their impulse as they please.
+        # Two points that are one but for rounding would share their impulse as they please: the
+        # deeper one is taken, which is the deeper one in a mirror, too.
         if count == 1 and math.hypot(x - found[0, 2], y - found[0, 3]) <= _SAME * length:
-            continue
+            if gap >= found[0, 4]:
+                continue
+            count = 0
         if gap <= within:
             sign = -1.0 if flip else 1.0
             found[count] = (-sign * nx, -sign * ny, x, y, gap)

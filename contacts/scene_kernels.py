@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from contacts.kernels import FREE, OFF, PIN, SLIDE
 from contacts.step_equations import CONTACT, JOINT, back, factored
 from contacts.step_forces import borne_mode, jammed, resting, shared_forces
-from contacts.step_kernels import UNKNOWNS, impulses_of, solve_contacts, solve_impacts
+from contacts.step_kernels import UNKNOWNS, solve_impacts, steady_impulses
 from statechart.compiled import kernel
 from statechart.kernels.tapes import tape_values
 
@@ -29,42 +29,6 @@ DONE, HARD, BAD_INERTIA, NOT_FINITE = range(4)
 # Impulses of contacts that approach slower than what so many steps without contact would make of
 # rest are those of a contact that lasts.
 _SLOW = 2.0
-
-
-@kernel
-def _lasting(
-    delassus: Array,
-    least: Array,
-    cones: Array,
-    z: Array,
-    pushes: Array,
-    sudden: NDArray[np.bool_],
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the impulses (m, 2) of a step that are forces, and who slides under them.
-
-    They are those that there would be without the contacts that something strikes at an instant.
-    """
-    m = len(cones)
-    if not sudden.any():
-        return pushes, z[3::UNKNOWNS] > 0.0
-    steady, slides = np.zeros((m, 2)), np.zeros(m, np.bool_)
-    others = np.nonzero(~sudden)[0]
-    if len(others):
-        both = np.empty(2 * len(others), np.int64)
-        both[::2], both[1::2] = 2 * others, 2 * others + 1
-        nothing = np.zeros(UNKNOWNS * len(others), np.bool_)
-        good, alone, _ = solve_contacts(
-            delassus[both][:, both], least[others], cones[others], nothing, _pivots(len(others))
-        )
-        if good:
-            steady[others] = impulses_of(alone)
-            slides[others] = alone[3::UNKNOWNS] > 0.0
-    return steady, slides
-
-
-@kernel
-def _pivots(contacts: int) -> int:
-    return 50 + 20 * UNKNOWNS * contacts
 
 
 @kernel
@@ -271,7 +235,7 @@ def step_scene(
                 # Where it stuck, its slip is rounding.
                 if slips[i] > 0 and (bases[i, 3] or not closed[i]):
                     sudden[a] = sudden[a] or jammed(corner, least[a], start_at[a, 1], ours[a])
-            steady, slides = _lasting(delassus, least, ours, z, pushes, sudden)
+            steady, slides = steady_impulses(delassus, least, ours, z, pushes, sudden)
             modes = np.full(m, FREE)
             for a in range(m):
                 i = which[a]

@@ -20,11 +20,12 @@ __all__ = [
     "UNKNOWNS",
     "capped",
     "impulses_of",
+    "moved_by",
     "problem",
     "solve_contacts",
     "solve_impacts",
+    "steady_impulses",
     "step_residual",
-    "symmetric_scales",
 ]
 
 Array = NDArray[np.float64]
@@ -46,6 +47,8 @@ _ROUNDING = 1e-13
 _GUESSES = 8
 _STEEPEST = 2.0**-12
 _CAP_ROUNDS = 60
+# What makes bases regular, relative to scaled rows; how often; and when it adds nothing.
+_DELTA, _PROXIMAL_STEPS, _SETTLED = 2.0**-16, 12, 1e-11
 
 
 @kernel
@@ -131,44 +134,30 @@ def _settled(z: Array) -> Array:
 
 
 @kernel
-def symmetric_scales(matrix: Array) -> Array:
-    """Return powers of two that make the diagonal near 1 where it is positive."""
+def _scales(matrix: Array) -> Array:
+    """Return powers of two that make what depends on units near 1: impulses, and slip speeds.
+
+    The same factor on row and column keeps copositivity, on which Lemke's guarantee rests.
+    """
     scales = np.ones(len(matrix))
     for i in range(len(matrix)):
         if matrix[i, i] > 0.0:
             scales[i] = math.ldexp(1.0, -round(0.5 * math.log2(matrix[i, i])))
+        elif i % UNKNOWNS == 3:
+            scales[i] = 1.0 / scales[i - 1]
     return scales
 
 
 @kernel
-def solve_contacts(
-    delassus: Array, free: Array, cones: Array, guess: Bools, limit: int
-) -> tuple[bool, Array, Bools]:
-    """Return (solved, z, basis) of the contacts' complementarity problem.
-
-    Parameters
-    ----------
-    delassus : (2 m, 2 m), free : (m, 2), cones : (m, 2)
-        As `contacts.complementarity.contact_problem` takes them.
-    guess : (4 m,) array of bool
-        Which unknowns may be positive, as of the step before.
-    limit : int
-        Pivots allowed.
-    """
-    size = UNKNOWNS * len(cones)
-    matrix, vector = problem(delassus, free, cones)
-    z = np.zeros(size)
-    parting = True
-    for i in range(len(cones)):
-        z[UNKNOWNS * i + 3] = abs(free[i, 1])
-        parting = parting and free[i, 0] >= 0.0
-    if parting:
-        return True, z, np.zeros(size, np.bool_)
+def _improved(matrix: Array, vector: Array, guess: Bools) -> tuple[bool, bool, Array, Bools]:
+    """Improve a basis until it solves the problem; return (solved, regular, z, basis)."""
+    size = len(vector)
     basis = guess.copy()
+    z = np.zeros(size)
     for _ in range(_GUESSES):
-        solved, z = on_support(matrix, vector, basis)
-        if not solved:
-            break
+        regular, z = on_support(matrix, vector, basis)
+        if not regular:
+            return False, False, z, basis
         z = _settled(z)
         changed = False
         following = basis.copy()
@@ -187,23 +176,92 @@ def solve_contacts(
                     following[i] = True
                     changed = True
         if not changed:
-            break
+            return True, True, z, basis
         basis = following
-    if z.min() >= 0.0 and step_residual(matrix, vector, z) <= RESIDUAL:
-        return True, z, basis
-    scales = symmetric_scales(matrix)
-    scaled = np.empty((size, size))
-    right = np.empty(size)
+    return False, True, z, basis
+
+
+@kernel
+def _by_lemke(matrix: Array, vector: Array, limit: int) -> tuple[bool, Array]:
+    size = len(vector)
+    right = vector / max(np.abs(vector).max(), 1e-300)
+    outcome, _, basis = lemke(matrix, right, np.ones(size), limit)
+    if outcome != FOUND:
+        return False, np.zeros(size)
+    regular, z = on_support(matrix, vector, basis)
+    return regular, np.maximum(_settled(z), 0.0)
+
+
+@kernel
+def _proximal(matrix: Array, vector: Array, guess: Bools, limit: int) -> tuple[bool, Array]:
+    """Solve with delta (z - z_before) added to w, until it adds nothing (Rockafellar 1976).
+
+    Contacts that stand in for each other make bases singular; with what is added none is.
+    """
+    size = len(vector)
+    regular = matrix.copy()
     for i in range(size):
-        right[i] = scales[i] * vector[i]
+        regular[i, i] += _DELTA
+    z, basis = np.zeros(size), guess
+    for _ in range(_PROXIMAL_STEPS):
+        moved = vector - _DELTA * z
+        solved, _, new, found = _improved(regular, moved, basis)
+        if solved:
+            basis = found
+        else:
+            solved, new = _by_lemke(regular, moved, limit)
+            if not solved:
+                return False, z
+            basis = new > 0.0
+        change = np.abs(new - z).max()
+        z = new
+        if change <= _SETTLED * np.abs(new).max():
+            return True, z
+    return False, z
+
+
+@kernel
+def solve_contacts(
+    delassus: Array, free: Array, cones: Array, guess: Bools, limit: int
+) -> tuple[bool, Array, Bools]:
+    """Return (solved, z, basis) of the contacts' complementarity problem.
+
+    The guess is improved; what that does not solve Lemke's algorithm does, or, where bases are
+    singular, a sequence of regular problems. A solution is one by its residual.
+
+    Parameters
+    ----------
+    delassus : (2 m, 2 m), free : (m, 2), cones : (m, 2)
+        As `contacts.complementarity.contact_problem` takes them.
+    guess : (4 m,) array of bool
+        Which unknowns may be positive, as of the step before.
+    limit : int
+        Pivots allowed.
+    """
+    size = UNKNOWNS * len(cones)
+    z = np.zeros(size)
+    parting = True
+    for i in range(len(cones)):
+        z[UNKNOWNS * i + 3] = abs(free[i, 1])
+        parting = parting and free[i, 0] >= 0.0
+    if parting:
+        return True, z, np.zeros(size, np.bool_)
+    matrix, vector = problem(delassus, free, cones)
+    scales = _scales(matrix)
+    scaled, right = np.empty((size, size)), scales * vector
+    for i in range(size):
         for j in range(size):
             scaled[i, j] = scales[i] * matrix[i, j] * scales[j]
-    right /= max(np.abs(right).max(), 1e-300)
-    outcome, _, basis = lemke(scaled, right, np.ones(size), limit)
-    if outcome == FOUND:
-        solved, z = on_support(matrix, vector, basis)
+    solved, regular, y, basis = _improved(scaled, right, guess)
+    for attempt in range(3):
+        if attempt > 0:
+            if (attempt == 1) == regular:
+                solved, y = _by_lemke(scaled, right, limit)
+            else:
+                solved, y = _proximal(scaled, right, guess, limit)
+            basis = y > 0.0
         if solved:
-            z = np.maximum(_settled(z), 0.0)
+            z = scales * y
             if step_residual(matrix, vector, z) <= RESIDUAL:
                 return True, z, basis
     return False, np.zeros(size), basis
@@ -267,7 +325,7 @@ def solve_impacts(
         Solutions of problems that `solve_contacts` did not solve.
     softened : bool
     """
-    limit = 50 + 20 * UNKNOWNS * len(cones)
+    limit = pivots(len(cones))
     least = free + wanted
     soft = least.copy()
     for a in range(len(cones)):
@@ -286,7 +344,10 @@ def solve_impacts(
     if good and rebounds.any():
         calm, plastic, _ = solve_contacts(delassus, soft, cones, guess, limit)
         if calm:
-            pushes, _ = capped(delassus, before, free, impulses_of(plastic), pushes)
+            rest = impulses_of(plastic)
+            pushes, _ = capped(
+                before, free, rest, pushes, moved_by(delassus, rest), moved_by(delassus, pushes)
+            )
     return good, z, basis, pushes, least
 
 
@@ -302,20 +363,30 @@ def impulses_of(z: Array) -> Array:
 
 
 @kernel
-def _work_at(delassus: Array, before: Array, free: Array, impulses: Array) -> float:
-    total = 0.0
+def _work_at(before: Array, free: Array, impulses: Array, moved: Array) -> float:
+    """Return the work of impulses that change the velocities of the contacts by `moved`."""
+    return 0.5 * (impulses * (before + free + moved)).sum()
+
+
+@kernel
+def moved_by(delassus: Array, impulses: Array) -> Array:
+    """Return the changes (m, 2) of the contacts' velocities under impulses (m, 2)."""
     flat = impulses.ravel()
+    moved = np.zeros(len(flat))
     for i in range(len(flat)):
-        moved = 0.0
         for j in range(len(flat)):
-            moved += delassus[i, j] * flat[j]
-        total += 0.5 * flat[i] * (before.ravel()[i] + free.ravel()[i] + moved)
-    return total
+            moved[i] += delassus[i, j] * flat[j]
+    return moved.reshape(impulses.shape)
 
 
 @kernel
 def capped(
-    delassus: Array, before: Array, free: Array, plastic: Array, elastic: Array
+    before: Array,
+    free: Array,
+    plastic: Array,
+    elastic: Array,
+    moved_plastic: Array,
+    moved_elastic: Array,
 ) -> tuple[Array, float]:
     """Return impulses between plastic and elastic, and the share of the way, that add no energy.
 
@@ -324,22 +395,55 @@ def capped(
 
     Parameters
     ----------
-    delassus : (2 m, 2 m)
     before, free : (m, 2)
         Velocities of the contacts before the step, and after it without impulses.
-    plastic, elastic : (m, 2)
-        Impulses.
+    plastic, elastic, moved_plastic, moved_elastic : (m, 2)
+        Impulses, and how they change these velocities.
     """
     low, high = 0.0, 1.0
-    limit = max(_work_at(delassus, before, free, plastic), 0.0)
+    limit = max(_work_at(before, free, plastic, moved_plastic), 0.0)
     sizes = np.abs(elastic * before).sum() + np.abs(elastic * free).sum()
     limit += 64.0 * 2.0**-52 * sizes
-    if _work_at(delassus, before, free, elastic) <= limit:
+    if _work_at(before, free, elastic, moved_elastic) <= limit:
         return elastic, 1.0
+    further, faster = elastic - plastic, moved_elastic - moved_plastic
     for _ in range(_CAP_ROUNDS):
         middle = 0.5 * (low + high)
-        if _work_at(delassus, before, free, plastic + middle * (elastic - plastic)) <= limit:
+        found = _work_at(before, free, plastic + middle * further, moved_plastic + middle * faster)
+        if found <= limit:
             low = middle
         else:
             high = middle
-    return plastic + low * (elastic - plastic), low
+    return plastic + low * further, low
+
+
+@kernel
+def steady_impulses(
+    delassus: Array, least: Array, cones: Array, z: Array, pushes: Array, sudden: Bools
+) -> tuple[Array, Bools]:
+    """Return the impulses (m, 2) of a step that are forces, and who slides under them.
+
+    They are those that there would be without the contacts that something strikes at an instant.
+    """
+    m = len(cones)
+    if not sudden.any():
+        return pushes, z[3::UNKNOWNS] > 0.0
+    steady, slides = np.zeros((m, 2)), np.zeros(m, np.bool_)
+    others = np.nonzero(~sudden)[0]
+    if len(others):
+        both = np.empty(2 * len(others), np.int64)
+        both[::2], both[1::2] = 2 * others, 2 * others + 1
+        nothing = np.zeros(UNKNOWNS * len(others), np.bool_)
+        good, alone, _ = solve_contacts(
+            delassus[both][:, both], least[others], cones[others], nothing, pivots(len(others))
+        )
+        if good:
+            steady[others] = impulses_of(alone)
+            slides[others] = alone[3::UNKNOWNS] > 0.0
+    return steady, slides
+
+
+@kernel
+def pivots(contacts: int) -> int:
+    """Return how many pivots are allowed."""
+    return 50 + 20 * UNKNOWNS * contacts

@@ -1,0 +1,126 @@
+"""Checks of models that run by time stepping: what holds, what is caught, what is undecidable."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from contacts.heap_numbers import heap_numbers, owners_of
+from contacts.heap_testing import (
+    assert_depths,
+    assert_energy_of_steps,
+    assert_free_fall,
+    assert_impulses_of_bodies,
+)
+from statechart.checking import check
+from statechart.cli import main
+from statechart.document import interpret, read_text
+from statechart.testing import Subject
+
+HEAP = """
+kind: scene
+name: heap
+parameters: {n: 2, v: 1, mu: 0.3, e: 0.4}
+ranges: {n: [1, 3], v: [0, 2], e: [0, 1]}
+gravity: 9.81
+bodies:
+  box:
+    copies: n
+    mass: 1
+    inertia: 0.1
+    shape: {polygon: [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]}
+    start: {x: 0.05*index, y: 0.2 + 0.3*index, angle: 0.3*index, dx: v}
+  ball: {mass: 2, inertia: 0.01, shape: {disc: 0.1}, start: {x: 0.5, y: 0.11, dx: -1}}
+surfaces:
+  ground: {height: 0}
+  wall: {line: [[-1, 1], [-1, 0]]}
+collisions:
+  all: {bodies: [box, ball], surfaces: [ground, wall], friction: mu, restitution: e}
+stop: {time: 0.3}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+BLOCK = """
+kind: scene
+name: block
+parameters: {v0: 1, vy: -1, mu: 0.3, e: 0.5, g: 9.81}
+ranges: {v0: [-2, 2], vy: [-3, 3], e: [0, 0.8]}
+gravity: g
+bodies: {block: {mass: 2, start: {x: 1, y: 1, dx: v0, dy: vy}}}
+surfaces: {ground: {height: 0}}
+contacts:
+  base: {point: {body: block}, surface: ground, friction: mu, restitution: e, impact: newton}
+stop: {time: 0.5}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+def model(text):
+    return interpret(read_text(text))
+
+
+@pytest.fixture(scope="module")
+def heap():
+    """Return a subject, its run, and its numbers."""
+    subject = Subject(model(HEAP))
+    scene = subject.model
+    single = scene.model_copy(update={"bodies": scene.single_bodies()})
+    return subject, subject.case({}).trace, heap_numbers(single, owners_of(scene), scene.values())
+
+
+@pytest.mark.parametrize("text", [HEAP, BLOCK])
+def test_a_good_model_passes(text):
+    report = check(model(text), examples=4, seed=2)
+    assert report.passed, report.text()
+    assert report.engines == ("impulse at steps of 0.001",)
+    left = {result.name for result in report.properties if result.skipped}
+    assert left == {"no guard is passed", "declared invariants hold", "engines agree"}
+    units = report.properties[-1]
+    assert units.examples > units.undecidable
+
+
+def test_a_run_that_does_not_end_is_shrunk_to_a_model_that_shows_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fast.yaml").write_text(
+        BLOCK.replace("name: block", "name: fast").replace("vy: [-3, 3]", "vy: [-1e6, -1]")
+    )
+    assert main(["check", "fast.yaml", "--examples", "10", "--seed", "1"]) == 1
+    assert "STEP_TOO_LARGE" in capsys.readouterr().out
+    assert main(["run", "fast_failure.yaml"]) == 1
+    assert "STEP_TOO_LARGE" in capsys.readouterr().out
+
+
+def test_what_is_deeper_than_a_step_takes_it_is_caught(heap):
+    _, trace, numbers = heap
+    assert_depths(numbers, trace)
+    shallow = dataclasses.replace(trace, tolerances={**trace.tolerances, "gap": 1e-9})
+    with pytest.raises(AssertionError, match="deep in"):
+        assert_depths(numbers, shallow)
+
+
+def test_what_does_not_fall_is_caught(heap):
+    _, trace, numbers = heap
+    assert_free_fall(numbers, trace)
+    with pytest.raises(AssertionError, match="does not fall"):
+        assert_free_fall(dataclasses.replace(numbers, gravity=np.array([0.0, -9.8])), trace)
+
+
+def test_impulses_outside_the_cone_are_caught(heap):
+    _, trace, numbers = heap
+    assert_impulses_of_bodies(numbers, trace)
+    smooth = np.array([[1.0, 0.0, 0.4]])
+    with pytest.raises(AssertionError, match="outside the cone"):
+        assert_impulses_of_bodies(dataclasses.replace(numbers, materials=smooth), trace)
+
+
+def test_energy_from_nowhere_is_caught(heap):
+    subject, trace, numbers = heap
+    assert_energy_of_steps(numbers, subject, trace)
+    last = trace.arcs[-1]
+    faster = dataclasses.replace(last, coefficients=last.coefficients * 1.5)
+    with pytest.raises(AssertionError, match="energy grows"):
+        assert_energy_of_steps(
+            numbers, subject, dataclasses.replace(trace, arcs=(*trace.arcs[:-1], faster))
+        )
