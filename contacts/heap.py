@@ -41,6 +41,7 @@ from statechart.errors import (
     DeclarationProblem,
     NonFinite,
     SimulationError,
+    StepTooLarge,
     UnsolvedImpulses,
     Unsupported,
 )
@@ -233,6 +234,15 @@ class HeapStepper:
         """Run from the declared initial state; see `TimeStepper.run`."""
         setup, bodies = self._begin(overrides)
         count = len(self._scene.bodies)
+        size, fall = setup.scales.length, math.hypot(*bodies.numbers.gravity) * step**2
+        failure = None
+        if fall > impulse.DEEPEST * size:
+            # Everything would be about to touch everything.
+            longest = 0.1 * math.sqrt(impulse.DEEPEST * size / fall) * step
+            failure = StepTooLarge(
+                f"bodies fall by {fall:.3g} in one step of {step:g}, in a scene of size "
+                f"{size:.3g}; take {longest:.1g} or less"
+            )
         return impulse.run(
             self._stepping,
             bodies,
@@ -243,6 +253,7 @@ class HeapStepper:
             until=until,
             max_jumps=max_jumps,
             show=show,
+            failure=failure,
         )
 
     def _begin(self, overrides: Mapping[str, float]) -> tuple[SceneSetup, SteppedHeap]:

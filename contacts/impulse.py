@@ -35,15 +35,16 @@ from statechart.errors import SimulationError, StepTooLarge
 from statechart.tape import Tape
 from statechart.trace import Arc, Jump, Key, Outcome, Trace
 
-__all__ = ["Stepping", "run"]
+__all__ = ["DEEPEST", "Stepping", "run"]
 
 Array = NDArray[np.float64]
 
 _CHUNK = 512
+DEEPEST = 0.1
+"""Deeper than this part of the scene in one step: the step does not see its surfaces."""
+
 # A stop condition is located within its step to this part of it.
 _BISECTIONS = 60
-# Deeper than this part of the scene in one step: the step does not see its surfaces.
-_DEEPEST = 0.1
 
 
 class Stepped(Protocol):
@@ -255,7 +256,7 @@ class _Run:
         size = self.setup.scales.length
         turned = np.abs(chunk.states[1:, n:]) * np.where(self.stepping.angles, h, 0.0)
         turn: Array = np.max(turned, axis=1, initial=0.0)
-        wrong = (turn > math.pi) | (chunk.closing > _DEEPEST * size)
+        wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size)
         if not wrong.any():
             return None
         k = int(np.argmax(wrong))
@@ -266,7 +267,7 @@ class _Run:
             )
         return k, StepTooLarge(
             f"a contact closes {chunk.closing[k]:.3g} off its surface in one step of {h:g}, in a "
-            f"scene of size {size:.3g}; take {0.1 * h * _DEEPEST * size / chunk.closing[k]:.1g} "
+            f"scene of size {size:.3g}; take {0.1 * h * DEEPEST * size / chunk.closing[k]:.1g} "
             "or less"
         )
 

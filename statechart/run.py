@@ -149,7 +149,10 @@ class Runner:
         """
         overrides = dict(parameters or {})
         end = self.end(overrides, until=until)
-        variant = self.model.variant(overrides)
+        try:
+            variant = self.model.variant(overrides)
+        except DeclarationProblem as problem:
+            raise self._located(problem, overrides) from None
         if variant is not self.model:
             return self._other(variant, self._options).run(overrides, until=end, throw=throw)
         measured = self._request.measured

@@ -148,3 +148,23 @@ def test_bodies_that_collide_are_listed_and_drawn_with_their_path(tmp_path, caps
     path = tmp_path / "stack.dot"
     assert main(["draw", "box_stack", "-o", str(path), "--visited"]) == 0
     assert "pin" in path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        (["--step", "0.5"], 1, "STEP_TOO_LARGE"),
+        (["--step", "0.05"], 1, "STEP_TOO_LARGE"),
+        (["--engine", "scipy"], 1, "UNSUPPORTED"),
+        (["--budget", "1"], 2, "give a step"),
+        (["--set", "n=0"], 2, "whole number"),
+        (["--set", "e=2"], 2, "between 0 and 1"),
+        (["--set", "mu=-1"], 2, "between 0 and inf"),
+        (["--set", "a=-0.01"], 2, "must be positive"),
+    ],
+)
+def test_what_cannot_run_says_what_to_do(options, code, words, capsys):
+    assert main(["run", "dice", "--until", "0.5", *options]) == code
+    printed = capsys.readouterr()
+    assert words in printed.out + printed.err
+    assert "internal" not in printed.err
