@@ -149,10 +149,8 @@ class Runner:
         """
         overrides = dict(parameters or {})
         end = self.end(overrides, until=until)
-        try:
+        with located(self.document, overrides):
             variant = self.model.variant(overrides)
-        except DeclarationProblem as problem:
-            raise self._located(problem, overrides) from None
         if variant is not self.model:
             return self._other(variant, self._options).run(overrides, until=end, throw=throw)
         measured = self._request.measured
