@@ -162,13 +162,20 @@ def _slipping(snapshot: Snapshot, contact: PerContact, law: ContactLaw, sign: fl
 
 
 def _along(snapshot: Snapshot, contact: PerContact, name: str, n: float, t: float) -> _Piece:
-    """Impulse along (n, t); scaled to a unit change of normal velocity, forwards."""
+    """Impulse along (n, t); scaled to a unit change of normal velocity, forwards.
+
+    Of slip where the normal velocity does not change: infinite friction on a particle brakes it
+    without pressing it.
+    """
     size = len(snapshot.forces)
     column = contact.jacobian.T @ np.array([n, t])
-    row = np.concatenate([contact.jacobian[0], [0.0]])[None]
-    solved = solve_kkt(snapshot.mass, np.zeros(size), row, column[:, None], np.ones(1))
-    if solved is None:
-        raise NoConsistentMode("an impulse along the friction cone does not change the gap's rate")
+    for seen in contact.jacobian:
+        row = np.concatenate([seen, [0.0]])[None]
+        solved = solve_kkt(snapshot.mass, np.zeros(size), row, column[:, None], np.ones(1))
+        if solved is not None:
+            break
+    else:
+        raise NoConsistentMode("an impulse along the friction cone does not move the contact")
     change, amount = solved[0], float(solved[1][0])
     # Where pressing makes the approach faster (Painleve), the impulse still grows.
     forwards = 1.0 if amount >= 0.0 else -1.0
@@ -176,7 +183,7 @@ def _along(snapshot: Snapshot, contact: PerContact, name: str, n: float, t: floa
     return _Piece(
         name,
         change,
-        forwards,
+        float(contact.jacobian[0] @ change),
         float(contact.jacobian[1] @ change),
         abs(amount) * n,
         abs(amount) * t,

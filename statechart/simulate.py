@@ -25,6 +25,8 @@ __all__ = ["Progress", "Simulator", "error_of"]
 _JUMPS_AT_ONCE = 64
 # A margin that cannot be decided gets so much more room at a time, and in all.
 _WIDER, _WIDEST = 16.0, 1e4
+# A gap that is closed to this part of its tolerance as the run ends has just closed.
+_AT_END = 1e-2
 # How far to look ahead at first, in lengths of the last flow: those of bounces shrink.
 _AHEAD = 16.0
 _PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown
@@ -209,7 +211,8 @@ class _Run:
             if self.outcome is Outcome.STOPPED:
                 return
             if not fired:
-                self.message = f"reached t = {self.clock.high:.17g}"
+                if not self._closed() or not self._settle(()):
+                    self.message = f"reached t = {self.clock.high:.17g}"
                 return
             if self._settle(fired):
                 return
@@ -282,6 +285,18 @@ class _Run:
         if reached.crossing.guard >= len(compiled.mode.margins) - stops:
             self._stop(margin.name)
         return (margin.name,)
+
+    def _closed(self) -> bool:
+        """Whether a gap has closed at the very end of the run: it is searched for below zero."""
+        assert self.flow is not None
+        compiled = self.entered.get(self.flow.flow)
+        if compiled is None:
+            return False
+        margins = compiled.guards.values(self.state, self.setup.values, self.clock.high)
+        return any(
+            kind == "gap" and margin <= _AT_END * self.setup.tolerances[kind]
+            for (_, kind), margin in zip(compiled.watched, margins.tolist(), strict=True)
+        )
 
     def _warn(self) -> None:
         if self.flow is not None:
