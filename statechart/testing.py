@@ -554,11 +554,16 @@ def _assert_margins(
     states, times = arc.states(tau), arc.start.high + (arc.start.low + tau)
     values = subject.values(trace, expressions, states, times, mode)
     rounding = np.zeros(values.shape)
-    for i in range(states.shape[1]):
+    sizes = [np.abs(a.coefficients[:, :, 0]).max(axis=0, initial=0.0) for a in trace.arcs]
+    for i, size in enumerate(np.max(sizes, axis=0)):
         changed = states.copy()
         changed[:, i] *= 1.0 + NUDGE
         moved = subject.values(trace, expressions, changed, times, mode)
         rounding += np.abs(moved - values) * (max(trace.tolerance, _ROUNDING) / NUDGE)
+        # What a jump leaves of a variable carries the rounding of what it was before.
+        changed[:, i] = states[:, i] + _ROUNDING * size
+        moved = subject.values(trace, expressions, changed, times, mode)
+        rounding += np.nan_to_num(np.abs(moved - values), nan=0.0)
     allowed = rounding + [trace.tolerances.get(margin.kind, 0.0) for margin in margins]
     if not (values >= -allowed).all():
         m, k = np.unravel_index(int(np.argmin(values + allowed)), values.shape)

@@ -15,7 +15,15 @@ from statechart.chart import Chart
 from statechart.checking import check, examine
 from statechart.comparison import Reading
 from statechart.document import interpret, load, read_text
-from statechart.testing import Subject, assert_prefix, dense, generic, ranges
+from statechart.testing import (
+    Subject,
+    assert_invariants,
+    assert_margins,
+    assert_prefix,
+    dense,
+    generic,
+    ranges,
+)
 
 
 def model(text):
@@ -427,3 +435,10 @@ def test_a_formula_too_long_to_transform_is_skipped_with_the_reason():
 def test_readings_are_the_identity_by_default():
     assert Reading().factors == 1.0
     assert Reading().time == 1.0
+
+
+def test_a_flight_shorter_than_rounding_of_what_was_before_passes_no_guard():
+    subject = Subject(load("bouncing_ball_chart"))
+    for trace in subject.case({"k": 1.07e-301}).traces.values():
+        assert_margins(subject, trace)
+        assert_invariants(subject, trace)
