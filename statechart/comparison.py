@@ -82,13 +82,15 @@ class Sensitivity:
 class _Event:
     """A jump as numbers to compare: what it is, and (time, state before, state after).
 
-    `rounded` is the relative error that rounding has caused by then.
+    `rounded` is the relative error that rounding has caused by then, `hit` the contacts that had
+    an impulse.
     """
 
     what: tuple[str, str, Key, Key]
     numbers: Array
     skipped: float
     rounded: float = 0.0
+    hit: frozenset[str] = frozenset()
 
     @property
     def t(self) -> float:
@@ -156,6 +158,8 @@ def assert_same(
         if len(shaken) < len(near):
             raise Undecidable(f"{_place(i, mine)}: a change of {NUDGE:g} takes another course")
         near = shaken
+        if mine.hit != its.hit:
+            _taken_as_one(first, second, i)
         _close(mine.numbers, its.numbers, allowed, first, reference, _place(i, mine))
     if len(first.events) != len(second.events):
         shortest = min(len(first.events), len(second.events))
@@ -200,6 +204,7 @@ def _story(trace: Trace, reading: Reading) -> _Story:
             (jump.region, jump.cause, key(jump.source), key(jump.target)),
             np.concatenate([[jump.t * reading.time], *states]),
             jump.skipped * reading.time,
+            hit=frozenset(jump.impulse),
         )
 
     ends = [arc.coefficients[:, :, 0] for arc in trace.arcs]
@@ -271,6 +276,18 @@ def _close(
             f"{place}: {names[worst]} is {mine[worst]:.17g} in one run and {its[worst]:.17g} in "
             f"the other; their errors explain {allowed[worst]:.1e}"
         )
+
+
+def _taken_as_one(first: _Story, second: _Story, i: int) -> None:
+    """Event `i` hits other contacts in one run: impacts within the tolerance of a gap are one."""
+    instant = NUDGE * float(first.end[0])
+    for story in (first, second):
+        for one, two in pairwise(story.events[i : i + 2]):
+            if two.t - one.t <= instant:
+                raise Undecidable(
+                    f"{_place(i, one)}: impacts closer than {instant:.1e} in time are one in one "
+                    "of the runs"
+                )
 
 
 def _part(
