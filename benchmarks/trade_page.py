@@ -62,8 +62,8 @@ What to expect:
   error is in proportion to it, though: most often one to ten tolerances, up to thirty behind
   several events; a tenth of it with Taylor's method.
 - `--accuracy A` is about the result: it tightens until two runs differ by less than A, and until
-  a start that is off by the tolerance, and twice the tolerance of forces, change the result by
-  less than A, too.
+  a start that is off by the tolerance, with larger tolerances of gaps and forces, changes the
+  result by less than A, too.
 - Where flights are parabolas all methods but LSODA follow them exactly, at any tolerance.
 - Slopes: the error follows the tolerance to the power 1; the accepted steps of RK45 and DOP853
   to the powers -1/5 and -1/8, fitted where a flow takes five steps or more and the tolerance

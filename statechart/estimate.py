@@ -115,12 +115,12 @@ class _Runs:
         self.evaluations += trace.counts.get("evaluations", 0)
         return observer, trace
 
-    def compare(self, observer: Observer, trace: Trace) -> None:
+    def compare(self, observer: Observer, trace: Trace, *, last: bool = False) -> None:
         """Estimate the error of a run by its difference from the last one.
 
         Two runs may agree by luck, or because their flows are polynomials, on which the tolerance
-        has no influence. So where they agree well a third, from a start that is off by the
-        tolerance, shows how much an error so small is magnified.
+        has no influence. So where they agree well, or nothing tighter follows, a third, from a
+        start that is off by the tolerance, shows how much an error so small is magnified.
         """
         now = _Made.of(observer, trace)
         if self._last is not None:
@@ -128,7 +128,8 @@ class _Runs:
             estimate = self._difference(
                 self._last, now, f"at the tolerances {before.tolerance:.2g} and"
             )
-            if estimate <= (trace.tolerance if self._accuracy is None else self._accuracy):
+            well = trace.tolerance if self._accuracy is None else self._accuracy
+            if estimate <= well or (last and estimate < math.inf):
                 estimate = max(estimate, self._magnified(now))
             self.estimate = estimate
         self._last = now
@@ -143,7 +144,9 @@ class _Runs:
         if trace.outcome in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
             return 0.0
         found = _Made.of(observer, trace)
-        return self._difference(found, now, "from starts that differ by the tolerance")
+        return self._difference(
+            found, now, "with gaps and from starts that differ by the tolerance"
+        )
 
     def _difference(self, one: _Made, other: _Made, how: str) -> float:
         found, diverged = difference(
@@ -198,7 +201,7 @@ def tighten(
     runs = _Runs(once, clock, accuracy)
     observer, trace = runs.make(tolerance)
     while trace.outcome is not Outcome.INTERRUPTED:
-        runs.compare(observer, trace)
+        runs.compare(observer, trace, last=tolerance <= floor)
         if runs.estimate is not None and (runs.estimate <= accuracy or tolerance <= floor):
             break
         tolerance = max(tolerance * TIGHTER, floor)

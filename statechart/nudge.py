@@ -18,13 +18,17 @@ Array = NDArray[np.float64]
 
 # A few units in the last place: what a run of many steps adds up to.
 _LEAST = 8.0 * float(np.finfo(float).eps)
+# Two ends of a body may hit the ground in turn, ever faster, and be closed together once gaps are
+# below their tolerance: which one is last then depends on it. Half way, by ratio, to the next
+# tolerance of an estimate, as two tolerances may have the same one for the last.
+_WIDER = 4.5
 
 
 def nudged(automaton: Automaton) -> Automaton:
     """Return the automaton with every initial value larger by the same small part, and `widened`.
 
     That part is the tolerance of the run, or a few roundings where that is more. One factor for
-    all keeps symmetric starts symmetric, and zeros zero.
+    all keeps symmetric starts symmetric, and zeros zero. The tolerance of gaps is larger, too.
     """
     return replace(automaton, laws=_Nudged(automaton.laws, moved=True))
 
@@ -49,7 +53,11 @@ class _Nudged:
         tolerances = dict(setup.tolerances)
         if "force" in tolerances:
             tolerances["force"] *= 2.0
-        initial = setup.initial * (1.0 + max(relative, _LEAST)) if self._moved else setup.initial
+        if not self._moved:
+            return replace(setup, tolerances=tolerances)
+        if "gap" in tolerances:
+            tolerances["gap"] *= _WIDER
+        initial = setup.initial * (1.0 + max(relative, _LEAST))
         return replace(setup, initial=initial, tolerances=tolerances)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:

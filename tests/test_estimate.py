@@ -12,6 +12,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from runs import golden
 
 from statechart.accuracy import compare, paired, parted
 from statechart.budget import Allowance
@@ -278,3 +279,42 @@ def test_sums_of_alternating_impacts_that_begin_elsewhere_are_the_same_motion() 
     found = compare(few.trace, many.trace, few.outputs, many.outputs)
     assert found.diverged is None
     assert found.largest <= 1e-7
+
+
+def test_the_estimate_bounds_the_error_that_all_engines_share() -> None:
+    # Every engine leaves a mode where a force is below its tolerance: agreement shows nothing.
+    cell = next(c for c in golden("toppling_stick")["cells"] if c["mu"] == 0.2)
+    for accuracy in (1e-12, 1e-15):
+        result = run("toppling_stick", accuracy=accuracy, throw=False)
+        assert result.error_estimate is not None
+        names = {"critical_angle": "critical_angle_rad", "t_impact": "t_impact"}
+        true = max(abs(result.outputs[a] / cell[b] - 1.0) for a, b in names.items())
+        assert 1e-13 < true < 1.1 * result.error_estimate
+        assert any("was not reached" in warning for warning in result.warnings)
+
+
+# Its ends hit the ground in turn, ever faster; which one is last depends on the tolerance of gaps.
+RATTLING = """\
+kind: scene
+name: rattling_bar
+gravity: 9.81
+bodies:
+  bar:
+    mass: 1
+    inertia: 0.11225805169500412
+    start: {x: 0, y: 0.7474407345467969 + sin(0.19446268032406214), angle: -0.19446268032406214,
+            dx: -0.11982062507388047}
+surfaces: {floor: {height: 0}}
+contacts:
+  A: {point: {body: bar, at: [-1, 0]}, surface: floor, friction: 0.011015240152582543,
+      restitution: 0.12238161760779072}
+  B: {point: {body: bar, at: [1, 0]}, surface: floor, friction: 0.011015240152582543,
+      restitution: 0.12238161760779072}
+stop: {time: 2}
+"""
+
+
+def test_modes_that_depend_on_a_tolerance_are_no_accurate_answer() -> None:
+    result = run(read_text(RATTLING), accuracy=1e-6, throw=False)
+    assert result.error_estimate == math.inf
+    assert "accuracy is undefined from t = 0.4441" in result.warnings[-1]
