@@ -6,11 +6,11 @@ import argparse
 import json
 import sys
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from statechart.errors import DeclarationError
+from statechart.errors import DeclarationError, SimulationError
 from statechart.formula import close_matches
 
 if TYPE_CHECKING:
@@ -155,6 +155,10 @@ def modes(arguments: argparse.Namespace) -> int:
                 f"--at {name}: the model has no such variable",
                 advice=close_matches(name, automaton.names),
             )
+    if not at:
+        # Where no mode agrees with the start, modes are listed all the more.
+        with suppress(SimulationError):
+            runner.start(parameters)
     setup = runner.setup(parameters)
     state, time, built = setup.initial.copy(), 0.0, 0
     if arguments.until is not None:

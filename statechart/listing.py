@@ -56,7 +56,7 @@ def text(listed: Mapping[str, Any]) -> str:
     blocks = [f"{listed['model']}: {count}; {built or 'none'} built, each when a run enters it\n"]
     if not listed["enumerated"]:
         blocks.append(
-            f"the product is not enumerated (above {MOST_MODES} modes); modes of each region:\n"
+            f"the product is not enumerated nor judged (above {MOST_MODES} modes); regions:\n"
             + table(
                 [(f"  {r['name']}", counted(r["modes_declared"], r["modes_total"]))
                  for r in listed["regions"]]

@@ -72,6 +72,12 @@ def test_shipped_models_are_correct(cli: Cli, name: str) -> None:
     assert f"{name!r} is correct" in out
 
 
+def test_modes_are_not_listed_of_a_start_that_is_wrong(cli: Cli) -> None:
+    code, out, err = cli("modes", cli.write(SCENE.replace("y: 1", "y: -1")))
+    assert (code, out) == (2, "")
+    assert "model.yaml:13:5: contacts.tip: contact 'tip' starts inside its surface" in err
+
+
 def test_validate_warns_of_what_needs_no_run(cli: Cli) -> None:
     text = SCENE.replace("{mass: 1,", "{mass: 1, inertia: 1e-15,").replace(
         "point: {body: ball}", "point: {body: ball, at: [0, -1]}"
