@@ -82,15 +82,15 @@ class Sensitivity:
 class _Event:
     """A jump as numbers to compare: what it is, and (time, state before, state after).
 
-    `rounded` is the relative error that rounding has caused by then, `hit` the contacts that had
-    an impulse.
+    `rounded` is the relative error that rounding has caused by then, `hit` the first
+    words of its path: the contacts in the order in which they were hit.
     """
 
     what: tuple[str, str, Key, Key]
     numbers: Array
     skipped: float
     rounded: float = 0.0
-    hit: frozenset[str] = frozenset()
+    hit: tuple[str, ...] = ()
 
     @property
     def t(self) -> float:
@@ -204,7 +204,7 @@ def _story(trace: Trace, reading: Reading) -> _Story:
             (jump.region, jump.cause, key(jump.source), key(jump.target)),
             np.concatenate([[jump.t * reading.time], *states]),
             jump.skipped * reading.time,
-            hit=frozenset(jump.impulse),
+            hit=tuple(piece.split()[0] for piece in jump.path),
         )
 
     ends = [arc.coefficients[:, :, 0] for arc in trace.arcs]
