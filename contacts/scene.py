@@ -8,6 +8,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from contacts.controls import Controller, Controls
+from contacts.kinks import check_kinks
 from contacts.numbers import check_finite, check_physical
 from contacts.parts import (
     Body,
@@ -310,6 +311,7 @@ class Scene(Declaration):
     @model_validator(mode="after")
     def _numbers_are_physical(self) -> Self:
         values = self.values()
+        check_kinks(self)
         check_physical(self, values)
         check_finite(self, values)
         check_collisions(self, values)

@@ -11,6 +11,7 @@ from runs import ENGINES, engine, modes
 from contacts.kind import automaton
 from contacts.modes import Free, Pin, Slide
 from contacts.scene import Body, Contact, Point, Scene, Surface
+from statechart.document import read_text, validate
 from statechart.errors import DeclarationError
 from statechart.simulate import Simulator
 from statechart.trace import Trace
@@ -177,3 +178,58 @@ def test_a_block_on_a_free_cart_shares_its_momentum(name: str) -> None:
 def test_a_surface_with_two_forms_is_refused(name: str) -> None:
     with pytest.raises((DeclarationError, ValueError), match="one of height, incline, line"):
         Surface(height=0, incline=0.1)
+
+
+@pytest.mark.parametrize("height", ["abs(x)", "max(0, sin(2*x))", "s*min(x, 1)**3", "sign(x - s)"])
+def test_a_height_with_kinks_is_refused_and_the_way_out_named(name: str, height: str) -> None:
+    text = read_text(GROOVE.replace("{height: s*x}", f'{{height: "{height}"}}'))
+    with pytest.raises(DeclarationError, match="a surface and a contact for each") as caught:
+        validate(text, Scene)
+    assert "surfaces.up.height" in str(caught.value)
+
+
+def test_a_path_whose_velocity_jumps_is_refused(name: str) -> None:
+    joint = "joints: {hand: {point: {body: ball}, to: {x: 'min(time, s)'}}}\n"
+    with pytest.raises(DeclarationError, match="write a smooth formula"):
+        validate(read_text(GROOVE + joint), Scene)
+
+
+GROOVE = """\
+kind: scene
+name: groove
+gravity: 1
+parameters: {s: 0.5, x0: -1, u: 0}
+bodies: {ball: {mass: 1, start: {x: x0, y: 0.5, dx: u, dy: s*u}}}
+surfaces: {up: {height: s*x}, down: {height: -s*x}}
+contacts:
+  right: {point: {body: ball}, surface: up, friction: 0, restitution: 0, modes: [free, slide]}
+  left: {point: {body: ball}, surface: down, friction: 0, restitution: 0, modes: [free, slide]}
+"""
+
+
+def test_a_ball_slides_into_a_groove_of_two_pieces_and_rests(name: str) -> None:
+    trace = run(validate(read_text(GROOVE), Scene), name, 12.0)
+    assert trace.final_mode == ("slide", "slide")
+    # Down a slope of length hypot(1, s); what is left of the speed at the bottom is the part cos of
+    # the angle between the slopes, and it goes up and down again in so much of the time.
+    first, ratio = math.sqrt(2 * 1.25 / 0.5), 0.6
+    assert trace.jumps[0].t == pytest.approx(first, abs=1e-9)
+    last = trace.jumps[-1]
+    assert last.t == pytest.approx(first * (1 + 2 * ratio / (1 - ratio)), abs=1e-6)
+    assert trace.final == pytest.approx([0.0, 0.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_a_ball_flies_off_a_ridge_of_two_pieces_and_lands_on_the_other_side(name: str) -> None:
+    ridge = (
+        GROOVE.replace("y: 0.5", "y: s*x0")
+        .replace("u: 0}", "u: 2}")
+        .replace("surface: up,", "surface: up, enabled: ball.x <= 0,")
+        .replace("surface: down,", "surface: down, enabled: ball.x >= 0,")
+    )
+    trace = run(validate(read_text(ridge), Scene), name, 6.0)
+    causes = [(jump.region, jump.cause) for jump in trace.jumps]
+    assert causes[-1] == ("left", "touchdown")
+    # From the ridge it flies with the rate v along x until y = s x - (x/v)^2/2 is -s x.
+    v2 = 4.0 - 2 * 0.5 / (1 + 0.25)
+    assert trace.jumps[-1].after[0] == pytest.approx(2 * v2, abs=1e-9)
+    assert trace.final_mode == ("off", "slide")
