@@ -24,6 +24,8 @@ __all__ = ["Impact", "impact"]
 Array = NDArray[np.float64]
 
 _LONGEST_PATH = 8
+# Of the terms of a rate: less is no error that an impulse should mend.
+_ROUNDING = 8 * 2.0**-52
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +122,14 @@ def impact(
         if to_end <= to_stop:
             if not compressing or restitution == 0.0:
                 # Pieces that cancel leave their own rounding in what the law prescribes.
-                rate = contact.gap_rate + contact.jacobian[0] @ (velocity - snapshot.velocity)
-                velocity += piece.velocity * piece.u_n * (u_n - rate)
+                row = contact.jacobian[0]
+                missing = u_n - (contact.gap_rate + row @ (velocity - snapshot.velocity))
+                terms = np.abs(row) @ (np.abs(velocity) + np.abs(snapshot.velocity))
+                if abs(missing) > _ROUNDING * terms:
+                    more = piece.u_n * missing
+                    velocity += piece.velocity * more
+                    normal += piece.normal * more
+                    tangential += piece.tangential * more
                 return Impact(velocity, normal, tangential, tuple(path))
             compressing, compressed, compression_work, work = False, normal, -work, 0.0
     raise NoConsistentMode(
