@@ -115,7 +115,7 @@ stop: {time: 5}
 parameters: {g: 1, mu: 0.4, e: 0.1, w: 2, A: 0.3, a0: 0.9}
 ranges: {mu: [0, 1.2], e: [0, 0.9], w: [0.5, 10], A: [0.01, 0.5], a0: [0.2, 1.4]}
 bodies: {rod: {mass: 1, inertia: 1/3, start: {x: -sin(a0), y: 2 - cos(a0), angle: -a0, dx: A*w}}}
-surfaces: {floor: {height: -1.9*cos(w)}}
+surfaces: {floor: {height: 1.9 - 2*cos(a0)}}
 joints: {hand: {point: {body: rod, at: [0, 1]}, to: [A*sin(w*time), 2]}}
 contacts: {tip: {point: {body: rod, at: [0, -1]}, surface: floor, friction: mu, restitution: e}}
 stop: {time: 6}

@@ -161,7 +161,10 @@ def _piece(snapshot: Snapshot, contact: PerContact, law: ContactLaw, u_t: float)
         piece = _slipping(snapshot, contact, law, sign)
         if sign * piece.u_t > 0.0:
             return piece
-    raise NoConsistentMode(f"{law.name}: at zero slip no direction of an impact is consistent")
+    raise NoConsistentMode(
+        f"{law.name}: its impact wedges the point: slip has stopped, and friction presses it in "
+        "whichever way it would slip on"
+    )
 
 
 def _slipping(snapshot: Snapshot, contact: PerContact, law: ContactLaw, sign: float) -> _Piece:

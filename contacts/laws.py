@@ -283,8 +283,9 @@ class SceneLaws:
         """Close all contacts that took part in impacts whose intervals shrink to nothing.
 
         A block that rocks from corner to corner, a bar that rattles on both ends; the bounces of
-        one contact are summed where they happen (`contacts.bounces`). What velocity is left is
-        taken as by a plastic impact.
+        one contact are summed where they happen (`contacts.bounces`). What impacts in turn do to
+        bodies that stay where they are (a light ball between the floor and a heavy one that comes
+        down) is done at once; what velocity is left is taken as by a plastic impact.
         """
         assert isinstance(setup, SceneSetup)
         jump = jumps[-1]
@@ -295,9 +296,21 @@ class SceneLaws:
         if len(took_part) < 2:
             return None
         state, before = jump.after, plain(flow.flow)
-        snapshot = self._tape.at(setup.values, state, clock.high)
-        rebound = max(snapshot.contacts[self._names.index(name)].gap_rate for name in took_part)
-        height = rebound * (jump.t - jumps[since[-1]].t) / (4.0 * setup.tolerances["gap"])
+        snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
+        rates = [snapshot.contacts[self._names.index(name)].gap_rate for name in took_part]
+        height = max(rates) * (jump.t - jumps[since[-1]].t) / (4.0 * setup.tolerances["gap"])
+        ends = ""
+        if min(rates) < -setup.tolerances["speed"]:
+            if rest > 0.0 and height > _LOW:
+                return None
+            closing = [name in took_part for name in self._names]
+            try:
+                sequence = impacts(snapshot, setup.contacts, closing, "sequential")
+            except NoConsistentMode:
+                return None
+            ends = sequence.warning
+            state = snapshot.moved(state, sequence.velocity)
+            snapshot = self._tape.at(setup.values, state, clock.high)
         shut = [
             name in took_part or now not in OPEN
             for name, now in zip(self._names, before, strict=True)
@@ -321,8 +334,9 @@ class SceneLaws:
         energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
         # A bar that rattles over a crest takes off from it: there is nothing to wait for.
         wait = None if choice.taken.flow == flow.mode else rest
+        warning = "; ".join(filter(None, (ends, choice.warning)))
         following = self._flow(
-            setup, flow.mode, choice.taken.flow, wait, choice.warning, notes=choice.notes
+            setup, flow.mode, choice.taken.flow, wait, warning, notes=choice.notes
         )
         return dataclasses.replace(jump, after=after, energy=energy, skipped=rest), following
 

@@ -249,9 +249,23 @@ class Mechanics:
 
     @cached_property
     def power(self) -> sp.Expr:
-        """Power of the applied forces, gravity excepted, and of what drives joints in time."""
+        """Power of the applied forces, gravity excepted, and of joints and surfaces that move."""
         applied = (q * v for q, v in zip(self._applied_forces, self.v, strict=True))
-        return sp.Add(*applied, *(row.force * row.path_rate for row in self.joint_rows))
+        pushed = (
+            force * rate
+            for name, forces in self.forces.items()
+            for force, rate in zip(forces, self.surface_rate(name), strict=True)
+        )
+        return sp.Add(*applied, *pushed, *(row.force * row.path_rate for row in self.joint_rows))
+
+    def surface_rate(self, name: str) -> Vector:
+        """Return the normal and tangential velocity of a contact's surface that moves in time."""
+        surface = self.scene.surfaces[self.scene.contacts[name].surface]
+        moved = [sp.diff(self._formula(text), self.time) for text in surface.displacement]
+        if moved == [0, 0]:
+            return sp.S.Zero, sp.S.Zero
+        (n_x, n_y), (t_x, t_y) = self.contact(name).normal, self.contact(name).tangent
+        return n_x * moved[0] + n_y * moved[1], t_x * moved[0] + t_y * moved[1]
 
     @cached_property
     def gravity(self) -> Vector:

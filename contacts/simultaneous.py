@@ -27,7 +27,8 @@ __all__ = ["Impacts", "groups", "impacts"]
 
 Array = NDArray[np.float64]
 
-_LONGEST_SEQUENCE = 1000
+# A ball between the floor and one a thousand times as heavy is hit so often.
+_LONGEST_SEQUENCE = 10_000
 # Of the first approach: what is left of a sequence then is the tail of a geometric one.
 _SPENT = 1e-12
 _ROUNDING = 64 * float(np.finfo(np.float64).eps)

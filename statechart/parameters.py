@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 _NO_VARIABLES = np.zeros(0)
 _TIME = sp.Symbol("time", real=True)
+# In the place of what a formula has written as inf: constants of a tape are finite.
+_INF = sp.Symbol("inf", real=True)
 
 
 class Parameters:
@@ -84,7 +86,7 @@ class Parameters:
             self._tapes[given] = self._tape(given)
         tape, inputs = self._tapes[given]
         known = {**self._literals, **overrides}
-        numbers = np.array([known[name] for name in inputs])
+        numbers = np.array([*(known[name] for name in inputs), math.inf])
         found = tape.at(_NO_VARIABLES, numbers, 0.0)
         parameters, further = found[: len(self.names)], found[len(self.names) :]
         if math.isnan(found.min(initial=0.0)):
@@ -105,8 +107,8 @@ class Parameters:
         tape = compile_tape(
             [*self.symbols.values(), *self._further],
             variables=(),
-            parameters=[self.symbols[name] for name in inputs],
+            parameters=[*(self.symbols[name] for name in inputs), _INF],
             time=_TIME,
-            definitions=definitions,
+            definitions=[(symbol, value.xreplace({sp.oo: _INF})) for symbol, value in definitions],
         )
         return tape, inputs

@@ -442,3 +442,31 @@ def test_a_flight_shorter_than_rounding_of_what_was_before_passes_no_guard():
     for trace in subject.case({"k": 1.07e-301}).traces.values():
         assert_margins(subject, trace)
         assert_invariants(subject, trace)
+
+
+SHAKEN = """
+kind: scene
+name: shaken
+parameters: {g: 1, mu: 0.4, e: 0.3, A: 0.1, w: 5, a0: 0.1}
+ranges: {mu: [0, 1], e: [0, 0.9], A: [0.05, 0.3], a0: [-0.5, 0.5]}
+gravity: g
+bodies: {rod: {mass: 1, inertia: 0.3, start: {y: 0.6, angle: a0}}}
+surfaces: {floor: {height: 0, displacement: [A*sin(w*time)/2, A*sin(w*time)]}}
+contacts:
+  left: {point: {body: rod, at: [-1, 0]}, surface: floor, friction: mu, restitution: e}
+  right: {point: {body: rod, at: [1, 0]}, surface: floor, friction: mu, restitution: e}
+stop: {time: 2}
+"""
+
+
+def test_the_work_of_a_shaken_floor_is_no_gain_of_energy() -> None:
+    scene = model(SHAKEN)
+    subject = Subject(scene)
+    energy = next(p for p in contact_properties(scene) if p.name == "energy never grows")
+    case = subject.case({"A": 0.2, "a0": 0.05})
+    assert max(trace.jumps[-1].j for trace in case.traces.values()) >= 3
+    # It does grow: the floor throws the rod up.
+    trace = case.trace
+    gains = [jump.energy[1] - jump.energy[0] for jump in trace.jumps if jump.energy is not None]
+    assert max(gains) > 1e-3
+    energy.holds(case)

@@ -458,7 +458,6 @@ def test_impulses_are_what_moved_a_heavy_body_with_nearly_no_inertia() -> None:
     check(snapshot, laws, impacts(snapshot, laws, [True]))
 
 
-
 @pytest.mark.parametrize("place", [3442, 4341])
 def test_where_rounding_hides_the_impulse_rational_arithmetic_finds_it(place: int) -> None:
     random = np.random.default_rng(1)

@@ -6,7 +6,13 @@ import math
 
 import numpy as np
 import pytest
+import runs
 from runs import ENGINES, outputs, run
+
+from contacts.kind import automaton
+from contacts.scene import Scene
+from statechart.document import read_text, validate
+from statechart.simulate import Simulator
 
 MODEL = "two_balls"
 G, RADIUS = 9.81, 0.1
@@ -68,3 +74,32 @@ def test_galton_the_upper_ball_is_thrown_up_by_the_lower(
     # Without the fall between the two impacts the factor is (3 - ratio)/(1 + ratio).
     factor = (3.0 - ratio) / (1.0 + ratio)
     assert pair.after[7] == pytest.approx(factor * v, abs=1.01 * G * delay)
+
+
+SQUEEZED = """
+kind: scene
+name: squeezed
+gravity: 1
+bodies:
+  low: {mass: 1, start: {y: 1.5}}
+  high: {mass: 100, start: {x: 0.129, y: 3.43}}
+surfaces: {floor: {height: 0}, shell: {circle: [0, 0], radius: 1, body: low}}
+contacts:
+  ground: {point: {body: low, at: [0, -0.5]}, surface: floor, friction: 1, restitution: 0.665}
+  between: {point: {body: high}, surface: shell, friction: 1, restitution: 0.665}
+"""
+
+
+def test_a_light_ball_under_a_heavy_one_is_hit_to_and_fro_until_nothing_approaches(
+    engine: str,
+) -> None:
+    scene = validate(read_text(SQUEEZED), Scene)
+    trace = Simulator(automaton(scene), runs.engine(engine)).run(until=2.0, throw=False)
+    end = next(i for i, jump in enumerate(trace.jumps) if jump.cause == "zeno")
+    last = trace.jumps[end - 1]
+    assert last.skipped > 0.0
+    # Every impact on the ground stops the slip, whatever comes in between: so does the last.
+    assert last.after[4:6] == pytest.approx([0.0, 0.0], abs=1e-12)
+    x, y = last.after[2:4] - last.after[0:2]
+    assert last.after[6:8] @ [x, y] == pytest.approx(0.0, abs=1e-9)
+    assert trace.jumps[end].target[0] == "pin"
