@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from contacts.classify import Choice, ContactLaw, choose
 from contacts.jams import Jam, jammed
 from contacts.modes import OFF
@@ -12,6 +14,7 @@ from contacts.painleve import paradoxes
 from contacts.parts import Resolution
 from contacts.setup import SceneSetup
 from contacts.snapshot import PerContact, Snapshot
+from contacts.usual_kernels import ENDLESS
 from statechart.errors import NoConsistentMode
 
 __all__ = ["decide", "explained"]
@@ -37,6 +40,10 @@ def decide(
         found = paradoxes(snapshot, setup.contacts, touching, still)
         reports = "".join(f"; {one}" for one in found.values())
         raise NoConsistentMode(f"{error}{reports}", considered=error.considered) from None
+    if np.abs(choice.taken.forces).max(initial=0.0) > ENDLESS * setup.scales.force:
+        jam = jammed(snapshot, setup.contacts, touching, still)
+        if paradox == "impact" and jam is not None:
+            return replace(jam, considered=choice.considered)
     if choice.warning:
         found = paradoxes(snapshot, setup.contacts, touching, still)
         warning = "; ".join([choice.warning, *map(str, found.values())])

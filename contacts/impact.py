@@ -173,32 +173,30 @@ def _slipping(snapshot: Snapshot, contact: PerContact, law: ContactLaw, sign: fl
 
 
 def _along(snapshot: Snapshot, contact: PerContact, name: str, n: float, t: float) -> _Piece:
-    """Impulse along (n, t); scaled to a unit change of normal velocity, forwards.
+    """Impulse along (n, t), forwards; scaled to a unit change of normal velocity.
 
-    Of slip where the normal velocity does not change: infinite friction on a particle brakes it
-    without pressing it.
+    Where it does not change that (a particle under infinite friction), to one of slip.
     """
     size = len(snapshot.forces)
     column = contact.jacobian.T @ np.array([n, t])
-    for seen in contact.jacobian:
-        row = np.concatenate([seen, [0.0]])[None]
+    for direction in (0, 1):
+        row = np.concatenate([contact.jacobian[direction], [0.0]])[None]
         solved = solve_kkt(snapshot.mass, np.zeros(size), row, column[:, None], np.ones(1))
-        if solved is not None:
-            break
-    else:
-        raise NoConsistentMode("an impulse along the friction cone does not move the contact")
-    change, amount = solved[0], float(solved[1][0])
-    # Where pressing makes the approach faster (Painleve), the impulse still grows.
-    forwards = 1.0 if amount >= 0.0 else -1.0
-    change = forwards * change
-    return _Piece(
-        name,
-        change,
-        float(contact.jacobian[0] @ change),
-        float(contact.jacobian[1] @ change),
-        abs(amount) * n,
-        abs(amount) * t,
-    )
+        if solved is None:
+            continue
+        change, amount = solved[0], float(solved[1][0])
+        # Where pressing makes the approach faster (Painleve), the impulse still grows.
+        forwards = 1.0 if amount >= 0.0 else -1.0
+        change = forwards * change
+        return _Piece(
+            name,
+            change,
+            forwards if direction == 0 else 0.0,
+            float(contact.jacobian[1] @ change),
+            abs(amount) * n,
+            abs(amount) * t,
+        )
+    raise NoConsistentMode("an impulse along the friction cone changes no velocity of the contact")
 
 
 def _sticking(snapshot: Snapshot, contact: PerContact) -> _Piece | None:

@@ -439,7 +439,14 @@ class SceneLaws:
             skipped=rest or 0.0,
         )
         warning = "; ".join(warnings)
-        return jump, self._flow(setup, target, moving, rest, warning, settled, notes)
+        flow = self._flow(setup, target, moving, rest, warning, settled, notes)
+        # Where a long flight's rounding has left a gap below its tolerance, it opens from there.
+        below = {
+            f"{law.name}.gap": -2.0 * contact.gap
+            for law, contact, now in zip(laws, following.contacts, plain(moving), strict=True)
+            if now == "free" and contact.gap < -setup.tolerances["gap"]
+        }
+        return jump, flow._replace(tolerances={**flow.tolerances, **below}) if below else flow
 
     def _switch(
         self,

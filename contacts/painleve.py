@@ -22,6 +22,10 @@ __all__ = ["Paradox", "paradoxes"]
 
 Array = NDArray[np.float64]
 
+# Of the response to a normal force alone: p this small cannot be told from none, and the force
+# that it asks for stops slip in less time than can be told from none.
+_NONE = 1e-14
+
 
 @dataclass(frozen=True)
 class Paradox:
@@ -68,7 +72,7 @@ def paradoxes(
     still_below: float,
     nearly: float = 0.0,
 ) -> dict[int, Paradox]:
-    """Return the touching contacts that slide with p <= 0, by their places.
+    """Return the touching contacts that slide with p <= 0, or pressed with next to none.
 
     Parameters
     ----------
@@ -81,7 +85,7 @@ def paradoxes(
     still_below : float
         Slip speeds up to this count as zero.
     nearly : float
-        Those with p up to this part of the response to a normal force alone, too.
+        Those that are pressed with p up to this part of the response to a normal force, too.
     """
     found: dict[int, Paradox] = {}
     for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True)):
@@ -90,13 +94,15 @@ def paradoxes(
         sign = math.copysign(1.0, contact.slip)
         p = _response(snapshot, contact, law.cone_n, -sign * law.cone_t)
         straight = _response(snapshot, contact, 1.0, 0.0)
-        if p > nearly * straight:
+        if p > max(nearly, _NONE) * straight:
             continue
         size = len(snapshot.forces)
         free = solve_kkt(
             snapshot.mass, snapshot.forces, np.zeros((0, size)), np.zeros((size, 0)), np.zeros(0)
         )
         b = math.nan if free is None else float(contact.jacobian[0] @ free[0]) + contact.bias_n
+        if p > 0.0 and not b < 0.0:
+            continue
         across = sign * _response(snapshot, contact, 0.0, 1.0)
         steep = law.cone_n == 0.0
         found[i] = Paradox(

@@ -47,9 +47,9 @@ class Scales:
 class ScaleTape:
     """Reads the scales off the initial state.
 
-    The length is the largest coordinate of a body or contact point (rounding is proportional to
-    it); acceleration is gravity's, or what the initial forces and velocities give; speed and
-    force follow.
+    The length is the largest coordinate of a body or contact point, or how far the initial speed
+    carries a body thrown up (rounding is proportional to it); acceleration is gravity's, or what
+    the initial forces and velocities give; speed and force follow.
 
     Parameters
     ----------
@@ -133,9 +133,11 @@ class ScaleTape:
         length, speed, push, mass, duration = largest[:5]
         moves = largest[5 + self._gravity :]
         acceleration = math.hypot(*largest[5 : 5 + self._gravity]) or push
+        reach = min(speed**2 / acceleration, speed * duration) if acceleration > 0.0 else 0.0
         # A start that is off zero by rounding of what the motion needs to turn has no length.
-        if length <= _EPS * (speed**2 / acceleration if acceleration > 0.0 else 0.0):
+        if length <= _EPS * reach:
             length = max(speed * duration, acceleration * duration**2) or 1.0
+        length = max(length, reach)
         acceleration = max(acceleration, speed**2 / length)
         if acceleration == 0.0:
             acceleration = length / max(duration, 1e-300) ** 2

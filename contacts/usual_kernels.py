@@ -9,11 +9,13 @@ from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, solve_mo
 from statechart.compiled import kernel
 from statechart.kernels.tapes import tape_values
 
-__all__ = ["usual"]
+__all__ = ["ENDLESS", "usual"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+# In the scene's forces: beyond, a sliding contact may bear what only rounding keeps finite.
+ENDLESS = 1e13
 # More combinations of states are left to the laws.
 _MOST = 64
 # Numbers of a contact behind all Jacobians and biases: gap, its rate, slip, point, tangent.
@@ -109,6 +111,7 @@ def usual(
             codes[k, c] = options[c, left % counts[c]]
             left //= counts[c]
     status, verdicts = np.empty(total, np.int64), np.empty((total, 4))
+    forces = np.empty((total, contacts, 2))
     redundant, agreeing = solve_modes(
         numbers[: n * n].reshape((n, n)),
         numbers[n * n : n * n + n],
@@ -122,13 +125,16 @@ def usual(
         acceleration_scale,
         status,
         np.empty((total, n)),
-        np.empty((total, contacts, 2)),
+        forces,
         verdicts,
         tie,
     )
     if redundant > 0 or agreeing < 0 or not verdicts[agreeing, 0] < -tie:
         return False
     for c in range(contacts):
+        for force in forces[agreeing, c]:
+            if abs(force) > ENDLESS * force_scale:
+                return False
         place = scalars + _SCALARS * c
         taken[c] = codes[agreeing, c]
         if taken[c] != FREE:

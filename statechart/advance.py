@@ -26,6 +26,9 @@ _FIRST_CHUNK = 4
 _DRIFT = 0.2
 # A single step that ends so far off was blind to something; of what rounding does this is no part.
 _BLIND = 1e3
+# What a step half as long is off as much as this part of, comes of errors and rounding far from
+# where the run began.
+_STAYS = 0.75
 # Of the way to where a step left its constraints unseen.
 _NEARER = 0.5
 # The look-ahead in time grows likewise.
@@ -149,6 +152,7 @@ def advance(
     reached, boxes, total = 0.0, 0, 0
     count, begin = _FIRST_CHUNK, Begin.NEW
     end = min(horizon, duration)
+    seen = math.inf
     failure: SimulationError | KeyboardInterrupt | None = None
     try:
         while reached < duration:
@@ -184,8 +188,8 @@ def advance(
                 )
                 boxes += found.boxes
             blind = _blind(watch, path, first, last, found)
-            if off > _BLIND:
-                blind = kept, local
+            if _BLIND < off <= _STAYS * seen and watch.constraints.within is not None:
+                blind, seen = (kept, local), off
             if blind is not None:
                 # The integrator did not see what it ran into: again, from before that.
                 kept, reached = blind[0], path.times.item(blind[0])
@@ -210,7 +214,7 @@ def advance(
                 path.count = cut_steps(path.times, path.coefficients, last, at, ended)
                 state = ended if path.count > 0 else initial
                 return Advance(state, crossing, graze, boxes, total)
-            kept, state, reached = last, following, local
+            kept, state, reached, seen = last, following, local, math.inf
             if on_steps is not None:
                 on_steps(reached, total)
             if made.finished:

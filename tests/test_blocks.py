@@ -78,3 +78,29 @@ def test_a_force_below_friction_never_moves_it(engine: str) -> None:
     trace = run("stick_slip_block", engine, until=7.0, F0=0.98, mu=0.1)
     assert modes(trace) == ["pin"]
     assert np.array_equal(trace.final, trace.initial)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1e-9, 0.3, 1.0, 1.5])
+@pytest.mark.parametrize("mu", [math.inf, 1e300, 1e16])
+def test_friction_without_bound_stops_a_block_at_once(engine: str, alpha: float, mu: float) -> None:
+    trace = run("block_on_incline", engine, until=3.0, alpha=alpha, mu=mu, v0=3.0)
+    assert [jump.cause for jump in trace.jumps] == ["jam"]
+    assert trace.jumps[0].impulse["base"] == pytest.approx((0.0, -3.0), abs=1e-12)
+    assert trace.final_mode == ("pin",)
+    assert outputs("block_on_incline", engine, trace)["t_stop"] == 0.0
+    assert np.abs(trace.final).max() < 1e-13
+
+
+@pytest.mark.parametrize("mu", [1e6, 1e10])
+def test_great_friction_stops_a_block_soon(engine: str, mu: float) -> None:
+    trace = run("block_on_incline", engine, until=3.0, alpha=0.3, mu=mu, v0=3.0)
+    found = outputs("block_on_incline", engine, trace)
+    assert found["t_stop"] == pytest.approx(3.0 / (9.81 * math.cos(0.3) * mu), rel=1e-5)
+    assert modes(trace) == ["slide+", "pin"]
+
+
+def test_a_slip_soon_after_the_start_of_a_long_step_is_found_to_rounding(engine: str) -> None:
+    values = {"F0": 32.0, "omega": 25.0, "mu": 0.0035, "m": 0.03}
+    trace = run("stick_slip_block", engine, until=7.0, **values)
+    expected = math.asin(0.0035 * 0.03 * 9.81 / 32.0) / 25.0
+    assert trace.jumps[0].t == pytest.approx(expected, rel=1e-9)

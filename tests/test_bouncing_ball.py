@@ -9,6 +9,10 @@ import numpy as np
 import pytest
 from runs import ENGINES, golden, outputs, run
 
+from contacts.modes import Free, Slide
+from contacts.scene import Body, Contact, Force, Point, Scene, Surface
+from statechart.declaration import Stop
+from statechart.run import Runner
 from statechart.trace import Trace
 
 FLAT = golden("bouncing_ball_flat")["flat"]
@@ -75,6 +79,45 @@ def test_thrown_up_it_bounces_as_if_dropped_from_its_apex(engine: str) -> None:
     dropped = run("bouncing_ball", engine, until=20.0, x0=apex, v0=0.0, k=0.5)
     shift = 3.0 / 9.81
     assert np.array(impacts(thrown)[:15]) - shift == pytest.approx(impacts(dropped)[:15], abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("x0", "v0", "k"),
+    [(0.0028807777424535697, 2.2989819505806954, 0.5), (0.0245042864219, 4.1268328971911, 0.9)],
+)
+def test_thrown_up_from_near_the_ground_it_bounces(
+    engine: str, x0: float, v0: float, k: float
+) -> None:
+    trace = run("bouncing_ball", engine, until=200.0, x0=x0, v0=v0, g=1.0, k=k)
+    speed = math.sqrt(v0**2 + 2.0 * x0)
+    rest = v0 + speed + 2.0 * speed * k / (1.0 - k)
+    assert outputs("bouncing_ball", engine, trace)["t_rest"] == pytest.approx(rest, rel=1e-12)
+    assert trace.certified
+
+
+@pytest.mark.parametrize("push", [1e3, 1e4])
+def test_launched_far_beyond_where_it_began_it_bounces(engine: str, push: float) -> None:
+    # Its flight is 1e5 to 1e7 times as high as all lengths of the start: what rounding leaves of
+    # the gap at an impact is more than the gap's tolerance.
+    scene = Scene(
+        name="launched",
+        gravity=1,
+        bodies={"ball": Body(mass=1, start={"y": 1e-4})},
+        surfaces={"ground": Surface(height=0)},
+        contacts={
+            "base": Contact(
+                point=Point(body="ball"), surface="ground", modes=(Free(), Slide()),
+                friction=0, restitution=0.5,
+            )
+        },
+        forces={"launch": Force(body="ball", force=(0, f"{push}*exp(-50*time)"))},
+        stop=Stop(time=1000),
+    )  # fmt: skip
+    trace = Runner(scene, engine=engine).run().trace
+    first, speed = trace.jumps[0].t, -trace.jumps[0].before[3]
+    rest = next(jump.t for jump in trace.jumps if jump.cause == "zeno")
+    assert rest == pytest.approx(first + 2.0 * speed, rel=1e-11)
+    assert trace.certified
 
 
 def test_a_start_on_the_ground_moving_down_hits_at_once(engine: str) -> None:

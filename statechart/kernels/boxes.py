@@ -56,7 +56,8 @@ def enclose(
         if v == coeffs.shape[1]:
             span = times[step + 1] - times[step]
             value = start + (times[step] + m * span)
-            size = abs(start) + abs(times[step]) + abs(span)
+            # Near the start of a long step the rounding of its length counts little.
+            size = abs(start) + abs(times[step]) + m * (abs(times[step]) + abs(times[step + 1]))
             radius = w * abs(span) * (1.0 + 4.0 * EPS) + 4.0 * EPS * size + TINY
             row[0], row[1] = value - radius, value + radius
             row[2], row[3] = wide((span, span), EPS)
