@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.classify import choose
+from contacts.classify import ContactLaw, choose
 from contacts.setup import SceneSetup
-from contacts.snapshot import Snapshot
+from contacts.snapshot import Snapshot, solve_kkt
 from statechart.errors import SimulationError
 
-__all__ = ["rests_of_bounces"]
+__all__ = ["rests_of_bounces", "settled"]
 
 Array = NDArray[np.float64]
 
@@ -75,3 +75,50 @@ def rests_of_bounces(
         if rebound <= setup.capture or height <= _DIGITS * rounding:
             rests[i] = 2.0 * rebound / (falling * (1.0 - e))
     return rests
+
+
+def settled(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], shut: Sequence[bool], still_below: float
+) -> Array:
+    """Return the velocity (n,) that impacts in turn leave, besides what forces do meanwhile.
+
+    Whatever their order, the impulses of a contact that slides lie along the edge of its cone,
+    those of one that sticks keep its point in place; so their sums follow from the gaps' rates
+    being zero afterwards. Without friction, `contacts.projection.on_constraints` gives the same.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+        Amid the sequence.
+    laws : sequence of ContactLaw
+        One per contact.
+    shut : sequence of bool
+        Which contacts are closed at the end.
+    still_below : float
+        Slip speeds up to this count as zero.
+    """
+    rows: list[Array] = []
+    columns: list[Array] = []
+    rates: list[float] = []
+    for law, contact, closed in zip(laws, snapshot.contacts, shut, strict=True):
+        if not closed:
+            continue
+        normal, tangent = contact.jacobian
+        slides = abs(contact.slip) > still_below or "pin" not in law.states
+        edge = -np.sign(contact.slip) * law.cone_t if slides else 0.0
+        rows.append(normal)
+        columns.append(law.cone_n * normal + edge * tangent if slides else normal)
+        rates.append(-contact.gap_rate)
+        if not slides:
+            rows.append(tangent)
+            columns.append(tangent)
+            rates.append(-contact.slip)
+    size, count = len(snapshot.forces), len(rows)
+    solved = solve_kkt(
+        snapshot.mass,
+        np.zeros(size),
+        np.hstack([np.array(rows), np.zeros((count, count))]),
+        np.array(columns).T,
+        np.array(rates),
+    )
+    return snapshot.velocity if solved is None else snapshot.velocity + solved[0]

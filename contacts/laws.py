@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.bounces import rests_of_bounces
+from contacts.bounces import rests_of_bounces, settled
 from contacts.classify import Choice, Considered, ContactLaw
 from contacts.closing import check_joints
 from contacts.decision import decide, explained
@@ -285,7 +285,7 @@ class SceneLaws:
         A block that rocks from corner to corner, a bar that rattles on both ends; the bounces of
         one contact are summed where they happen (`contacts.bounces`). What impacts in turn do to
         bodies that stay where they are (a light ball between the floor and a heavy one that comes
-        down) is done at once; what velocity is left is taken as by a plastic impact.
+        down) is done at once; for what velocity is left, see `contacts.bounces.settled`.
         """
         assert isinstance(setup, SceneSetup)
         jump = jumps[-1]
@@ -319,9 +319,10 @@ class SceneLaws:
             now if now not in OPEN or not closed else "slide"
             for now, closed in zip(before, shut, strict=True)
         )
-        state = on_constraints(key, snapshot, state)
-        snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
         still = 2.0 * setup.tolerances["speed"]
+        state = snapshot.moved(state, settled(snapshot, setup.contacts, shut, still))
+        state = on_constraints(key, self._tape.at(setup.values, state, clock.high), state)
+        snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
         slides = any(
             abs(c.slip) > still for c, closed in zip(snapshot.contacts, shut, strict=True) if closed
         )
