@@ -182,6 +182,11 @@ def test_where_the_sum_of_impacts_in_turn_begins_changes_nothing() -> None:
         stick = trace.jumps[-1]
         assert (stick.cause, trace.final_mode) == ("stick", ("pin", "pin"))
         found.append((sums, stick.t, trace.final[0]))
+        # While both slide one way, friction is mu times whatever the ground bears in all.
+        for jump in trace.jumps[-16:-1]:
+            gained = stick.before - jump.after
+            borne = 9.81 * (stick.t - jump.t) + gained[4]
+            assert gained[3] == pytest.approx(0.0504 * borne, abs=1e-14)
     assert len({f"{sums[-1]:.3g}" for sums, *_ in found}) > 1
     for _, t, x in found[1:]:
         assert (t, x) == pytest.approx(found[0][1:], rel=1e-12)
