@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.bounces import rests_of_bounces, settled
+from contacts.bounces import rests_of_bounces, settled, stands_for_bounces
 from contacts.classify import Choice, Considered, ContactLaw
 from contacts.closing import check_joints
 from contacts.decision import decide, explained
@@ -372,12 +372,16 @@ class SceneLaws:
         following = hidden(self._tape.at(setup.values, after, clock.high), flow.mode)
         rests = rests_of_bounces(setup, following, after, closed)
         if rests:
-            laws = tuple(
+            plastic = tuple(
                 law._replace(restitution=0.0) if i in rests else law for i, law in enumerate(laws)
             )
-            result = collided(laws)
-            after = snapshot.moved(state, result.velocity)
-            following = hidden(self._tape.at(setup.values, after, clock.high), flow.mode)
+            captured = collided(plastic)
+            stopped = snapshot.moved(state, captured.velocity)
+            held = hidden(self._tape.at(setup.values, stopped, clock.high), flow.mode)
+            if stands_for_bounces(rests, following, held, closed):
+                laws, result, after, following = plastic, captured, stopped, held
+            else:
+                rests = {}
         rates = [contact.gap_rate for contact in following.contacts]
         touching = [shut and rate <= slow for shut, rate in zip(closed, rates, strict=True)]
         considered: Mapping[str, str] = {}

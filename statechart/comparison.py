@@ -9,9 +9,9 @@ can tell from two runs whether they agree, and `Undecidable` says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise, zip_longest
+from itertools import accumulate, pairwise, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,8 @@ NUDGE = 1e-7
 # Rounding where a run starts (as much as ten events), and of what every event is located by.
 _LOCATED = 1e-13
 _START = 10
-# Rounding of the terms of a margin where it falls, which the event's condition magnifies.
+# Rounding of the terms of a margin where it falls, which the event's condition magnifies; the
+# error of a step is, too.
 _ROUNDING = 1e-14
 # Errors of steps add up to at most so many times their number times the tolerance.
 _FACTOR = 10.0
@@ -82,14 +83,15 @@ class Sensitivity:
 class _Event:
     """A jump as numbers to compare: what it is, and (time, state before, state after).
 
-    `rounded` is the relative error that rounding has caused by then, `hit` the first
-    words of its path: the contacts in the order in which they were hit.
+    `rounded` is the relative error that rounding has caused by then, `rates` how fast the numbers
+    change, `hit` the first words of its path: the contacts in the order in which they were hit.
     """
 
     what: tuple[str, str, Key, Key]
     numbers: Array
     skipped: float
     rounded: float = 0.0
+    rates: Array | float = 0.0
     hit: tuple[str, ...] = ()
 
     @property
@@ -114,6 +116,7 @@ def assert_same(
     *,
     reading: Reading | None = None,
     until: tuple[float, Array] | None = None,
+    loosened: Callable[[], Trace] | None = None,
 ) -> None:
     """Check that two runs take the same modes at the same times through the same states.
 
@@ -127,6 +130,9 @@ def assert_same(
         How to read `other`, where it is that of a transformed model.
     until : (float, (n,) array), optional
         Compare with the reference up to this time only, when it has this state.
+    loosened : callable, optional
+        Makes the reference again, its modes chosen by the tolerances of `other`: what parts more
+        slowly than that run can tell stays closed in it.
 
     Raises
     ------
@@ -136,7 +142,8 @@ def assert_same(
         If that cannot be told.
     """
     stories = [_story(trace, Reading()) for trace in (reference, *sensitivity.nudged)]
-    stories[0] = _rounded(stories[0], sensitivity.conditions)
+    known = max(_ROUNDING, reference.tolerance, other.tolerance)
+    stories[0] = _rounded(stories[0], reference, sensitivity.conditions, known)
     stories.append(_story(other, reading or Reading()))
     if until is not None:
         stories = [*(_shortened(story, *until) for story in stories[:-1]), stories[-1]]
@@ -152,17 +159,22 @@ def assert_same(
     for i, (mine, its) in enumerate(zip(first.events, second.events, strict=False)):
         error = bare + mine.rounded
         if mine.what != its.what:
+            _within_tolerance(loosened, other, mine, _place(i, mine))
             _part(first, second, near, i, error, (reference, other))
         shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
         allowed = _allowed(mine, [s.events[i].numbers for s in shaken], first, error, floor)
         if len(shaken) < len(near):
             raise Undecidable(f"{_place(i, mine)}: a change of {NUDGE:g} takes another course")
         near = shaken
+        # What is found a little later has moved on until then.
+        allowed += abs(mine.t - its.t) * mine.rates
         if mine.hit != its.hit:
             _taken_as_one(first, second, i)
         _close(mine.numbers, its.numbers, allowed, first, reference, _place(i, mine))
     if len(first.events) != len(second.events):
         shortest = min(len(first.events), len(second.events))
+        longer = max(first.events, second.events, key=len)[shortest]
+        _within_tolerance(loosened, other, longer, _place(shortest, longer))
         _part(first, second, near, shortest, error, (reference, other))
     if any(len(story.events) != len(first.events) for story in near):
         raise Undecidable(f"the end: a change of {NUDGE:g} takes another course")
@@ -219,12 +231,32 @@ def _story(trace: Trace, reading: Reading) -> _Story:
     )
 
 
-def _rounded(story: _Story, conditions: Sequence[float | None]) -> _Story:
+def _rounded(
+    story: _Story, trace: Trace, conditions: Sequence[float | None], known: float
+) -> _Story:
+    """Note at every event what it makes of states known to the part `known`, and its rates."""
     rounded, events = 0.0, []
-    for event, condition in zip_longest(story.events, conditions[: len(story.events)]):
-        rounded += _ROUNDING * min(condition or 0.0, 1.0 / _ROUNDING)
-        events.append(replace(event, rounded=rounded))
+    pairs = zip_longest(story.events, conditions[: len(story.events)])
+    for (event, condition), rates in zip(pairs, _rates(trace), strict=True):
+        rounded += known * min(condition or 0.0, 1.0 / known)
+        events.append(replace(event, rounded=rounded, rates=rates))
     return replace(story, events=tuple(events))
+
+
+def _rates(trace: Trace) -> list[Array]:
+    """Return how fast the numbers of every jump change, 0 for its time."""
+    starts: dict[int, Array] = {}
+    ends: dict[int, Array] = {}
+    for arc in trace.arcs:
+        first, last = arc.coefficients[0], arc.coefficients[-1]
+        starts.setdefault(arc.j, first[:, 1:2].sum(axis=1) / arc.times[1])
+        ends[arc.j] = last @ np.arange(last.shape[1]) / (arc.times[-1] - arc.times[-2])
+    # Of jumps at one instant the first has an arc before it, and the last one after it.
+    count, still = len(trace.jumps), np.zeros(len(trace.variables))
+    before = [*accumulate(range(count), lambda rates, j: ends.get(j, rates), initial=still)]
+    after = [*accumulate(range(count, 0, -1), lambda r, j: starts.get(j, r), initial=still)]
+    pairs = zip(before[1:], after[:0:-1], strict=True)
+    return [np.abs(np.concatenate([[0.0], *pair])) for pair in pairs]
 
 
 def _without_skipped(stories: list[_Story]) -> list[_Story]:
@@ -243,7 +275,10 @@ def _resolved(event: _Event) -> _Event:
     n = len(event.numbers) // 2
     after = event.numbers[n + 1 :]
     numbers = np.concatenate([event.numbers[:1], after, after])
-    return replace(event, what=("", event.what[1], (), event.what[3]), numbers=numbers)
+    rates = np.zeros_like(numbers) + event.rates
+    rates[1 : n + 1] = rates[n + 1 :]
+    what = ("", event.what[1], (), event.what[3])
+    return replace(event, what=what, numbers=numbers, rates=rates)
 
 
 def _shortened(story: _Story, t: float, state: Array) -> _Story:
@@ -288,6 +323,21 @@ def _taken_as_one(first: _Story, second: _Story, i: int) -> None:
                     f"{_place(i, one)}: impacts closer than {instant:.1e} in time are one in one "
                     "of the runs"
                 )
+
+
+def _within_tolerance(
+    loosened: Callable[[], Trace] | None, other: Trace, event: _Event, place: str
+) -> None:
+    """Raise `Undecidable` where the runs part at `event` because their tolerances differ."""
+    if loosened is None:
+        return
+    first, second = _without_skipped([_story(t, Reading()) for t in (loosened(), other)])
+    count = sum(one.t <= event.t for one in second.events)
+    courses = [[one.what for one in s.events[: count + 1]] for s in (first, second)]
+    if courses[0] == courses[1] and courses[0][count:] != [event.what]:
+        raise Undecidable(
+            f"{place}: at the tolerances of the other engine it takes that engine's course"
+        )
 
 
 def _part(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from statechart.automaton import Automaton, Flow, Laws, Setup
 from statechart.constraints import Constraints
 from statechart.trace import Clock, Jump, Key
 
-__all__ = ["nudged", "widened"]
+__all__ = ["loosened", "nudged", "widened"]
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,14 @@ def nudged(automaton: Automaton) -> Automaton:
     That part is the tolerance of the run, or a few roundings where that is more. One factor for
     all keeps symmetric starts symmetric, and zeros zero. The tolerance of gaps is larger, too.
     """
-    return replace(automaton, laws=_Nudged(automaton.laws, moved=True))
+
+    def setup(overrides: Mapping[str, float], relative: float) -> Setup:
+        own = automaton.laws.setup(overrides, relative)
+        initial = own.initial * (1.0 + max(relative, _LEAST))
+        tolerances = _wider(own.tolerances, force=2.0, gap=_WIDER)
+        return replace(own, initial=initial, tolerances=tolerances)
+
+    return replace(automaton, laws=_Changed(automaton.laws, setup))
 
 
 def widened(automaton: Automaton) -> Automaton:
@@ -39,26 +46,35 @@ def widened(automaton: Automaton) -> Automaton:
     A mode is left where a force is below zero by its tolerance, whatever the engine and however
     tight: all runs are late by that, and only one with another tolerance shows by how much.
     """
-    return replace(automaton, laws=_Nudged(automaton.laws, moved=False))
+
+    def setup(overrides: Mapping[str, float], relative: float) -> Setup:
+        own = automaton.laws.setup(overrides, relative)
+        return replace(own, tolerances=_wider(own.tolerances, force=2.0))
+
+    return replace(automaton, laws=_Changed(automaton.laws, setup))
 
 
-class _Nudged:
-    """Laws of a run that is off, and those of `laws` otherwise."""
+def loosened(automaton: Automaton, relative: float) -> Automaton:
+    """Return the automaton whose modes are chosen as in a run at the tolerance `relative`.
 
-    def __init__(self, laws: Laws, *, moved: bool) -> None:
-        self._laws, self._moved = laws, moved
+    It is integrated as tightly as asked for; what counts as closed and as at rest is as there.
+    """
 
-    def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
-        setup = self._laws.setup(overrides, relative)
-        tolerances = dict(setup.tolerances)
-        if "force" in tolerances:
-            tolerances["force"] *= 2.0
-        if not self._moved:
-            return replace(setup, tolerances=tolerances)
-        if "gap" in tolerances:
-            tolerances["gap"] *= _WIDER
-        initial = setup.initial * (1.0 + max(relative, _LEAST))
-        return replace(setup, initial=initial, tolerances=tolerances)
+    def setup(overrides: Mapping[str, float], _: float) -> Setup:
+        return automaton.laws.setup(overrides, relative)
+
+    return replace(automaton, laws=_Changed(automaton.laws, setup))
+
+
+def _wider(tolerances: Mapping[str, float], **factors: float) -> dict[str, float]:
+    return {kind: size * factors.get(kind, 1.0) for kind, size in tolerances.items()}
+
+
+class _Changed:
+    """Laws of `laws`, from another setup."""
+
+    def __init__(self, laws: Laws, setup: Callable[[Mapping[str, float], float], Setup]) -> None:
+        self._laws, self.setup = laws, setup
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         return self._laws.begin(setup)

@@ -16,8 +16,10 @@ from contacts.kind import automaton
 from contacts.parts import Simultaneous
 from contacts.scene import Scene
 from statechart.cli import main
+from statechart.comparison import Undecidable, assert_same
 from statechart.document import load
 from statechart.simulate import Simulator
+from statechart.testing import Subject, assert_engines_agree
 
 MODEL = "newtons_cradle"
 SPEED = 2.0 * math.sqrt(9.81) * math.sin(0.15)  # of the first ball when it arrives
@@ -93,6 +95,40 @@ def test_the_first_blow_by_every_law(
     # What the balls do then: those that move off together stay closed.
     together = tuple("slide" if step < 1e-12 else "free" for step in np.diff(after))
     assert trace.jumps[0].target == together
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("e", [0.9999, 0.99999, 0.999999])
+def test_contacts_that_hardly_open_pass_the_blow_on(e: float, name: str) -> None:
+    trace = run(MODEL, name, until=1.0, e=e)
+    assert trace.jumps[0].after[RATES] == pytest.approx(one_by_one(e), abs=1e-10)
+    assert trace.jumps[0].skipped == 0.0
+
+
+@functools.cache
+def subject() -> Subject:
+    return Subject(load(MODEL))
+
+
+def test_a_parting_that_one_engine_cannot_tell_from_rest_is_undecidable() -> None:
+    case = subject().case({"e": 0.99999})
+    first, other = case.sound
+    parting = float(np.diff(first.jumps[0].after[RATES])[0])
+    assert first.tolerances["speed"] < parting < other.tolerances["speed"]
+    assert first.jumps[0].target != other.jumps[0].target
+    with pytest.raises(Undecidable, match="at the tolerances of the other engine"):
+        assert_engines_agree(case)
+    # Without those tolerances it would be another course.
+    with pytest.raises(AssertionError, match="event 1"):
+        assert_same(first, other, case.sensitivity, loosened=lambda: first)
+
+
+def test_balls_that_meet_slowly_do_so_within_the_error_of_a_step() -> None:
+    case = subject().case({"e": 0.9921875})
+    first, other = case.sound
+    assert abs(first.jumps[6].t - other.jumps[6].t) > 1e-8  # at a speed of 3e-7
+    with pytest.raises(Undecidable, match=r"event 9 .* takes another course"):
+        assert_engines_agree(case)
 
 
 def test_without_rebound_one_after_another_they_move_on_together() -> None:
