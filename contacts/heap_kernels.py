@@ -248,7 +248,9 @@ def step_heap(
                     if lasting or (nearing <= slow and soon):
                         if above < 0.0 and not lasting:
                             level, above = gap, 0.0
-                        wanted[m, 0] = above / h
+                        # A point that turns away faster than gravity follows lifts off; what is
+                        # deeper than that makes was moved there by a change of features.
+                        wanted[m, 0] = max(above / h, -0.5 * fall)
                     elif above <= 0.5 * h * nearing and nearing > slow:
                         # Struck in the step whose middle is nearest to the instant of touching.
                         hit[m] = True

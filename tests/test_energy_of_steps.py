@@ -1,0 +1,61 @@
+"""The energy of random heaps never grows by more than the scheme's bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from contacts.heap_numbers import heap_numbers, owners_of
+from contacts.heap_testing import assert_depths, assert_energy_of_steps
+from statechart.document import interpret, read_text
+from statechart.testing import Subject
+
+HEAP = """
+kind: scene
+name: boxes
+parameters: {{n: {n}, e: {e}, mu: {mu}}}
+gravity: 9.81
+bodies:
+  box:
+    copies: n
+    mass: 1
+    inertia: 0.01
+    shape: {{polygon: [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]}}
+    start:
+      x: {aside}*sin(3*index + {phase})
+      y: 0.1 + {apart}*(index + {lifted})
+      angle: {tilt}*sin(5*index + {phase})
+      dx: {speed}*cos(index)
+surfaces: {{ground: {{height: 0}}, left: {{line: [[-1, 1], [-1, 0]]}}}}
+collisions: {{all: {{bodies: [box], surfaces: [ground, left], friction: mu, restitution: e}}}}
+stop: {{time: {time}}}
+settings: {{engine: impulse, step: {step}}}
+"""
+STACK = {"aside": 0.02, "apart": 0.2, "lifted": 0, "tilt": 0, "speed": 0}
+DROPPED = {"aside": 0.05, "apart": 0.21, "lifted": 0.1, "tilt": 0, "speed": 0.5}
+THROWN = {"aside": 0.1, "apart": 0.45, "lifted": 0.5, "tilt": 0.7, "speed": 2}
+
+
+@pytest.mark.parametrize("start", [STACK, DROPPED, THROWN])
+@pytest.mark.parametrize("restitution", [0, 0.3, 1])
+@pytest.mark.parametrize("friction", ["0", "0.3", "2", "inf"])
+def test_energy_and_depth_stay_within_the_bounds_of_a_step(start, restitution, friction):
+    generator = np.random.default_rng(len(friction) + int(10 * restitution))
+    step = float(generator.choice([1e-2, 1e-3, 1e-4]))
+    text = HEAP.format(
+        n=generator.integers(2, 9),
+        e=restitution,
+        mu=friction,
+        phase=generator.uniform(0, 6),
+        time=min(0.4, 400 * step),
+        step=step,
+        **start,
+    )
+    subject = Subject(interpret(read_text(text)))
+    trace = subject.case({}).trace
+    assert trace.outcome.succeeded, trace.message
+    scene = subject.model
+    single = scene.model_copy(update={"bodies": scene.single_bodies()})
+    numbers = heap_numbers(single, owners_of(scene), scene.values())
+    assert_energy_of_steps(numbers, subject, trace)
+    assert_depths(numbers, trace)
