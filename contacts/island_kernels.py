@@ -130,8 +130,34 @@ def _sweep(
             change = max(change, wn * abs(dn), wt * abs(dt))
             largest = max(largest, wn * pn)
         if change <= _SWEPT * largest:
-            return True
-    return change <= _SWEPT_LAST * largest
+            break
+    return change <= _SWEPT_LAST * largest and _holds(
+        members, bodies, rows, cones, wanted, rates, impulses, _SWEPT_LAST * largest
+    )
+
+
+@kernel
+def _holds(
+    members: Ints,
+    bodies: Ints,
+    rows: Array,
+    cones: Array,
+    wanted: Array,
+    rates: Array,
+    impulses: Array,
+    allowed: float,
+) -> bool:
+    """Whether impulses that no longer change solve the problem, to a velocity `allowed`."""
+    for i in members:
+        normal = velocity(bodies, rows, rates, i, 0) + wanted[i, 0]
+        slip = velocity(bodies, rows, rates, i, 1) + wanted[i, 1]
+        pn, pt = impulses[i, 0], impulses[i, 1]
+        if normal < -allowed or (pn > 0.0 and normal > allowed):
+            return False
+        edge = cones[i, 1] * pn - max(cones[i, 0], 2.0**-12) * abs(pt)
+        if pn > 0.0 and abs(slip) > allowed and (edge > 1e-9 * pn or slip * pt > 0.0):
+            return False
+    return True
 
 
 @kernel
