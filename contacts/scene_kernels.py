@@ -100,8 +100,8 @@ def step_scene(
         Whether coordinates without an inertia of their own were given one.
     bases : (c, 4)
         Positive unknowns of the last problem.
-    given : (4 m,) or (0,)
-        A solution of the first step's problem.
+    given : (k,)
+        Solutions of problems of the first step that were not solved before.
     softened : bool
         Whether no contact is made to part in the first step: nothing else solves it.
     states : (k, 2 n), solved : (k, n + joints + 2 c + u)

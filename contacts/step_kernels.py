@@ -306,7 +306,7 @@ def solve_impacts(
 ) -> tuple[bool, Array, Bools, Array, Array]:
     """Return (solved, z, basis, impulses, least velocities) of the contacts of a step.
 
-    Restitution that would add energy is reduced. Where contacts oppose each other there need be no
+    Where it is not solved, the velocities are those of the problem that was not. Restitution that would add energy is reduced. Where contacts oppose each other there need be no
     impulses that make all of them part as they should: `softened`, none is asked to part. Then rest
     is allowed, and there are some (Anitescu and Potra 1997).
 
@@ -342,12 +342,14 @@ def solve_impacts(
     good, z, basis = _known(delassus, least, cones, guess, limit, given)
     pushes = impulses_of(z)
     if good and rebounds.any():
-        calm, plastic, _ = solve_contacts(delassus, soft, cones, guess, limit)
-        if calm:
-            rest = impulses_of(plastic)
-            pushes, _ = capped(
-                before, free, rest, pushes, moved_by(delassus, rest), moved_by(delassus, pushes)
-            )
+        # Without it nobody knows how much energy restitution may give back.
+        calm, plastic, _ = _known(delassus, soft, cones, guess, limit, given)
+        if not calm:
+            return False, z, basis, pushes, soft
+        rest = impulses_of(plastic)
+        pushes, _ = capped(
+            before, free, rest, pushes, moved_by(delassus, rest), moved_by(delassus, pushes)
+        )
     return good, z, basis, pushes, least
 
 

@@ -223,9 +223,10 @@ class SteppedScene:
                 if status != HARD:
                     raise _failure(status)
                 if taken:
-                    softened = False
+                    given, softened = np.zeros(0), False
                 try:
-                    given = widened(delassus, least, cones)
+                    # Of a step there are two problems: with restitution, and without.
+                    given = np.concatenate([given, widened(delassus, least, cones)])
                 except UnsolvedImpulses:
                     if softened:
                         raise
