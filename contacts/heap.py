@@ -14,7 +14,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from contacts import impulse
-from contacts.heap_kernels import DONE, HARD, MEMORY, NOT_FINITE, step_heap
+from contacts.heap_kernels import DONE, FULL, HARD, MEMORY, NOT_FINITE, step_heap
 from contacts.heap_numbers import heap_numbers, owners_of
 from contacts.impulse import Stepping
 from contacts.kernels import FREE
@@ -60,6 +60,7 @@ CAUSES = ("touchdown", "impact", "liftoff", "slip", "stick")
 _RELATIVE = 1e-9
 # Bodies may overlap at the start by this part of the scene.
 _START_DEPTH = 1e-6
+# Contacts that there is place for at first.
 _PER_BODY = 24
 # Unknowns of a step solved outside its kernel.
 _MOST_GIVEN = 4096
@@ -360,6 +361,12 @@ class SteppedHeap:
             done += taken
             if status == DONE:
                 break
+            if status == FULL:
+                self._keys = np.concatenate([self._keys, np.zeros_like(self._keys)])
+                self._memory = np.concatenate([self._memory, np.zeros_like(self._memory)])
+                if taken:
+                    given, softened = np.zeros(0), False
+                continue
             try:
                 if status == NOT_FINITE:
                     raise NonFinite("a coordinate became infinite or undefined")

@@ -18,13 +18,13 @@ from contacts.polygons import FOUND, against_surface, between, place
 from contacts.step_kernels import UNKNOWNS, solve_impacts, steady_impulses
 from statechart.compiled import kernel
 
-__all__ = ["DONE", "HARD", "MEMORY", "NOT_FINITE", "step_heap"]
+__all__ = ["DONE", "FULL", "HARD", "MEMORY", "NOT_FINITE", "step_heap"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-DONE, HARD, NOT_FINITE = range(3)
+DONE, HARD, NOT_FINITE, FULL = range(4)
 
 MEMORY = 5
 """What is kept of a contact from step to step: level, lasting, impulses, number of its basis."""
@@ -128,7 +128,8 @@ def step_heap(
     state : (6 b,)
         All coordinates, all rates; changed in place, as are the following.
     keys : (c, 2), memory : (c, MEMORY), remembered : int
-        Contacts of the step before: pair and feature; see `MEMORY`.
+        Contacts of the step before: pair and feature; see `MEMORY`. They must be more than take
+        part in a step, else the status is `FULL`.
     given : (4 m,)
         Solutions of problems of the first step that were not solved before.
     softened : bool
@@ -212,8 +213,6 @@ def step_heap(
                     gaps[k, b] = min(gaps[k, b], gap)
                     if c < b_count:
                         gaps[k, c] = min(gaps[k, c], gap)
-                    if m == most:
-                        continue
                     level, lasting, basis = 0.0, False, -1
                     pushes[m, 0] = pushes[m, 1] = 0.0
                     place_old = at_old
@@ -260,6 +259,9 @@ def step_heap(
                         level = min(gap, 0.0)
                     else:
                         continue
+                    if m == most - 1:
+                        _restore(state, old, h, n)
+                        return k, FULL, remembered, nothing, none, none
                     cones[m, 0], cones[m, 1] = materials[material, 0], materials[material, 1]
                     elastic[m] = materials[material, 2]
                     new_keys[m, 0], new_keys[m, 1] = pair, features[p]

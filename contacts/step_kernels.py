@@ -306,9 +306,10 @@ def solve_impacts(
 ) -> tuple[bool, Array, Bools, Array, Array]:
     """Return (solved, z, basis, impulses, least velocities) of the contacts of a step.
 
-    Where it is not solved, the velocities are those of the problem that was not. Restitution that would add energy is reduced. Where contacts oppose each other there need be no
-    impulses that make all of them part as they should: `softened`, none is asked to part. Then rest
-    is allowed, and there are some (Anitescu and Potra 1997).
+    Where it is not solved, the velocities are those of the problem that was not. Restitution that
+    would add energy is reduced. Where contacts oppose each other there need be no impulses that
+    make all of them part as they should: `softened`, none is asked to part. Then rest is allowed,
+    and there are some (Anitescu and Potra 1997).
 
     Parameters
     ----------

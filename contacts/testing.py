@@ -7,7 +7,7 @@ automaton that was run. See `statechart.testing` for how to use them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
@@ -29,7 +29,9 @@ __all__ = [
     "assert_energy",
     "assert_gaps",
     "assert_impulses",
+    "assert_in_cone",
     "assert_no_force_when_free",
+    "largest_of",
     "no_growth",
     "properties",
     "step_ends",
@@ -37,7 +39,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_ROUNDING = 1e-13
+_ROUNDING, _EPSILON = 1e-13, 2.0**-52
 # Errors of the energy add up to at most so many times steps times tolerance.
 _ENERGY = 100.0
 # Nodes and weights that integrate the power from one point of the grid to the next.
@@ -84,15 +86,30 @@ def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> N
 
 def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that impulses push, and stay in the cone of friction."""
-    for jump in trace.jumps:
+    found = [(jump, _whole(subject, trace, jump)) for jump in trace.jumps]
+    largest = largest_of(impulses for _, impulses in found)
+    for jump, impulses in found:
         edges = _edges(scene, trace, jump.source)
-        for name, (normal, tangential) in _whole(subject, trace, jump).items():
-            n, t = edges[name]
-            allowed = 100.0 * _ROUNDING * math.hypot(normal, tangential)
-            where = f"the impulse of {name} at t = {jump.t:.17g}"
-            assert normal >= -allowed, f"{where} pulls: {normal:.6g}"
-            outside = n * abs(tangential) - t * normal
-            assert outside <= allowed, f"{where} is outside the cone: {tangential:.6g}/{normal:.6g}"
+        for name, impulse in impulses.items():
+            assert_in_cone(impulse, edges[name], largest, f"of {name} at t = {jump.t:.17g}")
+
+
+def largest_of(impulses: Iterable[Mapping[str, tuple[float, float]]]) -> float:
+    """Return the size of the largest impulse of a run."""
+    return max((math.hypot(*impulse) for some in impulses for impulse in some.values()), default=0)
+
+
+def assert_in_cone(
+    impulse: tuple[float, float], edge: tuple[float, float], largest: float, where: str
+) -> None:
+    """Check that an impulse pushes, within friction; beside the largest, rounding is nothing."""
+    normal, tangential = impulse
+    allowed = 100.0 * _ROUNDING * math.hypot(normal, tangential) + 4.0 * _EPSILON * largest
+    assert normal >= -allowed, f"the impulse {where} pulls: {normal:.6g}"
+    outside = edge[0] * abs(tangential) - edge[1] * normal
+    assert outside <= allowed, (
+        f"the impulse {where} is outside the cone: {tangential:.6g}/{normal:.6g}"
+    )
 
 
 def _whole(subject: Subject, trace: Trace, jump: Jump) -> Mapping[str, tuple[float, float]]:

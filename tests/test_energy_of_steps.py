@@ -37,17 +37,17 @@ THROWN = {"aside": 0.1, "apart": 0.45, "lifted": 0.5, "tilt": 0.7, "speed": 2}
 
 
 @pytest.mark.parametrize("start", [STACK, DROPPED, THROWN])
-@pytest.mark.parametrize("restitution", [0, 0.3, 1])
+@pytest.mark.parametrize("restitution", [0, 1])
 @pytest.mark.parametrize("friction", ["0", "0.3", "2", "inf"])
 def test_energy_and_depth_stay_within_the_bounds_of_a_step(start, restitution, friction):
-    generator = np.random.default_rng(len(friction) + int(10 * restitution))
-    step = float(generator.choice([1e-2, 1e-3, 1e-4]))
+    generator = np.random.default_rng(5 + len(friction) + 10 * restitution)
+    step = float(generator.choice([1e-2, 3e-3, 1e-3]))
     text = HEAP.format(
-        n=generator.integers(2, 9),
+        n=generator.integers(4, 10),
         e=restitution,
         mu=friction,
         phase=generator.uniform(0, 6),
-        time=min(0.4, 400 * step),
+        time=0.8,
         step=step,
         **start,
     )

@@ -109,6 +109,26 @@ def test_engines_with_events_say_what_runs_it():
         Runner(interpret(read_text(TWO)), engine="scipy").run()
 
 
+def test_a_body_may_touch_as_many_others_as_there_are():
+    text = """
+kind: scene
+name: press
+gravity: 1
+bodies:
+  disc: {mass: 1, inertia: 1, start: {y: 1}, shape: {disc: 1}}
+surfaces: {CEILINGS, ground: {height: 0}}
+collisions: {all: {bodies: [disc], surfaces: [NAMES, ground], friction: 0, restitution: 0}}
+stop: {time: 1}
+settings: {engine: impulse, step: 1e-2}
+"""
+    ceilings = [f"ceiling{k}" for k in range(60)]
+    text = text.replace("CEILINGS", ", ".join(f"{c}: {{line: [[1, 2], [0, 2]]}}" for c in ceilings))
+    trace = Runner(interpret(read_text(text.replace("NAMES", ", ".join(ceilings))))).run().trace
+    assert trace.outcome is Outcome.HORIZON
+    # The ground comes last.
+    assert np.abs(trace.final - trace.initial).max() < 1e-12
+
+
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 

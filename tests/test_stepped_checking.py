@@ -14,6 +14,7 @@ from contacts.heap_testing import (
     assert_free_fall,
     assert_impulses_of_bodies,
 )
+from contacts.testing import assert_in_cone
 from statechart.checking import check
 from statechart.cli import main
 from statechart.document import interpret, read_text
@@ -113,6 +114,15 @@ def test_impulses_outside_the_cone_are_caught(heap):
     smooth = np.array([[1.0, 0.0, 0.4]])
     with pytest.raises(AssertionError, match="outside the cone"):
         assert_impulses_of_bodies(dataclasses.replace(numbers, materials=smooth), trace)
+
+
+def test_impulses_that_are_rounding_of_the_largest_are_none():
+    edge, where = (0.6, 0.8), "of it"
+    assert_in_cone((-2e-19, 3e-19), edge, 1e-3, where)
+    with pytest.raises(AssertionError, match="pulls"):
+        assert_in_cone((-2e-17, 0.0), edge, 1e-3, where)
+    with pytest.raises(AssertionError, match="outside the cone"):
+        assert_in_cone((0.0, 2e-17), edge, 1e-3, where)
 
 
 def test_energy_from_nowhere_is_caught(heap):
