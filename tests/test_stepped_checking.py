@@ -85,7 +85,7 @@ def test_a_good_model_passes(text):
 def test_a_run_that_does_not_end_is_shrunk_to_a_model_that_shows_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fast.yaml").write_text(
-        BLOCK.replace("name: block", "name: fast").replace("vy: [-3, 3]", "vy: [-1e6, -1]")
+        BLOCK.replace("name: block", "name: fast").replace("vy: [-3, 3]", "g: [1, 1e6]")
     )
     assert main(["check", "fast.yaml", "--examples", "10", "--seed", "1"]) == 1
     assert "STEP_TOO_LARGE" in capsys.readouterr().out
