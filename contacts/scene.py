@@ -149,6 +149,14 @@ class Scene(Declaration):
         ends = self.surfaces[declared.surface].edge is not None
         return " and ".join((*declared.enabled, *(["within its edge"] if ends else [])))
 
+    def check_values(self, values: Mapping[str, float]) -> None:
+        """Check that numbers are physical, finite and, of copies, whole, too."""
+        super().check_values(values)
+        copies(self, values)
+        check_physical(self, values)
+        check_finite(self, values)
+        check_collisions(self, values)
+
     @model_validator(mode="after")
     def _names_are_apart(self) -> Self:
         taken = {TIME: "the time of the run", **dict.fromkeys(self.parameters, "a parameter")}
@@ -196,7 +204,6 @@ class Scene(Declaration):
     @model_validator(mode="after")
     def _copies_are_whole(self) -> Self:
         check_copies(self)
-        copies(self, self.values())
         return self
 
     @model_validator(mode="after")
@@ -310,11 +317,8 @@ class Scene(Declaration):
 
     @model_validator(mode="after")
     def _numbers_are_physical(self) -> Self:
-        values = self.values()
         check_kinks(self)
-        check_physical(self, values)
-        check_finite(self, values)
-        check_collisions(self, values)
+        self.check_values(self.values())
         return self
 
     @model_validator(mode="after")
@@ -349,6 +353,11 @@ class Scene(Declaration):
                 if transition.guard is not None:
                     loc = ("regions", name, "transitions", index, "guard")
                     check_names(parse_relation(transition.guard), names, *loc)
+        return self
+
+    @model_validator(mode="after")
+    def _ranges_hold_models(self) -> Self:
+        self.check_ranges()
         return self
 
     @staticmethod

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
@@ -69,6 +70,17 @@ class Chart(Declaration):
     )
     regions: dict[NameText, Region] = Field(min_length=1)
 
+    def check_values(self, values: Mapping[str, float]) -> None:
+        """Check the initial values, too."""
+        super().check_values(values)
+        for name, text in self.variables.items():
+            try:
+                value = parse(text).value(values)
+            except FormulaError as error:
+                raise problem(error, "variables", name) from None
+            if abs(value) == float("inf"):
+                raise DeclarationProblem("must be finite", loc=("variables", name))
+
     @model_validator(mode="after")
     def _variables_have_values(self) -> Self:
         for name in self.variables:
@@ -80,14 +92,7 @@ class Chart(Declaration):
                     loc=("variables", name),
                     key=True,
                 )
-        values = self.values()
-        for name, text in self.variables.items():
-            try:
-                value = parse(text).value(values)
-            except FormulaError as error:
-                raise problem(error, "variables", name) from None
-            if abs(value) == float("inf"):
-                raise DeclarationProblem("must be finite", loc=("variables", name))
+        self.check_values(self.values())
         return self
 
     @model_validator(mode="after")
@@ -130,6 +135,11 @@ class Chart(Declaration):
                     loc=("regions", region, "states", state, "flows", name),
                     key=True,
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _ranges_hold_models(self) -> Self:
+        self.check_ranges()
         return self
 
     def _flows(self) -> list[tuple[str, str, str, FiniteText]]:

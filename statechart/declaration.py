@@ -294,6 +294,54 @@ class Declaration(Part):
         """Return the model that runs with `overrides`: another where they change what it has."""
         return self
 
+    def check_values(self, values: Mapping[str, float]) -> None:
+        """Check what the values of the parameters decide.
+
+        Models of a kind check what they have besides.
+
+        Raises
+        ------
+        DeclarationProblem
+            At the first that is not allowed.
+        """
+        if self.stop.time is None:
+            return
+        try:
+            end = parse(self.stop.time).value(values)
+        except FormulaError as error:
+            raise problem(error, "stop", "time") from None
+        if not 0.0 <= end < math.inf:
+            raise DeclarationProblem(
+                f"must be a finite time from 0 on, not {end:g}", loc=("stop", "time")
+            )
+
+    def check_ranges(self) -> None:
+        """Check the ends of every range, the other parameters as declared.
+
+        For the last validator of the models of a kind: all else must be right by then.
+
+        Raises
+        ------
+        DeclarationProblem
+            At the first end that is no model.
+        """
+        for name, ends in self.ranges.items():
+            whole = (math.ceil(ends[0]), math.floor(ends[1])) if name in self.whole else ends
+            for place, end in enumerate(whole):
+                try:
+                    self.check_values(self.values({name: end}))
+                except (DeclarationProblem, FormulaError) as error:
+                    at: tuple[str | int, ...] = (
+                        error.loc
+                        if isinstance(error, DeclarationProblem)
+                        else ("parameters", error.name)
+                    )
+                    raise DeclarationProblem(
+                        f"with {name} = {end:g}, {'.'.join(map(str, at))}: {error.message}",
+                        advice="let the range end where the model is still one",
+                        loc=("ranges", name, place),
+                    ) from None
+
     @model_validator(mode="after")
     def _parameters_have_values(self) -> Self:
         if TIME in self.parameters:
@@ -306,14 +354,7 @@ class Declaration(Part):
             raise problem(error, "parameters", error.name) from None
         if self.stop.time is not None:
             check_names(parse(self.stop.time), self.parameters, "stop", "time")
-            try:
-                end = parse(self.stop.time).value(values)
-            except FormulaError as error:
-                raise problem(error, "stop", "time") from None
-            if not 0.0 <= end < math.inf:
-                raise DeclarationProblem(
-                    f"must be a finite time from 0 on, not {end:g}", loc=("stop", "time")
-                )
+        Declaration.check_values(self, values)
         return self
 
     @model_validator(mode="after")

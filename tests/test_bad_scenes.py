@@ -53,6 +53,31 @@ def refused(*pairs: tuple[str, str]) -> DeclarationError:
     return error
 
 
+@pytest.mark.parametrize(
+    ("ranges", "words"),
+    [
+        ("mu: [@-1, 3]", "with mu = -1, contacts.tip.friction: must be zero or positive, not -1"),
+        ("m: [@0, 2]", "with m = 0, bodies.rod.mass: must be positive, not 0"),
+        ("e: [0, @1.5]", "with e = 1.5, contacts.tip.restitution: must be between 0 and 1"),
+        (
+            "m: [1, 2], g: [9, @10]",
+            "with g = 10, gravity: formula '9.81/(10 - g)': division by",
+        ),
+        ("end: [@-1, 2]", "with end = -1, stop.time: must be a finite time from 0 on, not -1"),
+        ("h: [@-1, 2]", "with h = -1, parameters.big: formula 'sqrt(h)': sqrt has no value"),
+    ],
+)
+def test_the_ends_of_ranges_are_models(ranges: str, words: str) -> None:
+    changes = (
+        ("big: inf}", f"big: sqrt(h), end: 1}}\nranges: {{{ranges}}}"),
+        ("gravity: g", "gravity: 9.81/(10 - g)"),
+        ("time: 1", "time: end"),
+    )
+    error = refused(*changes)
+    assert words in str(error)
+    assert "let the range end where the model is still one" in str(error)
+
+
 def test_the_scene_itself_is_fine() -> None:
     assert Runner(read_text(SCENE)).start()[0] == ("free",)
 
