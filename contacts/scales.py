@@ -47,9 +47,9 @@ class Scales:
 class ScaleTape:
     """Reads the scales off the initial state.
 
-    The length is the largest coordinate of a body or contact point, or how far the initial speed
-    carries a body thrown up (rounding is proportional to it); acceleration is gravity's, or what
-    the initial forces and velocities give; speed and force follow.
+    The length is the largest coordinate of a body or contact point (rounding is proportional to
+    it); acceleration is gravity's, or what the initial forces and velocities give; speed and
+    force follow.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class ScaleTape:
             lengths += [geometry.symbols.gap, *geometry.point]
             speeds += [mechanics.rate(component) for component in geometry.point]
             owners += [("contacts", name)] * 3
-        for joint in scene.joints.values():
+        for name, joint in scene.joints.items():
             place = mechanics.point(joint.point)
             lengths += place
             speeds += [mechanics.rate(component) for component in place]
@@ -133,11 +133,9 @@ class ScaleTape:
         length, speed, push, mass, duration = largest[:5]
         moves = largest[5 + self._gravity :]
         acceleration = math.hypot(*largest[5 : 5 + self._gravity]) or push
-        reach = min(speed**2 / acceleration, speed * duration) if acceleration > 0.0 else 0.0
         # A start that is off zero by rounding of what the motion needs to turn has no length.
-        if length <= _EPS * reach:
+        if length <= _EPS * (speed**2 / acceleration if acceleration > 0.0 else 0.0):
             length = max(speed * duration, acceleration * duration**2) or 1.0
-        length = max(length, reach)
         acceleration = max(acceleration, speed**2 / length)
         if acceleration == 0.0:
             acceleration = length / max(duration, 1e-300) ** 2
