@@ -1,0 +1,300 @@
+"""A model compiled once for its engines, and its runs: what properties are tested on."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from statechart.automaton import Automaton, Setup
+from statechart.comparison import NUDGE, Sensitivity, Undecidable
+from statechart.compose import Mode
+from statechart.condition import conditions
+from statechart.declaration import Declaration
+from statechart.engines import choose
+from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
+from statechart.formula import parse
+from statechart.kinds import kind
+from statechart.nudge import loosened
+from statechart.observe import Observer
+from statechart.request import Request
+from statechart.simulate import Simulator
+from statechart.stepping import SteppingSimulator
+from statechart.tape import Tape, compile_tape
+from statechart.trace import Arc, Trace
+
+__all__ = ["Case", "Subject"]
+
+Array = NDArray[np.float64]
+
+_KEPT = 64  # cases whose runs are kept for the next property
+
+
+class Subject:
+    """A model compiled once for each engine, for any number of runs.
+
+    Parameters
+    ----------
+    model : Declaration
+        What to test.
+    automaton : Automaton, optional
+        That of the model by default.
+    """
+
+    def __init__(self, model: Declaration, automaton: Automaton | None = None) -> None:
+        self.model = model
+        self.automaton = automaton or cast(
+            Automaton,
+            kind(model.kind).automaton(model),  # type: ignore[attr-defined]
+        )
+        self.simulators: dict[str, Simulator | SteppingSimulator] = {}
+        self.missing: dict[str, str] = {}
+        asked = Request().settled(model, self.automaton)
+        self.step = asked.step
+        if self.step is not None:
+            self.simulators["impulse"] = SteppingSimulator(self.automaton, self.step)
+        method = model.settings.method
+        for name in ("taylor", "scipy") if self.step is None else ():
+            try:
+                engine, _ = choose(engine=name, method=method if name == "scipy" else None)
+            except DeclarationError as error:
+                self.missing[name] = error.message
+            else:
+                self.simulators[name] = Simulator(self.automaton, engine)
+        self._loosened: dict[float, Simulator] = {}
+        self._variants: dict[str, Subject] = {}
+        self._cases: OrderedDict[tuple[tuple[str, float], ...], Case] = OrderedDict()
+        self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None], Tape] = {}
+
+    @property
+    def engines(self) -> tuple[str, ...]:
+        """What the runs are made by."""
+        return tuple(
+            s.engine.name if isinstance(s, Simulator) else f"impulse at steps of {s.step:g}"
+            for s in self.simulators.values()
+        )
+
+    def case(self, parameters: Mapping[str, float]) -> Case:
+        """Return the case of some parameters; the same one when asked for again soon."""
+        key = tuple(sorted(parameters.items()))
+        found = self._cases.pop(key, None) or self.fresh(parameters)
+        self._cases[key] = found
+        if len(self._cases) > _KEPT:
+            self._cases.popitem(last=False)
+        return found
+
+    def fresh(self, parameters: Mapping[str, float]) -> Case:
+        """Return a case of some parameters that nobody keeps."""
+        variant = self.model.variant(parameters)
+        if variant is self.model:
+            return Case(self, dict(parameters))
+        # Only what changes what the model has makes another subject.
+        key = repr([parameters[name] for name in sorted(self.model.whole & {*parameters})])
+        if key not in self._variants:
+            self._variants[key] = Subject(variant)
+        return Case(self._variants[key], dict(parameters))
+
+    def loosened(self, relative: float) -> Simulator:
+        """Return the most accurate engine's simulator of modes chosen as at `relative`."""
+        if relative not in self._loosened:
+            simulator = next(iter(self.simulators.values()))
+            assert isinstance(simulator, Simulator)  # steps have no other engine beside them
+            automaton = loosened(self.automaton, relative)
+            self._loosened[relative] = Simulator(automaton, simulator.engine)
+        return self._loosened[relative]
+
+    def end(self, parameters: Mapping[str, float]) -> float:
+        """Return when a run ends.
+
+        Raises
+        ------
+        DeclarationError
+            If the model does not say so.
+        """
+        if self.model.stop.time is None:
+            raise DeclarationError("the run has no end", advice="write stop: {time: 10}")
+        return parse(self.model.stop.time).value(self.model.values(parameters))
+
+    def mode(self, trace: Trace, arc: Arc) -> Mode:
+        """Return the equations that moved an arc."""
+        values = np.fromiter(trace.parameters.values(), float, len(trace.parameters))
+        setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
+        simulator = self.simulators[trace.engine.split()[0]]
+        assert isinstance(simulator, Simulator)  # steps have no equations of modes
+        return simulator.compiled(arc.flow, setup).mode
+
+    def solved(self, trace: Trace, arc: Arc, tau: Array, expressions: Sequence[sp.Expr]) -> Array:
+        """Evaluate expressions that may use unknowns at local times (m,) of an arc.
+
+        Returns
+        -------
+        (m, f) array
+        """
+        states, times = arc.states(tau), arc.start.high + (arc.start.low + tau)
+        known = arc.unknowns(tau)
+        if known is None:
+            return self.values(trace, expressions, states, times, self.mode(trace, arc))
+        automaton = self.automaton
+        key = (tuple(expressions), None)
+        if key not in self._tapes:
+            self._tapes[key] = compile_tape(
+                expressions,
+                variables=(*automaton.variables, *automaton.unknowns, *automaton.controls),
+                parameters=automaton.parameters,
+                time=automaton.time,
+            )
+        values = np.fromiter(trace.parameters.values(), float, len(trace.parameters))
+        return self._tapes[key].table(np.hstack([states, known]), values, times)
+
+    def values(
+        self,
+        trace: Trace,
+        expressions: Sequence[sp.Expr],
+        states: Array,
+        times: Array,
+        mode: Mode | None = None,
+    ) -> Array:
+        """Evaluate expressions in the automaton's symbols.
+
+        Parameters
+        ----------
+        trace : Trace
+            Whose parameters.
+        expressions : sequence of Expr
+            In variables, parameters and time; with `mode` also in unknowns.
+        states : (m, n) array
+        times : (m,) array
+            Absolute.
+        mode : Mode, optional
+            What solves for the unknowns.
+
+        Returns
+        -------
+        (m, f) array
+        """
+        key = (tuple(expressions), mode)
+        if key not in self._tapes:
+            self._tapes[key] = compile_tape(
+                expressions,
+                variables=self.automaton.variables,
+                parameters=self.automaton.parameters,
+                time=self.automaton.time,
+                definitions=mode.definitions if mode else (),
+            )
+        values = np.fromiter(trace.parameters.values(), float, len(trace.parameters))
+        return self._tapes[key].table(states, values, times)
+
+
+class Case:
+    """One choice of parameters of a subject, and its runs, made when asked for.
+
+    Parameters
+    ----------
+    subject : Subject
+        What is run.
+    parameters : mapping of str to float
+        What replaces the declared values.
+    """
+
+    def __init__(self, subject: Subject, parameters: Mapping[str, float]) -> None:
+        self.subject = subject
+        self.parameters = parameters
+        self._traces: dict[str, Trace] | None = None
+
+    @property
+    def traces(self) -> Mapping[str, Trace]:
+        """Engine -> run, the most accurate first; engines that cannot run the model left out."""
+        if self._traces is None:
+            made = {n: self._run(n, self.parameters) for n in tuple(self.subject.simulators)}
+            self._traces = {name: trace for name, trace in made.items() if trace is not None}
+            if not self._traces:
+                raise SimulationError("; ".join(self.subject.missing.values()))
+        return self._traces
+
+    @property
+    def trace(self) -> Trace:
+        """The run of the most accurate engine."""
+        return next(iter(self.traces.values()))
+
+    @property
+    def sound(self) -> tuple[Trace, ...]:
+        """The runs that came to their end, all or none.
+
+        Raises
+        ------
+        Undecidable
+            If one did not: `assert_ended` reports it.
+        """
+        for trace in self.traces.values():
+            if not trace.outcome.succeeded:
+                raise Undecidable("a run did not come to its end")
+        return tuple(self.traces.values())
+
+    @cached_property
+    def sensitivity(self) -> Sensitivity:
+        """How errors grow: parameters but whole numbers changed by `NUDGE`, conditions."""
+        values = self.subject.model.values(self.parameters)
+        names = [
+            name
+            for name, text in self.subject.model.parameters.items()
+            if (name in self.parameters or not parse(text).names)
+            and name not in self.subject.model.whole
+        ]
+        found = []
+        for signs in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0)):
+            changed = {
+                name: values[name] * (1.0 + NUDGE * signs[i % 2])
+                for i, name in enumerate(names)
+                if math.isfinite(values[name])
+            }
+            try:
+                trace = self._run(next(iter(self.traces)), changed)
+            except (DeclarationError, DeclarationProblem):
+                continue  # an edge of what the model allows: the other ways tell
+            if trace is not None and trace.outcome.succeeded:
+                found.append(trace)
+        if not found:
+            raise Undecidable("no run with slightly changed parameters comes to its end")
+        trace = self.trace
+        if trace.step is not None:  # no event is located
+            return Sensitivity(found, ())
+        observer = Observer(self.subject.simulators[next(iter(self.traces))])
+        return Sensitivity(found, conditions(observer, trace))
+
+    def shorter(self, until: float) -> Trace:
+        """Return the run of the most accurate engine up to `until`."""
+        simulator = next(iter(self.subject.simulators.values()))
+        limit = self.subject.model.settings.max_jumps
+        return simulator.run(self.parameters, until=until, max_jumps=limit, throw=False)
+
+    def loosened(self, relative: float) -> Trace:
+        """Return the run of the most accurate engine whose modes are chosen as at `relative`."""
+        subject = self.subject
+        return subject.loosened(relative).run(
+            self.parameters,
+            until=subject.end(self.parameters),
+            max_jumps=subject.model.settings.max_jumps,
+            throw=False,
+        )
+
+    def _run(self, name: str, parameters: Mapping[str, float]) -> Trace | None:
+        subject = self.subject
+        limit = subject.model.settings.max_jumps
+        try:
+            return subject.simulators[name].run(
+                parameters, until=subject.end(parameters), max_jumps=limit, throw=False
+            )
+        except Exception as error:
+            # Taylor series do not exist for every formula; importing heyoka to name its error
+            # would be wrong where it is not installed.
+            if type(error).__name__ != "Unsupported":
+                raise
+            subject.missing[name] = str(error)
+            del subject.simulators[name]
+            return None
