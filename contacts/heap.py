@@ -403,4 +403,7 @@ class SteppedHeap:
     def _harder(self, status: int, delassus: Array, least: Array, cones: Array) -> Array:
         if status == HARD and len(cones):
             return widened(delassus, least, cones)
-        raise UnsolvedImpulses("an island of many contacts was swept without settling")
+        raise UnsolvedImpulses(
+            "an island of many contacts was swept without settling; a shorter step may take the "
+            "bodies past it"
+        )

@@ -321,7 +321,8 @@ def widened(delassus: Array, free: Array, cones: Array) -> Array:
     left = step_residual(*problem(delassus, free, cones), z.ravel())
     if left > LOOSEST:
         raise UnsolvedImpulses(
-            f"{len(cones)} contacts: {solution.status.value} (residual {left:.2g})"
+            f"{len(cones)} contacts: {solution.status.value} (residual {left:.2g}); a shorter step "
+            "may take the bodies past it"
         )
     return z.ravel()
 

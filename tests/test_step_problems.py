@@ -7,8 +7,17 @@ import pytest
 from scipy.optimize import nnls
 
 from contacts.complementarity import contact_problem, enumerate_lcp
-from contacts.step_kernels import RESIDUAL, impulses_of, problem, solve_contacts, step_residual
+from contacts.step_kernels import (
+    RESIDUAL,
+    UNKNOWNS,
+    impulses_of,
+    problem,
+    solve_contacts,
+    solve_impacts,
+    step_residual,
+)
 from contacts.stepped_scene import widened
+from statechart.errors import UnsolvedImpulses
 
 
 def random_problem(generator, contacts, bodies, friction):
@@ -56,3 +65,24 @@ def test_without_friction_it_is_the_least_energy(seed):
     root = np.linalg.cholesky(normal)
     best, _ = nnls(root.T, -np.linalg.solve(root, right), maxiter=1000)
     assert normal @ z[::4] == pytest.approx(normal @ best, rel=1e-6, abs=1e-8)
+
+
+def test_a_problem_without_solution_says_so():
+    # Two contacts that oppose each other, both made to part.
+    delassus = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([1.0, 0.0]))
+    with pytest.raises(UnsolvedImpulses, match="a shorter step"):
+        widened(delassus, np.array([[-1.0, 0.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]] * 2))
+
+
+def test_restitution_is_not_given_back_where_the_plastic_impulses_are_not_known():
+    # As restitution asks there are impulses; plastic ones there are none.
+    delassus = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([1.0, 0.0]))
+    before, free = np.array([[-1.0, 0.0], [1.0, 0.0]]), np.array([[-2.0, 0.0], [-1.0, 0.0]])
+    wanted = np.array([[3.0, 0.0], [0.0, 0.0]])
+    rebounds, nothing = np.array([True, False]), np.zeros(2 * UNKNOWNS, dtype=bool)
+    good, _, _, _, unsolved = solve_impacts(
+        delassus, before, free, wanted, np.array([[1.0, 0.0]] * 2), rebounds, nothing,
+        np.zeros(0), False,
+    )  # fmt: skip
+    assert not good
+    assert unsolved[:, 0].tolist() == [-2.0, -1.0]
