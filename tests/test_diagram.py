@@ -260,6 +260,18 @@ def test_scxml_nests_groups_and_keeps_guards_and_resets():
     assert ET.fromstring(scxml(two_states())).find(f"{{{SCXML}}}final") is not None
 
 
+@pytest.mark.parametrize(("partners", "direction"), [(3, "TB"), (4, "LR")])
+def test_a_crowded_diagram_is_laid_out_from_left_to_right(partners, direction):
+    names = [f"s{i}" for i in range(8)]
+    nodes = tuple(Node(name, name) for name in names)
+    steps = range(partners + 1)  # the first is to itself, and needs no room
+    links = tuple(
+        Link(a, names[(i + k) % 8], "go", "", "") for i, a in enumerate(names) for k in steps
+    )
+    source = dot(Diagram("crowd", nodes, links))
+    assert f"rankdir={direction}" in source
+
+
 def test_identifiers_differ_for_names_that_look_alike():
     names = ("a:b", "a b", "a_b", "A_B", "a+b", "a-b", "1", "s_1", "state", "μ", "λ", "")
     states, groups = identifiers(Diagram("", tuple(Node(n, n, "a_b") for n in names), ()))

@@ -17,6 +17,8 @@ _FONT = "DejaVu Sans,Verdana,sans-serif"
 _INK, _RUN, _FAINT, _FRAME = "#1f2933", "#0b5fa5", "#7b8794", "#52606d"
 _FILL, _FILL_RUN = "#f7f9fb", "#dcecf9"
 _WIDTH = 110
+# Edges a state, from which on their labels side by side would make a drawing too wide to read.
+_CROWDED = 3
 
 
 def dot(diagram: Diagram) -> str:
@@ -39,13 +41,15 @@ def dot(diagram: Diagram) -> str:
     import graphviz
 
     states, groups = identifiers(diagram)
+    pairs = {(link.source, link.target) for link in diagram.links if link.source != link.target}
     graph = graphviz.Digraph(
         graph_attr={
             "label": _title(diagram),
             "labelloc": "t",
             "fontname": _FONT,
             "fontcolor": _INK,
-            "nodesep": "0.5",
+            "rankdir": "LR" if len(pairs) > _CROWDED * len(diagram.nodes) else "TB",
+            "nodesep": "0.2",
             "ranksep": "0.5",
             # Else dot ranks a group by itself, puts its partners beside it, and the labels of the
             # flat edges between them on top of one another.
