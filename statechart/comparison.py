@@ -141,8 +141,27 @@ def assert_same(
     Undecidable
         If that cannot be told.
     """
+    tolerance = max(reference.tolerance, other.tolerance)
+    try:
+        _compare(reference, other, sensitivity, _ROUNDING, reading, until, loosened)
+    except AssertionError:
+        # What no rounding explains may be what events make of the errors of steps.
+        if tolerance <= _ROUNDING:
+            raise
+        _compare(reference, other, sensitivity, tolerance, reading, until, loosened)
+
+
+def _compare(
+    reference: Trace,
+    other: Trace,
+    sensitivity: Sensitivity,
+    known: float,
+    reading: Reading | None,
+    until: tuple[float, Array] | None,
+    loosened: Callable[[], Trace] | None,
+) -> None:
+    """Compare runs whose states are known to the part `known` where events are found."""
     stories = [_story(trace, Reading()) for trace in (reference, *sensitivity.nudged)]
-    known = max(_ROUNDING, reference.tolerance, other.tolerance)
     stories[0] = _rounded(stories[0], reference, sensitivity.conditions, known)
     stories.append(_story(other, reading or Reading()))
     if until is not None:
