@@ -190,3 +190,32 @@ def test_where_the_sum_of_impacts_in_turn_begins_changes_nothing() -> None:
     assert len({f"{sums[-1]:.3g}" for sums, *_ in found}) > 1
     for _, t, x in found[1:]:
         assert (t, x) == pytest.approx(found[0][1:], rel=1e-12)
+
+
+FOLDING = """
+kind: scene
+name: folding_rods
+parameters: {k: 2.5374526545949756, m: 104.24964566045625, mu: 2.069556313955899e-06}
+gravity: 1
+coordinates:
+  x: {start: 0.8532143673728834, rate: 0.21583654791472873}
+  y: {start: 3.029466811153597, rate: -1.8590177115181086}
+  a: {start: 1.22865247000796, rate: 0.8712191270432451}
+  b: {start: 0.08179532664692912, rate: -0.8712191270432451}
+bodies:
+  one: {mass: 1, inertia: k, position: [x - sin(a), y + cos(a)], angle: a}
+  other: {mass: m, inertia: k*m, position: [x - sin(b), y + cos(b)], angle: b}
+surfaces: {floor: {height: 0}}
+contacts:
+  hinge: {point: {body: one, at: [0, -1]}, surface: floor, friction: mu, restitution: 0}
+  A: {point: {body: one, at: [0, 1]}, surface: floor, friction: mu, restitution: 0}
+  B: {point: {body: other, at: [0, 1]}, surface: floor, friction: mu, restitution: 0}
+stop: {time: 20}
+"""
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_rods_that_fold_flat_hit_the_floor_before_their_equations_end(name: str) -> None:
+    trace = Runner(interpret(read_text(FOLDING)), engine=name).run().trace
+    assert "hinge" in {jump.region for jump in trace.jumps}
+    assert trace.final[1:4] == pytest.approx([0.0, math.pi / 2, -math.pi / 2], abs=1e-9)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from statechart.automaton import Automaton
 from statechart.compose import Mode
-from statechart.enclosure import BOXES, as_search
+from statechart.enclosure import BOXES, Verdict, as_search
 from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Steps, Watch
 from statechart.engines.stepping import OFF, Step, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure
@@ -186,9 +186,12 @@ class Taylor(Engine):
         if last == first:
             start = watch.start + reached
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
-        if h == 0.0 and left > 0.0 and made.first == first:
-            start = watch.start + reached
-            raise StepFailure(f"the step near t = {start:.17g} underflowed")
+        if h == 0.0 and left > 0.0 and (made.found is None or made.found.verdict is Verdict.NONE):
+            # What came before the step that underflowed stands, and may hold an event.
+            last -= path.times.item(last) == path.times.item(last - 1)
+            if last == first:
+                start = watch.start + reached
+                raise StepFailure(f"the step near t = {start:.17g} underflowed")
         path.count = last
         return made
 
