@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from contacts.classify import ContactLaw, choose
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot, solve_kkt
-from statechart.errors import SimulationError
+from statechart.errors import SimulationError, SingularMode
 
 __all__ = ["rests_of_bounces", "settled", "stands_for_bounces"]
 
@@ -81,12 +81,13 @@ def rests_of_bounces(
 
 def settled(
     snapshot: Snapshot, laws: Sequence[ContactLaw], shut: Sequence[bool], still_below: float
-) -> Array:
+) -> Array | None:
     """Return the velocity (n,) that impacts in turn leave, besides what forces do meanwhile.
 
     Whatever their order, the impulses of a contact that slides lie along the edge of its cone,
     those of one that sticks keep its point in place; so their sums follow from the gaps' rates
-    being zero afterwards. Without friction, `contacts.projection.on_constraints` gives the same.
+    being zero afterwards; None where they do not, as with more contacts than motions. Without
+    friction, `contacts.projection.on_constraints` gives the same.
 
     Parameters
     ----------
@@ -116,14 +117,17 @@ def settled(
             columns.append(tangent)
             rates.append(-contact.slip)
     size, count = len(snapshot.forces), len(rows)
-    solved = solve_kkt(
-        snapshot.mass,
-        np.zeros(size),
-        np.hstack([np.array(rows), np.zeros((count, count))]),
-        np.array(columns).T,
-        np.array(rates),
-    )
-    return snapshot.velocity if solved is None else snapshot.velocity + solved[0]
+    try:
+        solved = solve_kkt(
+            snapshot.mass,
+            np.zeros(size),
+            np.hstack([np.array(rows), np.zeros((count, count))]),
+            np.array(columns).T,
+            np.array(rates),
+        )
+    except SingularMode:
+        return None
+    return None if solved is None else snapshot.velocity + solved[0]
 
 
 def stands_for_bounces(

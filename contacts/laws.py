@@ -320,7 +320,9 @@ class SceneLaws:
             for now, closed in zip(before, shut, strict=True)
         )
         still = 2.0 * setup.tolerances["speed"]
-        state = snapshot.moved(state, settled(snapshot, setup.contacts, shut, still))
+        left = settled(snapshot, setup.contacts, shut, still)
+        if left is not None:
+            state = snapshot.moved(state, left)
         state = on_constraints(key, self._tape.at(setup.values, state, clock.high), state)
         snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
         slides = any(
@@ -328,6 +330,9 @@ class SceneLaws:
         )
         if rest > 0.0 and height > (_LOW if slides else _LOW_AT_REST):
             return None
+        if left is None and slides:
+            unknown = "what friction takes of the impacts summed is not determined, and left out"
+            ends = "; ".join(filter(None, (ends, unknown)))
         choice = decide(setup, snapshot, shut, self._paradox)
         if isinstance(choice, Jam):
             return None

@@ -188,7 +188,8 @@ class Taylor(Engine):
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
         if h == 0.0 and left > 0.0 and (made.found is None or made.found.verdict is Verdict.NONE):
             # What came before the step that underflowed stands, and may hold an event.
-            last -= path.times.item(last) == path.times.item(last - 1)
+            if path.times.item(last) == path.times.item(last - 1):
+                last -= 1
             if last == first:
                 start = watch.start + reached
                 raise StepFailure(f"the step near t = {start:.17g} underflowed")
