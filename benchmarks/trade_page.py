@@ -49,10 +49,14 @@ What a run costs and what it is worth, measured. All of this page is written by
 which is checked by the tightest run of another: errors below the difference of these two, or
 below what the tolerance of forces is worth, cannot be told, and are shown as the larger of the two
 (grey in the figures). The reference integrates in long doubles where the processor has them. An
-error is the largest of those of the final state, the times of events and the outputs, each
-relative to its own size. A time is the median of three runs that follow one which compiles. A run
-that takes other modes than the reference is shown as such (hollow), and has no part in fronts and
-slopes; modes that differ for less than a millionth of the run count as the same. Where the two
+error is the largest of those of the final state, the times of events, the outputs and the path
+(the mean over the run of the difference of a variable), each relative to its own size. A time is
+the median of three runs that follow one which compiles. A run that takes other modes than the
+reference is shown as such (hollow), and has no part in fronts; modes that differ for less than a
+millionth of the run count as the same. Of a step of time stepping the largest errors of four steps
+are told, of which three are shorter by up to a twentieth: events fall anywhere between two steps,
+so that the error of a single run is a matter of luck. Its slope is that of all its runs, since
+their paths converge whether or not their modes do, as where bounces accumulate. Where the two
 references leave each other the motion is chaotic: then the study shows when each run leaves the
 reference, instead of an error.
 

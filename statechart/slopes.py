@@ -27,7 +27,9 @@ SciPy keeps the error of every step, of order p in its length, at the tolerance 
 the better of its two solutions: the steps are as long as tol^(1/p), p = 5 for RK45 and 8 for
 DOP853, and the error of all of them is of order h^p = tol (Hairer, Norsett, Wanner, "Solving
 Ordinary Differential Equations I", section II.4). Steps are those accepted: the part that is
-rejected falls with the tolerance. The theory of a fixed step is order 1 (Moreau, Jean)."""
+rejected falls with the tolerance. The theory of a fixed step is order 1 (Moreau, Jean), of the
+path that a run takes: it holds whether or not its modes are those of the reference, as where
+bounces accumulate."""
 
 # What a slope of the error is fitted to: above, the error is as large as the motion; below, in
 # multiples of what the reference resolves, rounding is in the way.
@@ -104,7 +106,7 @@ def unfitted(study: Study) -> dict[str, str]:
             if study.parted is not None and of == "error":
                 why = "there are no errors"
             elif len(fitted(study, family, of)) >= _LEAST_POINTS:
-                why = "it does not fall: it is rounding"
+                why = "it does not fall: it is rounding, or these runs take another course"
             elif len(_same(study, family)) < _LEAST_POINTS:
                 why = "few runs take the modes of the reference"
             elif not _grown(study, family, of):
@@ -121,8 +123,10 @@ def unfitted(study: Study) -> dict[str, str]:
 
 
 def _same(study: Study, family: str) -> list[Point]:
-    """Return the points of a family that took the reference's modes."""
-    return [p for p in study.points if p.setting.family == family and p.same_modes]
+    """Return the points of a family that took the reference's modes, or do not have to."""
+    return [
+        p for p in study.points if p.setting.family == family and (p.same_modes or p.setting.step)
+    ]
 
 
 def _grown(study: Study, family: str, of: Quantity) -> list[Point]:

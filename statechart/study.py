@@ -76,6 +76,8 @@ class Errors(_Record):
     ----------
     state, times, outputs : float or None
         As in `statechart.accuracy.Difference`; times and outputs None where the modes differ.
+    path : float or None
+        See `statechart.accuracy.distance`.
     energy : float or None
         Largest difference of the energy at the events and the end, relative to its size.
     violations : mapping of str to float
@@ -85,14 +87,26 @@ class Errors(_Record):
     state: float | None = None
     times: float | None = None
     outputs: float | None = None
+    path: float | None = None
     energy: float | None = None
     violations: dict[str, float] = {}
 
     @property
     def largest(self) -> float | None:
-        """Of state, times and outputs."""
-        found = [x for x in (self.state, self.times, self.outputs) if x is not None]
+        """Of state, times, outputs and path."""
+        found = [x for x in (self.state, self.times, self.outputs, self.path) if x is not None]
         return max(found, default=None)
+
+    def worse(self, other: Errors) -> Errors:
+        """Return the larger of the errors of two runs; None where one of them has none."""
+        mine, its = self.model_dump(), other.model_dump()
+        found = {
+            name: None if its[name] is None or value is None else max(value, its[name])
+            for name, value in mine.items()
+            if name != "violations"
+        }
+        violated = {k: max(v, other.violations.get(k, v)) for k, v in self.violations.items()}
+        return Errors(**found, violations=violated)
 
 
 class Point(_Record):
@@ -101,7 +115,8 @@ class Point(_Record):
     Attributes
     ----------
     setting : Setting
-        What was run.
+        What was run. A step, four times, of which three are shorter by up to a twentieth: events
+        fall anywhere between two steps, and what is told is the worst of the four.
     outcome : str
         Why it ended.
     same_modes : bool
@@ -170,7 +185,7 @@ class Study(_Record):
         Setting -> why it was not run.
     """
 
-    format: Literal["statechart trade 3"] = "statechart trade 3"
+    format: Literal["statechart trade 4"] = "statechart trade 4"
     model: str
     fingerprint: str
     until: float

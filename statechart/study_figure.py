@@ -125,14 +125,14 @@ def _csv(study: Study) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(
         ["engine", "method", "tolerance", "accuracy", "step", "outcome", "same_modes", "diverged",
-         "parted", "error", "state", "times", "outputs", "energy", *kinds, "seconds", "repeats",
-         "compiling", "steps", "evaluations", "flows", "kept"]
+         "parted", "error", "state", "times", "outputs", "path", "energy", *kinds, "seconds",
+         "repeats", "compiling", "steps", "evaluations", "flows", "kept"]
     )  # fmt: skip
     for p in study.points:
         s, e = p.setting, p.errors
         writer.writerow(
             [s.engine, s.method, s.tolerance, s.accuracy, s.step, p.outcome, p.same_modes,
-             p.diverged, p.parted, study.error(p), e.state, e.times, e.outputs, e.energy,
+             p.diverged, p.parted, study.error(p), e.state, e.times, e.outputs, e.path, e.energy,
              *(e.violations.get(name) for name in kinds), p.seconds, p.repeats, p.compiling,
              p.steps, p.evaluations, p.flows, study.kept(p)]
         )  # fmt: skip

@@ -14,14 +14,15 @@ def text(study: Study) -> str:
     """Return a study as a table, with what follows from it below."""
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
     front = study.front()
-    head = ["error", "state", "events", "outputs", "energy"]
+    head = ["error", "state", "events", "outputs", "path", "energy"]
     if study.parted is not None:
         head = ["leaves it at", "energy"]
     rows = [("", "modes", *head, *kinds, "evaluations", "steps", "time", "compiling")]
     for point in study.points:
         errors = point.errors
         if study.parted is None:
-            shown = [study.error(point), errors.state, errors.times, errors.outputs, errors.energy]
+            parts = [errors.state, errors.times, errors.outputs, errors.path, errors.energy]
+            shown = [study.error(point), *parts]
         else:
             shown = [point.parted, errors.energy]
         rows.append(
