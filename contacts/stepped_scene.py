@@ -309,8 +309,14 @@ def widened(delassus: Array, free: Array, cones: Array) -> Array:
     ------
     UnsolvedImpulses
         If none finds a solution.
+    NonFinite
+        If there is none to find: the steps before have grown beyond all bounds.
     """
-    solution = solve_lcp(*contact_problem(delassus, free, cones))
+    with np.errstate(over="ignore", invalid="ignore"):
+        matrix, vector = contact_problem(delassus, free, cones)
+    if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
+        raise NonFinite("the velocities of contacts became infinite or undefined")
+    solution = solve_lcp(matrix, vector)
     z = np.zeros((len(cones), UNKNOWNS))
     at = 0
     for i, (_, cone_t) in enumerate(cones):

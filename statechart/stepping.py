@@ -69,7 +69,7 @@ class SteppingSimulator:
     automaton : Automaton
         What to run; it has a stepper.
     step : float
-        Length of a step.
+        Length of a step; what is longer than a run is as long as it.
     progress : bool
         Whether runs above about a second report to stderr.
     """
@@ -106,7 +106,7 @@ class SteppingSimulator:
         shown = Progress(until) if self.progress else None
         trace = self.stepper.run(
             parameters or {},
-            step=self.step,
+            step=min(self.step, until) or self.step,
             until=until,
             max_jumps=max_jumps,
             show=shown.show if shown else _silent,

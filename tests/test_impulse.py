@@ -132,6 +132,15 @@ def test_a_step_too_large_keeps_the_trace_and_advises(tmp_path, capsys):
     assert (tmp_path / "run" / "trace.nc").exists()
 
 
+@pytest.mark.parametrize("model", ["toppling_stick", "box_stack", "two_balls"])
+@pytest.mark.parametrize("step", [1e308, 1e100, 5.0])
+def test_a_step_beyond_all_bounds_is_refused(model, step):
+    # At 5 the stick's second step is wild, and those after it overflow before it is looked at.
+    trace = run(model, engine="impulse", step=step, throw=False).trace
+    assert trace.outcome is Outcome.STEP_TOO_LARGE
+    assert "or less" in trace.message
+
+
 def test_tables_figures_and_diagrams_work_alike(tmp_path):
     folder = tmp_path / "run"
     assert main(["run", "toppling_stick", "--engine", "impulse", "--step", "1e-2",
