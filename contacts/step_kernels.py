@@ -47,8 +47,8 @@ _ROUNDING = 1e-13
 _GUESSES = 8
 _STEEPEST = 2.0**-12
 _CAP_ROUNDS = 60
-# What makes bases regular, relative to scaled rows; how often; and when it adds nothing.
-_DELTA, _PROXIMAL_STEPS, _SETTLED = 2.0**-16, 12, 1e-11
+# What makes bases regular, relative to scaled rows; and how often.
+_DELTA, _PROXIMAL_STEPS = 2.0**-16, 12
 
 
 @kernel
@@ -194,15 +194,16 @@ def _by_lemke(matrix: Array, vector: Array, limit: int) -> tuple[bool, Array]:
 
 @kernel
 def _proximal(matrix: Array, vector: Array, guess: Bools, limit: int) -> tuple[bool, Array]:
-    """Solve with delta (z - z_before) added to w, until it adds nothing (Rockafellar 1976).
+    """Solve with delta (z - z_before) added to w, until it comes no closer (Rockafellar 1976).
 
-    Contacts that stand in for each other make bases singular; with what is added none is.
+    Contacts that stand in for each other make bases singular; with what is added none is. Along
+    what does not matter z then moves by rounding for ever: that it solves is told by its residual.
     """
     size = len(vector)
     regular = matrix.copy()
     for i in range(size):
         regular[i, i] += _DELTA
-    z, basis = np.zeros(size), guess
+    z, basis, best = np.zeros(size), guess, math.inf
     for _ in range(_PROXIMAL_STEPS):
         moved = vector - _DELTA * z
         solved, _, new, found = _improved(regular, moved, basis)
@@ -210,14 +211,14 @@ def _proximal(matrix: Array, vector: Array, guess: Bools, limit: int) -> tuple[b
             basis = found
         else:
             solved, new = _by_lemke(regular, moved, limit)
-            if not solved:
-                return False, z
             basis = new > 0.0
-        change = np.abs(new - z).max()
-        z = new
-        if change <= _SETTLED * np.abs(new).max():
-            return True, z
-    return False, z
+        left = step_residual(matrix, vector, new) if solved else math.inf
+        if left >= best or not solved:
+            break
+        z, best = new, left
+        if best <= _ROUNDING:
+            break
+    return best <= RESIDUAL, z
 
 
 @kernel
