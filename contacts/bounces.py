@@ -22,6 +22,8 @@ _EPS = float(np.finfo(float).eps)
 _DIGITS = 1e8
 # No bounce this fast, in the scene's own speed, is summed.
 _FAST = 1e-3
+# Part of the impulses, and of their works, below which they count as none.
+_DOUBT = 1e-9
 # Of the fastest rebound: what taking it away changes elsewhere.
 _ELSEWHERE = 10.0
 
@@ -86,8 +88,9 @@ def settled(
 
     Whatever their order, the impulses of a contact that slides lie along the edge of its cone,
     those of one that sticks keep its point in place; so their sums follow from the gaps' rates
-    being zero afterwards; None where they do not, as with more contacts than motions. Without
-    friction, `contacts.projection.on_constraints` gives the same.
+    being zero afterwards. None where they do not, as with more contacts than motions, or where
+    contacts would have to pull: then one of them does not slide to the end. Without friction,
+    `contacts.projection.on_constraints` gives the same.
 
     Parameters
     ----------
@@ -103,31 +106,46 @@ def settled(
     rows: list[Array] = []
     columns: list[Array] = []
     rates: list[float] = []
+    along: list[float] = []
+    pushes: list[int] = []
     for law, contact, closed in zip(laws, snapshot.contacts, shut, strict=True):
         if not closed:
             continue
         normal, tangent = contact.jacobian
         slides = abs(contact.slip) > still_below or "pin" not in law.states
-        edge = -np.sign(contact.slip) * law.cone_t if slides else 0.0
+        pushes.append(len(rows))
         rows.append(normal)
-        columns.append(law.cone_n * normal + edge * tangent if slides else normal)
-        rates.append(-contact.gap_rate)
-        if not slides:
-            rows.append(tangent)
-            columns.append(tangent)
-            rates.append(-contact.slip)
+        rates.append(contact.gap_rate)
+        if slides:
+            edge = -np.sign(contact.slip) * law.cone_t
+            columns.append(law.cone_n * normal + edge * tangent)
+            along.append(law.cone_n * contact.gap_rate + edge * contact.slip)
+            continue
+        rows.append(tangent)
+        rates.append(contact.slip)
+        columns += [normal, tangent]
+        along += [contact.gap_rate, contact.slip]
     size, count = len(snapshot.forces), len(rows)
+    edges = np.array(columns).T
     try:
         solved = solve_kkt(
             snapshot.mass,
             np.zeros(size),
             np.hstack([np.array(rows), np.zeros((count, count))]),
-            np.array(columns).T,
-            np.array(rates),
+            edges,
+            -np.array(rates),
         )
     except SingularMode:
         return None
-    return None if solved is None else snapshot.velocity + solved[0]
+    if solved is None:
+        return None
+    change, impulses = solved
+    pulls = impulses[pushes] < -_DOUBT * np.abs(impulses).max(initial=0.0)
+    # A system that is nearly singular gives anything: impacts, too, can only take energy.
+    works = impulses * (np.array(along) + 0.5 * change @ edges)
+    if pulls.any() or works.sum() > _DOUBT * np.abs(works).sum():
+        return None
+    return snapshot.velocity + change
 
 
 def stands_for_bounces(

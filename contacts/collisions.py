@@ -41,6 +41,8 @@ _STEEP = 1e3
 _ON_EDGE = 1e-9
 # Relative to the terms of each inequality: what rounding makes of equality, and what is refused.
 _EXACT, _TIE = 1e-13, 1e-11
+# No impulses make velocities so many times those that they are to change.
+_RUNAWAY = 1e9
 _SAME = 1e-8
 # Velocities below this part of the largest in their group are not compared with themselves.
 _ROUNDED = 1e-4
@@ -231,6 +233,9 @@ class _Problem:
         """Return the largest violation of each combination, relative to its terms."""
         after, terms = self._after(changes)
         relative = np.divide(after, terms, out=np.zeros_like(after), where=terms > 0.0)
+        # Of velocities so much larger than those before, rounding is larger than these: contacts
+        # at one place have combinations of modes that are solved by nothing but rounding.
+        runaway = terms.max(axis=(-2, -1)) > _RUNAWAY * np.abs(self.start).max(initial=0.0)
         normal, slip = relative[..., 0], relative[..., 1]
         sizes = np.hypot(impulses[..., 0], impulses[..., 1])
         cone_n, cone_t = self.cones.T
@@ -249,9 +254,8 @@ class _Problem:
             [-slip, slip, np.abs(slip)],
             default=-np.inf,
         )
-        return np.maximum(
-            np.maximum(worst, along).max(axis=1), self._unexplained(changes, impulses)
-        )
+        found = np.maximum(worst, along).max(axis=1)
+        return np.where(runaway, np.inf, np.maximum(found, self._unexplained(changes, impulses)))
 
     def _unexplained(self, changes: Array, impulses: Array) -> Array:
         """Return the largest change of momentum (..,) that no impulse explains, relatively.

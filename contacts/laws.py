@@ -328,7 +328,8 @@ class SceneLaws:
         slides = any(
             abs(c.slip) > still for c, closed in zip(snapshot.contacts, shut, strict=True) if closed
         )
-        if rest > 0.0 and height > (_LOW if slides else _LOW_AT_REST):
+        lowest = _LOW_AT_REST if not slides else _LOW if left is not None else 1.0
+        if rest > 0.0 and height > lowest:
             return None
         if left is None and slides:
             unknown = "what friction takes of the impacts summed is not determined, and left out"
