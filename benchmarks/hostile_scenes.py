@@ -241,17 +241,16 @@ ranges: {mu: [0.1, 2], q0: [0.1, 0.5], r0: [-1, -0.1], c: [0, 0.2], k: [0, 20]}
 coordinates: {x: {}, y: {start: cos(q0)}, a: {start: q0, rate: r0}, b: {start: -q0}}
 bodies:
   hip: {mass: 5, position: [x, y]}
-  one: {mass: 1, inertia: 0.1, position: [x - sin(a)/2, y - cos(a)/2], angle: a}
-  two: {mass: 1, inertia: 0.1, position: [x - sin(b)/2, y - cos(b)/2], angle: b}
+  one: {mass: 1, inertia: 0.1, position: [x - sin(a)/2, y - cos(a)/2], angle: -a}
+  two: {mass: 1, inertia: 0.1, position: [x - sin(b)/2, y - cos(b)/2], angle: -b}
 surfaces: {ground: {incline: -0.05, through: [-sin(q0), 0]}}
 contacts:
-  A: {point: {body: one, at: [-sin(2*a)/2, -cos(2*a)/2]}, surface: ground, friction: mu,
-    restitution: e}
-  B: {point: {body: two, at: [-sin(2*b)/2, -cos(2*b)/2]}, surface: ground, friction: mu,
-    restitution: e, enabled: a + b <= c}
+  A: {point: {body: one, at: [0, -1/2]}, surface: ground, friction: mu, restitution: e}
+  B: {point: {body: two, at: [0, -1/2]}, surface: ground, friction: mu, restitution: e,
+    enabled: a + b <= c}
 forces:
-  hip_one: {body: one, moment: -k*(a - b)}
-  hip_two: {body: two, moment: k*(a - b)}
+  hip_one: {body: one, moment: k*(a - b)}
+  hip_two: {body: two, moment: -k*(a - b)}
 stop: {time: 4}
 """,
     "jammed rod": """

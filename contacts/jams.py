@@ -16,22 +16,20 @@ from numpy.typing import NDArray
 from contacts.classify import ContactLaw
 from contacts.collisions import Collision, collisions
 from contacts.impact import impact
-from contacts.modes import OFF, OPEN
+from contacts.modes import OFF
 from contacts.painleve import paradoxes
 from contacts.simultaneous import Impacts, groups
 from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import NoConsistentMode
 from statechart.trace import Key
 
-__all__ = ["Jam", "closed_state", "dead_point", "jammed", "unbounded", "without_collision"]
+__all__ = ["Jam", "closed_state", "jammed", "unbounded", "without_collision"]
 
 # Of the response to a normal force alone: where p falls below, a force is 1e6 times what holds the
 # contact closed without friction.
 _HARDLY = 1e-6
 # Of the velocities before: impulses that change them by less are none.
 _NOTHING = 1e-9
-# Constraints that are so near to dependent, in the scene's sizes, leave forces to rounding.
-_DEPENDENT = 1e-5
 
 Array = NDArray[np.float64]
 
@@ -117,43 +115,6 @@ def unbounded(
             why = f"the force of {paradox.contact} grows without bound; {paradox}"
             return Jam(why, tuple(group), _sliding(snapshot, laws, group, still_below))
     return None
-
-
-def dead_point(snapshot: Snapshot, laws: Sequence[ContactLaw], moving: Key, sizes: Array) -> str:
-    """Return which contacts' constraints have become dependent; "" where they are not.
-
-    A linkage that comes to a dead point (two rods that fold on each other, each with its end on
-    the floor) can go on in more than one way, and its forces are not determined there.
-
-    Parameters
-    ----------
-    moving : tuple of str
-        The mode of every contact.
-    sizes : (n,) array
-        Of the coordinates.
-    """
-    rows = [
-        (law.name, snapshot.jacobians[i, d])
-        for i, (law, state) in enumerate(zip(laws, moving, strict=True))
-        if state not in OPEN
-        for d in range(2 if state == "pin" else 1)
-    ]
-    if len(rows) < 2:
-        return ""
-    scaled = np.array([row for _, row in rows])
-    if snapshot.held is None:
-        scaled *= sizes
-    scaled /= np.linalg.norm(scaled, axis=1, keepdims=True)
-    left, values, _ = np.linalg.svd(scaled)
-    if len(values) == len(rows) and values[-1] > _DEPENDENT:
-        return ""
-    names = dict.fromkeys(
-        name for (name, _), share in zip(rows, left[:, -1], strict=True) if abs(share) > 1e-3
-    )
-    return (
-        f"the constraints of {', '.join(names)} have become dependent (a dead point of the "
-        "linkage): the motion can go on in more than one way"
-    )
 
 
 def without_collision(

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from contacts.bounces import rests_of_bounces, settled, stands_for_bounces
 from contacts.classify import Choice, Considered, ContactLaw
 from contacts.closing import check_joints
+from contacts.dead_points import dead_point
 from contacts.decision import decide, explained
 from contacts.gates import Gates, hidden
-from contacts.jams import Jam, closed_state, dead_point, unbounded, without_collision
+from contacts.jams import Jam, closed_state, unbounded, without_collision
 from contacts.mechanics import Mechanics
 from contacts.modes import OFF, OPEN
 from contacts.projection import Projection, landed, on_constraints

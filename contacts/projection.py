@@ -9,13 +9,14 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from contacts.dead_points import dependent
 from contacts.joints import JointNumbers, well_posed
 from contacts.mechanics import Mechanics
 from contacts.modes import OPEN
 from contacts.scales import Scales
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
 from statechart.constraints import Constraints
-from statechart.errors import NoConsistentMode
+from statechart.errors import NoConsistentMode, SingularMode
 from statechart.tape import Tape, compile_tape
 from statechart.trace import Key
 
@@ -88,7 +89,8 @@ class Projection:
     ) -> Constraints:
         """Return the constraints of `flow` (see `statechart.automaton.Laws`).
 
-        Their projection raises `NoConsistentMode` where the joints cannot be kept together.
+        Their projection raises `NoConsistentMode` where the joints cannot be kept together,
+        `SingularMode` where that is because their constraints have become dependent.
 
         Parameters
         ----------
@@ -128,6 +130,11 @@ class Projection:
                 if left <= near * _ROUNDINGS * _EPS * float(terms.max()):
                     return state
                 if left > 1.0:
+                    rows = joints.jacobian * scales.sizes[: len(state) // 2]
+                    kept = np.flatnonzero(~joints.redundant).tolist()
+                    why = dependent([(self._joints[i], rows[i]) for i in kept])
+                    if why:
+                        raise SingularMode(why)
                     gaps = self._tape.at(projected, values, time)[5 * len(flow) :: 2]
                     raise self._broken(gaps.tolist(), time)
             return projected
