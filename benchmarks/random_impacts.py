@@ -19,7 +19,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from test_complementarity import stack
-from test_simultaneous import body, check, law, random_scene
+from test_simultaneous import body, check, in_grooves, law, random_scene
 
 from contacts.complementarity import LcpStatus, contact_problem, solve_lcp
 from contacts.impact import impact
@@ -55,12 +55,19 @@ def single(count: int, seed: int) -> Counter[str]:
     return found
 
 
-def several(count: int, seed: int) -> Counter[str]:
+def grooves(count: int, seed: int) -> Counter[str]:
+    """The same, and further contacts at the places of some, with surfaces of other directions."""
+    return several(count, seed, grooved=True)
+
+
+def several(count: int, seed: int, *, grooved: bool = False) -> Counter[str]:
     """Impacts at two to six contacts of one to three bodies, some contacts declared twice."""
     random = np.random.default_rng(seed)
     found: Counter[str] = Counter()
     for _ in range(count):
         snapshot, laws = random_scene(random)
+        if grooved:
+            snapshot, laws = in_grooves(random, snapshot, laws)
         for choice in ("plastic", "capped"):
             try:
                 result = impacts(snapshot, laws, [True] * len(laws), choice)
@@ -97,6 +104,7 @@ def main() -> None:
     for run, count in (
         (single, options.single),
         (several, options.several),
+        (grooves, options.several),
         (problems, options.problems),
     ):
         start = time.perf_counter()

@@ -209,22 +209,41 @@ def _shares(
     where they move. Both shares are computed from the end they are near: impulses may differ by
     decades.
     """
-    jacobians = snapshot.jacobians[group]
-    before = np.array([snapshot.contacts[i][1:3] for i in group])
-    first, last = plastic.impulses[group], target.impulses[group]
-    slow, fast = 0.5 * jacobians @ plastic.change, 0.5 * jacobians @ target.change
-    sizes = np.abs(jacobians) @ np.abs(target.change) + np.abs(before)
-    gain = float((last * (before + fast)).sum())
-    if gain <= _ROUNDING * float((np.abs(last) * sizes).sum()):
+    gain, size = _work(snapshot, group, target)
+    if gain <= _ROUNDING * size:
         return 0.0, 1.0
     # c + b s + a s^2 with c <= 0 <= a (but for rounding), and `gain` at s = 1.
-    c = min(float((first * (before + slow)).sum()), 0.0)
-    a = max(float(((last - first) * (fast - slow)).sum()), 0.0)
+    c = min(_work(snapshot, group, plastic)[0], 0.0)
+    further = target.change - plastic.change
+    a = 0.5 * float(further @ snapshot.mass @ further)
     b = gain - c - a
     root = math.sqrt(b * b - 4.0 * a * c)
     share = (root - b) / (2.0 * a) if b < 0.0 else -2.0 * c / (b + root)
     rest = 2.0 * gain / (2.0 * a + b + root)
     return min(max(rest, 0.0), 1.0), min(max(share, 0.0), 1.0)
+
+
+def _work(snapshot: Snapshot, group: Sequence[int], found: Collision) -> tuple[float, float]:
+    """Return the work of impulses against the surfaces, and the size of the terms it is made of.
+
+    At the contacts, or of the bodies' momenta: where impulses are huge and cancel, rounding hides
+    it in the one, and where bodies are fast in the other.
+    """
+    jacobians, impulses = snapshot.jacobians[group], found.impulses[group]
+    before = np.array([snapshot.contacts[i][1:3] for i in group])
+    mean = 0.5 * found.change
+    sizes = np.abs(jacobians) @ np.abs(found.change) + np.abs(before)
+    momenta, receding = found.change @ snapshot.mass, before - jacobians @ snapshot.velocity
+    terms = np.abs(snapshot.velocity) + np.abs(mean)
+    ways = (
+        ((impulses * (before + jacobians @ mean)).sum(), (np.abs(impulses) * sizes).sum()),
+        (
+            momenta @ (snapshot.velocity + mean) + (impulses * receding).sum(),
+            np.abs(momenta) @ terms + (np.abs(impulses) * np.abs(receding)).sum(),
+        ),
+    )
+    work, size = min(ways, key=lambda way: way[1])
+    return float(work), float(size)
 
 
 def _in_sequence(
