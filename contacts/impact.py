@@ -39,7 +39,7 @@ class Impact:
     normal, tangential : float
         Impulse on the body.
     path : tuple of str
-        slip+, slip-, stick in the order of the path.
+        slip+, slip-, stick in the order of the path, and wedge where friction stops it for good.
     """
 
     velocity: Array
@@ -96,6 +96,13 @@ def impact(
     path: list[str] = []
     for _ in range(_LONGEST_PATH):
         piece = _piece(snapshot, contact, law, u_t)
+        if piece is None:
+            # What has one way to move only stops with both velocities zero at once; friction may
+            # then keep it from going back.
+            terms = np.abs(contact.jacobian[0]) @ (np.abs(velocity) + np.abs(snapshot.velocity))
+            if u_n < -_ROUNDING * terms:
+                break
+            return Impact(velocity, normal, tangential, (*path, "wedge"))
         if not path or path[-1] != piece.name:
             path.append(piece.name)
         to_stop = -u_t / piece.u_t if u_t * piece.u_t < 0.0 else math.inf
@@ -133,7 +140,7 @@ def impact(
                 return Impact(velocity, normal, tangential, tuple(path))
             compressing, compressed, compression_work, work = False, normal, -work, 0.0
     raise NoConsistentMode(
-        f"{law.name}: the impact's path does not end (p = 0, slip {u_t:.3g}); "
+        f"{law.name}: the impact's path does not end (approach {-u_n:.3g}, slip {u_t:.3g}); "
         f"it went {', '.join(path)}"
     )
 
@@ -148,7 +155,8 @@ def _energetic(piece: _Piece, u_n: float, left: float) -> float:
     return 2.0 * c / (b + root) if b + root > 0.0 else math.inf
 
 
-def _piece(snapshot: Snapshot, contact: PerContact, law: ContactLaw, u_t: float) -> _Piece:
+def _piece(snapshot: Snapshot, contact: PerContact, law: ContactLaw, u_t: float) -> _Piece | None:
+    """Return the piece that follows; None where friction keeps the point from going anywhere."""
     if law.cone_t == 0.0:
         return _along(snapshot, contact, "slip", law.cone_n, 0.0)
     if u_t != 0.0:
@@ -161,10 +169,7 @@ def _piece(snapshot: Snapshot, contact: PerContact, law: ContactLaw, u_t: float)
         piece = _slipping(snapshot, contact, law, sign)
         if sign * piece.u_t > 0.0:
             return piece
-    raise NoConsistentMode(
-        f"{law.name}: its impact wedges the point: slip has stopped, and friction presses it in "
-        "whichever way it would slip on"
-    )
+    return None
 
 
 def _slipping(snapshot: Snapshot, contact: PerContact, law: ContactLaw, sign: float) -> _Piece:

@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from runs import golden
+from runs import ENGINES, golden
 
 from contacts.classify import ContactLaw
 from contacts.impact import Impact, impact
 from contacts.snapshot import PerContact, Snapshot
+from statechart.document import read_text
+from statechart.run import Runner
 
 GOLDEN = golden("impacts_and_timestepping")["impacts"]
 
@@ -128,3 +130,37 @@ def test_a_point_mass_on_a_stick_stops_along_it() -> None:
     # Without inertia no impulse across the stick is possible.
     assert result.path == ("stick",)
     assert result.tangential / result.normal == pytest.approx(math.tan(0.3), rel=1e-12)
+
+
+SWINGING = """
+kind: scene
+name: swinging
+parameters: {mu: 1, e: 0.5, low: 0.2}
+gravity: 1
+coordinates: {q: {start: 1}}
+bodies: {bob: {mass: 1, position: [sin(q), -cos(q)], angle: q}}
+surfaces: {floor: {height: -cos(low)}}
+contacts: {touch: {point: {body: bob}, surface: floor, friction: mu, restitution: e}}
+stop: {time: 4}
+"""
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize(("mu", "wedged"), [(0.1, False), (0.19, False), (0.21, True), (3, True)])
+def test_a_bob_whose_rod_pushes_it_on_is_wedged_where_friction_is_steeper(
+    name: str, mu: float, wedged: bool
+) -> None:
+    # Going back, its way leaves the floor at the angle `low`: tan(0.2) = 0.203. Steeper friction
+    # keeps it where it stopped, and whatever restitution there is has nothing to give back to.
+    trace = Runner(read_text(SWINGING), engine=name).run({"mu": mu}).trace
+    first = trace.jumps[0]
+    assert first.after[0] == pytest.approx(0.2, abs=1e-12)
+    if wedged:
+        assert "wedge" in " ".join(first.path)
+        assert trace.final_mode == ("pin",)
+        assert trace.final == pytest.approx([0.2, 0.0], abs=1e-12)
+        assert len(trace.jumps) == 1
+    else:
+        assert first.after[1] > 0.0
+        assert first.energy is not None
+        assert first.energy[1] < first.energy[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -283,6 +284,31 @@ def test_mirrored_and_in_other_units_linkages_move_alike(name: str) -> None:
     for changed, reading in (mirrored(scene), rescaled(scene)):
         image = Subject(changed).case({}).traces[name]
         assert_same(case.traces[name], image, case.sensitivity, reading=reading)
+
+
+LED = """\
+kind: scene
+name: led
+gravity: 1
+bodies:
+  rod: {mass: 1, inertia: 1/3, start: {x: -sin(1.2), y: 2 - cos(1.2), angle: -1.2, dx: 2.4}}
+surfaces: {floor: {height: 1.9 - 2*cos(1.2)}}
+joints: {hand: {point: {body: rod, at: [0, 1]}, to: [0.4*sin(6*time), 2]}}
+contacts: {tip: {point: {body: rod, at: [0, -1]}, surface: floor, friction: 0.6, restitution: 0.9}}
+stop: {time: 3}
+"""
+
+
+def test_the_work_that_a_led_joint_does_in_an_impact_is_known() -> None:
+    scene = validate(read_text(LED), Scene)
+    trace = _run(scene)
+    # The hand goes on as it is led, whatever it takes: what the rod gains is its work.
+    first = next(j for j in trace.jumps if j.energy is not None and j.energy[1] > j.energy[0] + 0.1)
+    assert_energy(*_energy_arguments(scene), trace)
+    lost = replace(first, after=first.after + 1e-3 * np.array([0, 0, 0, 1, 0, 1]))
+    jumps = tuple(lost if jump is first else jump for jump in trace.jumps)
+    with pytest.raises(AssertionError, match="energy grows"):
+        assert_energy(*_energy_arguments(scene), replace(trace, jumps=jumps))
 
 
 _DOCUMENT = """\
