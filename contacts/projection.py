@@ -135,8 +135,8 @@ class Projection:
                     why = dependent([(self._joints[i], rows[i]) for i in kept])
                     if why:
                         raise SingularMode(why)
-                    gaps = self._tape.at(projected, values, time)[5 * len(flow) :: 2]
-                    raise self._broken(gaps.tolist(), time)
+                    rows = self._tape.at(projected, values, time)[5 * len(flow) :].reshape(-1, 2)
+                    raise self._broken(np.abs(rows), near, slow, time)
             return projected
 
         constraints = Constraints(
@@ -173,11 +173,13 @@ class Projection:
         self._weighed[flow] = (near, slow), weights
         return weights
 
-    def _broken(self, gaps: Sequence[float], time: float) -> NoConsistentMode:
-        widest = max(range(len(gaps)), key=lambda i: abs(gaps[i]))
+    def _broken(self, rows: Array, near: float, slow: float, time: float) -> NoConsistentMode:
+        k = int(np.argmax((rows * (near, slow)).max(axis=1)))
+        gap, rate = rows[k].tolist()
+        apart = f"comes apart by {gap:.3g}" if gap * near >= rate * slow else f"parts at {rate:.3g}"
         return NoConsistentMode(
             f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all be kept at "
-            f"t = {time:.17g}: {self._joints[widest]!r} comes apart by {abs(gaps[widest]):.3g}"
+            f"t = {time:.17g}: {self._joints[k]!r} {apart}"
         )
 
 

@@ -13,6 +13,7 @@ from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.constraints import Constraints
 from statechart.enclosure import Search
+from statechart.errors import StepFailure
 from statechart.tape import Tape, compile_tape
 
 __all__ = ["LONGEST_CHUNK", "NEAR", "Begin", "Engine", "Path", "Steps", "Watch", "rates_tape"]
@@ -47,7 +48,13 @@ class Path:
         self.count = 0
 
     def room(self, steps: int, variables: int, terms: int) -> None:
-        """Make room for so many steps more, of at least so many terms."""
+        """Make room for so many steps more, of at least so many terms.
+
+        Raises
+        ------
+        StepFailure
+            If there is no memory for them.
+        """
         capacity, _, width = self.coefficients.shape
         needed = self.count + steps
         if needed <= capacity and (terms == width or (terms < width and self.count > 0)):
@@ -55,7 +62,13 @@ class Path:
         if self.count > 0:
             terms = max(terms, width)
         capacity = capacity if needed <= capacity else max(2 * capacity, needed, _ROOM)
-        times, coefficients = np.zeros(capacity + 1), np.zeros((capacity, variables, terms))
+        try:
+            times, coefficients = np.zeros(capacity + 1), np.zeros((capacity, variables, terms))
+        except MemoryError:
+            raise StepFailure(
+                f"{self.count} steps in one mode fill the memory; end the run earlier, or look for "
+                "what makes the steps so short"
+            ) from None
         if self.count > 0:
             times[: self.count + 1] = self.times[: self.count + 1]
             coefficients[: self.count, :, :width] = self.coefficients[: self.count]

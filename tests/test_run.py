@@ -14,8 +14,9 @@ import models
 from statechart.accuracy import difference
 from statechart.chart import Chart
 from statechart.document import load, read_text
+from statechart.engine import Path as Steps
 from statechart.engines import choose
-from statechart.errors import DeclarationError, SimulationError
+from statechart.errors import DeclarationError, SimulationError, StepFailure
 from statechart.run import Runner, run
 
 BALL = """\
@@ -249,3 +250,12 @@ def test_a_result_saves_its_run(tmp_path: Path) -> None:
     names = run(read_text(BALL)).save(tmp_path / "out")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(names)
     assert "run.json" in names
+
+
+def test_steps_that_fill_the_memory_are_an_outcome() -> None:
+    path = Steps()
+    path.room(10, 3, 4)
+    with pytest.raises(StepFailure, match="fill the memory"):
+        path.room(10**15, 3, 20)
+    path.append(0.5, np.ones((3, 4)))
+    assert path.arc()[0].tolist() == [0.0, 0.5]
