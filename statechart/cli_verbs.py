@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import tempfile
 from contextlib import contextmanager, suppress
@@ -43,10 +44,6 @@ def validate(arguments: argparse.Namespace) -> int:
 def run(arguments: argparse.Namespace) -> int:
     """Run a model; print a summary or one object."""
     parameters = _assigned("--set", arguments.parameters)
-    if arguments.output is not None and Path(arguments.output).is_file():
-        raise DeclarationError(
-            f"--output {arguments.output}: this is a file", advice="name a folder"
-        )
     runner = _runner(
         arguments.file,
         engine=arguments.engine,
@@ -58,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         study=_study(arguments),
         progress=True,
     )
+    _check_folder(arguments.output)
     result = runner.run(parameters, until=arguments.until, throw=False)
     # What was saved must be able to answer why, too.
     report = result.report(explain=arguments.explain or arguments.output is not None)
@@ -83,6 +81,26 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if met and result.trace.outcome.succeeded else 1
 
 
+def _check_folder(output: str | None) -> None:
+    """Check that results can be written, before the work that leads to them.
+
+    Raises
+    ------
+    DeclarationError
+        If they cannot.
+    """
+    if output is None:
+        return
+    path = Path(output).absolute()
+    place = next(known for known in (path, *path.parents) if known.exists())
+    if not place.is_dir():
+        raise DeclarationError(f"--output {output}: {place} is a file", advice="name a folder")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise DeclarationError(
+            f"--output {output}: {place} is not writable", advice="name another folder"
+        )
+
+
 def _study(arguments: argparse.Namespace) -> Study | None:
     """Return what `trade` has left in the folder where the results go."""
     if arguments.output is None or (arguments.accuracy is None and arguments.budget is None):
@@ -97,12 +115,10 @@ def trade(arguments: argparse.Namespace) -> int:
     from statechart.study_text import text
     from statechart.trade import trade as study_of
 
-    if arguments.output is not None and Path(arguments.output).is_file():
-        raise DeclarationError(
-            f"--output {arguments.output}: this is a file", advice="name a folder"
-        )
+    runner = _runner(arguments.file)
+    _check_folder(arguments.output)
     study = study_of(
-        _runner(arguments.file),
+        runner,
         folder=arguments.output,
         progress=lambda line: print(line, file=sys.stderr, flush=True),
     )

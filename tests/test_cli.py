@@ -244,8 +244,22 @@ def test_an_output_that_is_a_file_is_refused_before_running(cli: Cli) -> None:
     (cli.folder / "out").write_text("mine")
     code, _, err = cli("run", "bouncing_ball", "--output", "out")
     assert code == 2
-    assert "this is a file" in err
+    assert "out is a file" in err
     assert (cli.folder / "out").read_text() == "mine"
+    code, _, err = cli("run", "bouncing_ball", "--output", "out/deeper")
+    assert code == 2
+    assert "out is a file" in err
+
+
+def test_an_output_that_cannot_be_written_is_refused_before_running(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Root, who may run this, can write to folders that are locked for others.
+    (cli.folder / "locked").mkdir()
+    monkeypatch.setattr("os.access", lambda place, mode: Path(place).name != "locked")
+    code, out, err = cli("run", "bouncing_ball", "--output", "locked/out")
+    assert (code, out) == (2, "")
+    assert "locked is not writable" in err
 
 
 def test_a_run_that_cannot_go_on_exits_with_one_and_saves_its_trace(cli: Cli) -> None:

@@ -372,7 +372,7 @@ def test_the_command_measures_and_a_run_uses_it(
     ("arguments", "words"),
     [
         (["trade", "no_such_model"], "no_such_model"),
-        (["trade", "toppling_stick", "-o", "file"], "this is a file"),
+        (["trade", "toppling_stick", "-o", "file"], "file is a file"),
         (["run", "toppling_stick", "--budget", "0"], "budget"),
         (["run", "toppling_stick", "--budget", "inf"], "budget"),
         (["run", "toppling_stick", "--budget", "1", "--accuracy", "1e-3"], "not allowed with"),
