@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from contacts.classify import ContactLaw, choose
 from contacts.setup import SceneSetup
-from contacts.snapshot import Snapshot, solve_kkt
+from contacts.snapshot import PerContact, Snapshot, solve_kkt
 from statechart.errors import SimulationError, SingularMode
 
 __all__ = ["rests_of_bounces", "settled", "stands_for_bounces"]
@@ -22,8 +23,8 @@ _EPS = float(np.finfo(float).eps)
 _DIGITS = 1e8
 # No bounce this fast, in the scene's own speed, is summed.
 _FAST = 1e-3
-# Part of the impulses, and of their works, below which they count as none.
-_DOUBT = 1e-9
+# So many times what is changed without friction it may change with it: beyond, contacts jam.
+_MAGNIFIED = 30.0
 # Of the fastest rebound: what taking it away changes elsewhere.
 _ELSEWHERE = 10.0
 
@@ -88,9 +89,9 @@ def settled(
 
     Whatever their order, the impulses of a contact that slides lie along the edge of its cone,
     those of one that sticks keep its point in place; so their sums follow from the gaps' rates
-    being zero afterwards. None where they do not, as with more contacts than motions, or where
-    contacts would have to pull: then one of them does not slide to the end. Without friction,
-    `contacts.projection.on_constraints` gives the same.
+    being zero afterwards. None where they do not, as with more contacts than motions, or where a
+    slip would be reversed or friction change far more than without it: then one of them does not
+    slide to the end. Without friction, `contacts.projection.on_constraints` gives the same.
 
     Parameters
     ----------
@@ -106,46 +107,49 @@ def settled(
     rows: list[Array] = []
     columns: list[Array] = []
     rates: list[float] = []
-    along: list[float] = []
-    pushes: list[int] = []
+    slides: list[PerContact] = []
     for law, contact, closed in zip(laws, snapshot.contacts, shut, strict=True):
         if not closed:
             continue
         normal, tangent = contact.jacobian
-        slides = abs(contact.slip) > still_below or "pin" not in law.states
-        pushes.append(len(rows))
         rows.append(normal)
-        rates.append(contact.gap_rate)
-        if slides:
+        rates.append(-contact.gap_rate)
+        if abs(contact.slip) > still_below or "pin" not in law.states:
             edge = -np.sign(contact.slip) * law.cone_t
             columns.append(law.cone_n * normal + edge * tangent)
-            along.append(law.cone_n * contact.gap_rate + edge * contact.slip)
-            continue
-        rows.append(tangent)
-        rates.append(contact.slip)
-        columns += [normal, tangent]
-        along += [contact.gap_rate, contact.slip]
+            slides.append(contact)
+        else:
+            rows.append(tangent)
+            rates.append(-contact.slip)
+            columns += [normal, tangent]
+    change = _change(snapshot, rows, columns, rates)
+    bare = _change(snapshot, rows, rows, rates)
+    if change is None or bare is None:
+        return None
+    sizes = [math.sqrt(float(dv @ snapshot.mass @ dv)) for dv in (change, bare)]
+    turned = any(
+        (contact.slip + contact.jacobian[1] @ change) * np.sign(contact.slip) < -still_below
+        for contact in slides
+    )
+    return None if turned or sizes[0] > _MAGNIFIED * sizes[1] else snapshot.velocity + change
+
+
+def _change(
+    snapshot: Snapshot, rows: Sequence[Array], columns: Sequence[Array], rates: Sequence[float]
+) -> Array | None:
+    """Return the change of velocity by impulses along `columns` that changes `rows` by `rates`."""
     size, count = len(snapshot.forces), len(rows)
-    edges = np.array(columns).T
     try:
         solved = solve_kkt(
             snapshot.mass,
             np.zeros(size),
             np.hstack([np.array(rows), np.zeros((count, count))]),
-            edges,
-            -np.array(rates),
+            np.array(columns).T,
+            np.array(rates),
         )
     except SingularMode:
         return None
-    if solved is None:
-        return None
-    change, impulses = solved
-    pulls = impulses[pushes] < -_DOUBT * np.abs(impulses).max(initial=0.0)
-    # A system that is nearly singular gives anything: impacts, too, can only take energy.
-    works = impulses * (np.array(along) + 0.5 * change @ edges)
-    if pulls.any() or works.sum() > _DOUBT * np.abs(works).sum():
-        return None
-    return snapshot.velocity + change
+    return None if solved is None else solved[0]
 
 
 def stands_for_bounces(

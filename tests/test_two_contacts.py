@@ -244,7 +244,7 @@ stop: {time: 20}
 """.replace("restitution: e", "restitution: 0.47666829934802957")
 
 
-def test_impacts_in_turn_that_would_have_to_pull_are_not_summed() -> None:
+def test_where_friction_jams_impacts_in_turn_are_not_summed() -> None:
     result = Runner(interpret(read_text(JAMMING))).run()
     trace = result.trace
     assert trace.final_mode == ("pin", "pin", "pin")
