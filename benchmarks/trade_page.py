@@ -68,7 +68,9 @@ What to expect:
 - `--accuracy A` is about the result: it tightens until two runs differ by less than A, and until
   a start that is off by the tolerance, with larger tolerances of gaps and forces, changes the
   result by less than A, too.
-- Where flights are parabolas all methods but LSODA follow them exactly, at any tolerance.
+- Where flights are parabolas all methods but LSODA follow them exactly, at any tolerance. What is
+  left on a bouncing ball are its last bounces: the larger the tolerance, the earlier they are
+  taken together.
 - Slopes: the error follows the tolerance to the power 1; the accepted steps of RK45 and DOP853
   to the powers -1/5 and -1/8, fitted where a flow takes five steps or more and the tolerance
   decides how many. Evaluations grow more slowly, as the part of rejected steps falls.
