@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.classify import ContactLaw, choose
+from contacts.classify import choose
 from contacts.setup import SceneSetup
-from contacts.snapshot import PerContact, Snapshot, solve_kkt
-from statechart.errors import SimulationError, SingularMode
+from contacts.snapshot import Snapshot
+from statechart.errors import SimulationError
 
-__all__ = ["rests_of_bounces", "settled", "stands_for_bounces"]
+__all__ = ["rests_of_bounces", "stands_for_bounces"]
 
 Array = NDArray[np.float64]
 
@@ -23,8 +22,6 @@ _EPS = float(np.finfo(float).eps)
 _DIGITS = 1e8
 # No bounce this fast, in the scene's own speed, is summed.
 _FAST = 1e-3
-# So many times what is changed without friction it may change with it: beyond, contacts jam.
-_MAGNIFIED = 30.0
 # Of the fastest rebound: what taking it away changes elsewhere.
 _ELSEWHERE = 10.0
 
@@ -80,76 +77,6 @@ def rests_of_bounces(
         if rebound <= setup.capture or height <= _DIGITS * rounding:
             rests[i] = 2.0 * rebound / (falling * (1.0 - e))
     return rests
-
-
-def settled(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], shut: Sequence[bool], still_below: float
-) -> Array | None:
-    """Return the velocity (n,) that impacts in turn leave, besides what forces do meanwhile.
-
-    Whatever their order, the impulses of a contact that slides lie along the edge of its cone,
-    those of one that sticks keep its point in place; so their sums follow from the gaps' rates
-    being zero afterwards. None where they do not, as with more contacts than motions, or where a
-    slip would be reversed or friction change far more than without it: then one of them does not
-    slide to the end. Without friction, `contacts.projection.on_constraints` gives the same.
-
-    Parameters
-    ----------
-    snapshot : Snapshot
-        Amid the sequence.
-    laws : sequence of ContactLaw
-        One per contact.
-    shut : sequence of bool
-        Which contacts are closed at the end.
-    still_below : float
-        Slip speeds up to this count as zero.
-    """
-    rows: list[Array] = []
-    columns: list[Array] = []
-    rates: list[float] = []
-    slides: list[PerContact] = []
-    for law, contact, closed in zip(laws, snapshot.contacts, shut, strict=True):
-        if not closed:
-            continue
-        normal, tangent = contact.jacobian
-        rows.append(normal)
-        rates.append(-contact.gap_rate)
-        if abs(contact.slip) > still_below or "pin" not in law.states:
-            edge = -np.sign(contact.slip) * law.cone_t
-            columns.append(law.cone_n * normal + edge * tangent)
-            slides.append(contact)
-        else:
-            rows.append(tangent)
-            rates.append(-contact.slip)
-            columns += [normal, tangent]
-    change = _change(snapshot, rows, columns, rates)
-    bare = _change(snapshot, rows, rows, rates)
-    if change is None or bare is None:
-        return None
-    sizes = [math.sqrt(float(dv @ snapshot.mass @ dv)) for dv in (change, bare)]
-    turned = any(
-        (contact.slip + contact.jacobian[1] @ change) * np.sign(contact.slip) < -still_below
-        for contact in slides
-    )
-    return None if turned or sizes[0] > _MAGNIFIED * sizes[1] else snapshot.velocity + change
-
-
-def _change(
-    snapshot: Snapshot, rows: Sequence[Array], columns: Sequence[Array], rates: Sequence[float]
-) -> Array | None:
-    """Return the change of velocity by impulses along `columns` that changes `rows` by `rates`."""
-    size, count = len(snapshot.forces), len(rows)
-    try:
-        solved = solve_kkt(
-            snapshot.mass,
-            np.zeros(size),
-            np.hstack([np.array(rows), np.zeros((count, count))]),
-            np.array(columns).T,
-            np.array(rates),
-        )
-    except SingularMode:
-        return None
-    return None if solved is None else solved[0]
 
 
 def stands_for_bounces(

@@ -11,7 +11,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.bounces import rests_of_bounces, settled, stands_for_bounces
+from contacts.accumulation import closed_at_once
+from contacts.bounces import rests_of_bounces, stands_for_bounces
 from contacts.classify import Choice, Considered, ContactLaw
 from contacts.closing import check_joints
 from contacts.dead_points import dead_point
@@ -37,10 +38,6 @@ Array = NDArray[np.float64]
 
 # A start may be inside a surface by so much of the scene's length (and is projected out).
 _START_DEPTH = 1e-9
-# Impacts in turn are skipped once contacts fly no higher than so many tolerances of the gap. Where
-# points slide meanwhile, the path that they are given is wrong by the height; where none does,
-# nothing is lost, and later impacts would be known to fewer digits only.
-_LOW, _LOW_AT_REST = 1e3, 1e6
 
 
 def _alike(one: Jump, other: Jump) -> bool:
@@ -284,9 +281,7 @@ class SceneLaws:
         """Close all contacts that took part in impacts whose intervals shrink to nothing.
 
         A block that rocks from corner to corner, a bar that rattles on both ends; the bounces of
-        one contact are summed where they happen (`contacts.bounces`). What impacts in turn do to
-        bodies that stay where they are (a light ball between the floor and a heavy one that comes
-        down) is done at once; for what velocity is left, see `contacts.bounces.settled`.
+        one contact are summed where they happen (`contacts.bounces`).
         """
         assert isinstance(setup, SceneSetup)
         jump = jumps[-1]
@@ -296,57 +291,30 @@ class SceneLaws:
         took_part = set().union(*(past.impulse for past in jumps[since[-1] :]))
         if len(took_part) < 2:
             return None
-        state, before = jump.after, plain(flow.flow)
-        snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
-        rates = [snapshot.contacts[self._names.index(name)].gap_rate for name in took_part]
-        height = max(rates) * (jump.t - jumps[since[-1]].t) / (4.0 * setup.tolerances["gap"])
-        ends = ""
-        if min(rates) < -setup.tolerances["speed"]:
-            if rest > 0.0 and height > _LOW:
-                return None
-            closing = [name in took_part for name in self._names]
-            try:
-                sequence = impacts(snapshot, setup.contacts, closing, "sequential")
-            except NoConsistentMode:
-                return None
-            ends = sequence.warning
-            state = snapshot.moved(state, sequence.velocity)
-            snapshot = self._tape.at(setup.values, state, clock.high)
-        shut = [
-            name in took_part or now not in OPEN
-            for name, now in zip(self._names, before, strict=True)
-        ]
-        key = tuple(
-            now if now not in OPEN or not closed else "slide"
-            for now, closed in zip(before, shut, strict=True)
+        found = closed_at_once(
+            setup,
+            lambda state: self._tape.at(setup.values, state, clock.high),
+            flow,
+            jump.after,
+            [name in took_part for name in self._names],
+            jump.t - jumps[since[-1]].t,
+            rest,
+            self._paradox,
         )
-        still = 2.0 * setup.tolerances["speed"]
-        left = settled(snapshot, setup.contacts, shut, still)
-        if left is not None:
-            state = snapshot.moved(state, left)
-        state = on_constraints(key, self._tape.at(setup.values, state, clock.high), state)
-        snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
-        slides = any(
-            abs(c.slip) > still for c, closed in zip(snapshot.contacts, shut, strict=True) if closed
-        )
-        lowest = _LOW_AT_REST if not slides else _LOW if left is not None else 1.0
-        if rest > 0.0 and height > lowest:
+        if found is None:
             return None
-        if left is None and slides:
-            unknown = "what friction takes of the impacts summed is not determined, and left out"
-            ends = "; ".join(filter(None, (ends, unknown)))
-        choice = decide(setup, snapshot, shut, self._paradox)
-        if isinstance(choice, Jam):
-            return None
-        after = landed(choice.taken.states, snapshot, state, setup.tolerances)
-        energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
+        energy = None if jump.energy is None else (jump.energy[0], found.energy)
         # A bar that rattles over a crest takes off from it: there is nothing to wait for.
-        wait = None if choice.taken.flow == flow.mode else rest
-        warning = "; ".join(filter(None, (ends, choice.warning)))
+        wait = None if found.choice.taken.flow == flow.mode else rest
         following = self._flow(
-            setup, flow.mode, choice.taken.flow, wait, warning, notes=choice.notes
+            setup,
+            flow.mode,
+            found.choice.taken.flow,
+            wait,
+            found.warning,
+            notes=found.choice.notes,
         )
-        return dataclasses.replace(jump, after=after, energy=energy, skipped=rest), following
+        return dataclasses.replace(jump, after=found.state, energy=energy, skipped=rest), following
 
     def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
         """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""

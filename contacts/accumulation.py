@@ -1,0 +1,189 @@
+"""Impacts in turn at several contacts whose intervals shrink to nothing: what they come to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.classify import Choice, ContactLaw
+from contacts.decision import decide
+from contacts.gates import hidden
+from contacts.jams import Jam
+from contacts.modes import OPEN
+from contacts.parts import Resolution
+from contacts.projection import landed, on_constraints
+from contacts.setup import SceneSetup
+from contacts.simultaneous import impacts
+from contacts.snapshot import PerContact, Snapshot, solve_kkt
+from statechart.automaton import Flow, plain
+from statechart.errors import NoConsistentMode, SingularMode
+
+__all__ = ["Closed", "closed_at_once", "settled"]
+
+Array = NDArray[np.float64]
+
+# Impacts in turn are skipped once contacts fly no higher than so many tolerances of the gap. Where
+# points slide meanwhile, the path that they are given is wrong by the height; where none does,
+# nothing is lost, and later impacts would be known to fewer digits only.
+_LOW, _LOW_AT_REST = 1e3, 1e6
+# So many times what is changed without friction it may change with it: beyond, contacts jam.
+_MAGNIFIED = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """Where the contacts have closed: state (2 n,), energy, the mode that follows, a warning."""
+
+    state: Array
+    energy: float
+    choice: Choice
+    warning: str
+
+
+def closed_at_once(
+    setup: SceneSetup,
+    at: Callable[[Array], Snapshot],
+    flow: Flow,
+    state: Array,
+    took_part: Sequence[bool],
+    period: float,
+    rest: float,
+    paradox: Resolution,
+) -> Closed | None:
+    """Close the contacts that took part; None where it is too early for that.
+
+    What impacts in turn do to bodies that stay where they are (a light ball between the floor and
+    a heavy one that comes down) is done at once.
+
+    Parameters
+    ----------
+    setup : SceneSetup
+        The numbers of the run.
+    at : callable
+        State -> its numbers, now.
+    flow : Flow
+        In which the last impact happened.
+    state : (2 n,) array
+        After that.
+    took_part : sequence of bool
+        Which contacts.
+    period : float
+        Since the impact before at the same contact.
+    rest : float
+        How long further impacts would take.
+    paradox : str
+        See `contacts.decision.decide`.
+    """
+    snapshot = hidden(at(state), flow.mode)
+    rates = [c.gap_rate for c, part in zip(snapshot.contacts, took_part, strict=True) if part]
+    height = max(rates) * period / (4.0 * setup.tolerances["gap"])
+    warnings = []
+    if min(rates) < -setup.tolerances["speed"]:
+        if rest > 0.0 and height > _LOW:
+            return None
+        try:
+            sequence = impacts(snapshot, setup.contacts, took_part, "sequential")
+        except NoConsistentMode:
+            return None
+        warnings.append(sequence.warning)
+        state = snapshot.moved(state, sequence.velocity)
+        snapshot = at(state)
+    before = plain(flow.flow)
+    shut = [part or now not in OPEN for part, now in zip(took_part, before, strict=True)]
+    key = tuple(
+        "slide" if closed and now in OPEN else now for now, closed in zip(before, shut, strict=True)
+    )
+    still = 2.0 * setup.tolerances["speed"]
+    left = settled(snapshot, setup.contacts, shut, still)
+    if left is not None:
+        state = snapshot.moved(state, left)
+    state = on_constraints(key, at(state), state)
+    snapshot = hidden(at(state), flow.mode)
+    slides = any(
+        abs(c.slip) > still for c, closed in zip(snapshot.contacts, shut, strict=True) if closed
+    )
+    lowest = _LOW_AT_REST if not slides else _LOW if left is not None else 1.0
+    if rest > 0.0 and height > lowest:
+        return None
+    if left is None and slides:
+        warnings.append("what friction takes of the impacts summed is not determined, and left out")
+    choice = decide(setup, snapshot, shut, paradox)
+    if isinstance(choice, Jam):
+        return None
+    after = landed(choice.taken.states, snapshot, state, setup.tolerances)
+    warning = "; ".join(filter(None, (*warnings, choice.warning)))
+    return Closed(after, snapshot.energy, choice, warning)
+
+
+def settled(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], shut: Sequence[bool], still_below: float
+) -> Array | None:
+    """Return the velocity (n,) that impacts in turn leave, besides what forces do meanwhile.
+
+    Whatever their order, the impulses of a contact that slides lie along the edge of its cone,
+    those of one that sticks keep its point in place; so their sums follow from the gaps' rates
+    being zero afterwards. None where they do not, as with more contacts than motions, or where a
+    slip would be reversed or friction change far more than without it: then one of them does not
+    slide to the end. Without friction, `contacts.projection.on_constraints` gives the same.
+
+    Parameters
+    ----------
+    snapshot : Snapshot
+        Amid the sequence.
+    laws : sequence of ContactLaw
+        One per contact.
+    shut : sequence of bool
+        Which contacts are closed at the end.
+    still_below : float
+        Slip speeds up to this count as zero.
+    """
+    rows: list[Array] = []
+    columns: list[Array] = []
+    rates: list[float] = []
+    slides: list[PerContact] = []
+    for law, contact, closed in zip(laws, snapshot.contacts, shut, strict=True):
+        if not closed:
+            continue
+        normal, tangent = contact.jacobian
+        rows.append(normal)
+        rates.append(-contact.gap_rate)
+        if abs(contact.slip) > still_below or "pin" not in law.states:
+            edge = -np.sign(contact.slip) * law.cone_t
+            columns.append(law.cone_n * normal + edge * tangent)
+            slides.append(contact)
+        else:
+            rows.append(tangent)
+            rates.append(-contact.slip)
+            columns += [normal, tangent]
+    change = _change(snapshot, rows, columns, rates)
+    bare = _change(snapshot, rows, rows, rates)
+    if change is None or bare is None:
+        return None
+    sizes = [math.sqrt(float(dv @ snapshot.mass @ dv)) for dv in (change, bare)]
+    turned = any(
+        (contact.slip + contact.jacobian[1] @ change) * np.sign(contact.slip) < -still_below
+        for contact in slides
+    )
+    return None if turned or sizes[0] > _MAGNIFIED * sizes[1] else snapshot.velocity + change
+
+
+def _change(
+    snapshot: Snapshot, rows: Sequence[Array], columns: Sequence[Array], rates: Sequence[float]
+) -> Array | None:
+    """Return the change of velocity by impulses along `columns` that changes `rows` by `rates`."""
+    size, count = len(snapshot.forces), len(rows)
+    try:
+        solved = solve_kkt(
+            snapshot.mass,
+            np.zeros(size),
+            np.hstack([np.array(rows), np.zeros((count, count))]),
+            np.array(columns).T,
+            np.array(rates),
+        )
+    except SingularMode:
+        return None
+    return None if solved is None else solved[0]
