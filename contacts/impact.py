@@ -86,7 +86,8 @@ def impact(
     Raises
     ------
     NoConsistentMode
-        If the path does not end (possible only on the Painleve boundary).
+        If the path does not end (possible only on the Painleve boundary), or a led joint pushes
+        the point on where friction wedges it.
     """
     velocity = snapshot.velocity.copy()
     u_n, u_t = contact.gap_rate, contact.slip
@@ -101,7 +102,10 @@ def impact(
             # then keep it from going back.
             terms = np.abs(contact.jacobian[0]) @ (np.abs(velocity) + np.abs(snapshot.velocity))
             if u_n < -_ROUNDING * terms:
-                break
+                raise NoConsistentMode(
+                    f"{law.name}: its impact wedges the point: slip has stopped, friction lets it "
+                    f"slip on neither way, and it is led on into its surface at {-u_n:.3g}"
+                )
             return Impact(velocity, normal, tangential, (*path, "wedge"))
         if not path or path[-1] != piece.name:
             path.append(piece.name)
