@@ -201,10 +201,12 @@ class _Run:
             unknown = np.full(self.stepping.stops.n_variables - len(self.state), np.nan)
             self.control.turn(self.recorder, (), self.state, unknown, self.step)
         whole = math.floor(self.until / self.step * (1.0 + 4e-16))
-        if self.until - whole * self.step <= 1e-9 * self.step:
+        rest = self.until - whole * self.step
+        if rest <= 1e-9 * self.step:
             counts = [(whole, self.step)]
         else:
-            counts = [(whole, self.step), (1, self.until - whole * self.step)]
+            # Forces are impulses over a step: in a very short one they would be rounding.
+            counts = [(whole - 1, self.step), (2, 0.5 * (self.step + rest))]
         for count, h in counts:
             done = 0
             first = self.time

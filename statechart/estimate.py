@@ -38,6 +38,9 @@ _LONGER = 1.5
 Once = Callable[[float, bool], tuple[Observer, Trace]]
 """Runs a model once, at a tolerance; True: from a start that is off by it."""
 
+# Runs that say nothing of their error, and why they ended.
+_UNTOLD = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
+
 
 @dataclass(frozen=True)
 class Cost:
@@ -200,6 +203,8 @@ def tighten(
     tolerance = max(first, floor / TIGHTER)
     runs = _Runs(once, clock, accuracy)
     observer, trace = runs.make(tolerance)
+    if trace.outcome is Outcome.UNSUPPORTED:
+        return Answer(observer, trace, None, runs.cost)
     while trace.outcome is not Outcome.INTERRUPTED:
         runs.compare(observer, trace, last=tolerance <= floor)
         if runs.estimate is not None and (runs.estimate <= accuracy or tolerance <= floor):
@@ -257,7 +262,7 @@ def within(
         began = runs.seconds
         observer, trace = runs.make(tolerance)
         took = runs.seconds - began
-        cut = trace.outcome in (Outcome.OUT_OF_BUDGET, Outcome.INTERRUPTED)
+        cut = trace.outcome in (*_UNTOLD, Outcome.INTERRUPTED)
         if cut and answer is not None:
             break
         if not cut:
@@ -267,7 +272,7 @@ def within(
         if cut or tolerance <= floor or runs.seconds + _LONGER * took > budget:
             break
         tolerance = max(tolerance * stride, floor)
-    if answer.estimate is None and answer.trace.outcome is not Outcome.OUT_OF_BUDGET:
+    if answer.estimate is None and answer.trace.outcome not in _UNTOLD:
         warning = (
             f"within {budget:g} s there was time for one run only, so its error was not "
             f"estimated: allow {_advised(runs.seconds):.2g} s"

@@ -45,7 +45,7 @@ class TimeStepper(Protocol):
         overrides : mapping of str to float
             Parameter -> value.
         step : float
-            Length of every step but the last, which ends at `until`.
+            Length of every step but the last two, of which the last ends at `until`.
         until : float
             End of the run.
         max_jumps : int

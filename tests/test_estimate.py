@@ -318,3 +318,15 @@ def test_modes_that_depend_on_a_tolerance_are_no_accurate_answer() -> None:
     result = run(read_text(RATTLING), accuracy=1e-6, throw=False)
     assert result.error_estimate == math.inf
     assert "accuracy is undefined from t = 0.4441" in result.warnings[-1]
+
+
+@pytest.mark.parametrize("asked", [["--accuracy", "1e-3"], ["--budget", "2"]])
+def test_a_model_that_an_engine_cannot_run_has_no_accuracy(
+    asked: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "box_stack", "--engine", "taylor", "--json", *asked]) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert report["outcome"] == "UNSUPPORTED"
+    assert report["error_estimate"] is None
+    assert report["asked"]["reached"] is False
+    assert report["asked"]["cost"]["runs"] == 1

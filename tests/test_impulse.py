@@ -236,3 +236,12 @@ def test_a_mode_that_is_not_declared_ends_the_run():
     assert result.trace.outcome is Outcome.NO_CONSISTENT_MODE
     assert "free is not among its modes" in result.trace.message
     assert result.trace.t_end == pytest.approx(1.0, abs=0.02)
+
+
+def test_forces_at_the_end_are_those_of_no_tiny_step():
+    # The step does not divide the run: what is left over is a ten-thousandth of it.
+    exact = run("dragged_stick").outputs["H"]
+    found = run("dragged_stick", engine="impulse", step=1 / 1000.0001)
+    assert found.trace.counts["steps"] == 1001
+    assert found.trace.t_end == 1.0
+    assert found.outputs["H"] == pytest.approx(exact, rel=1e-8)
