@@ -21,6 +21,7 @@ from contacts.simultaneous import impacts
 from contacts.snapshot import PerContact, Snapshot, solve_kkt
 from statechart.automaton import Flow, plain
 from statechart.errors import NoConsistentMode, SingularMode
+from statechart.trace import Key
 
 __all__ = ["Closed", "closed_at_once", "settled"]
 
@@ -81,9 +82,15 @@ def closed_at_once(
     snapshot = hidden(at(state), flow.mode)
     rates = [c.gap_rate for c, part in zip(snapshot.contacts, took_part, strict=True) if part]
     height = max(rates) * period / (4.0 * setup.tolerances["gap"])
+    before = plain(flow.flow)
+    shut = [part or now not in OPEN for part, now in zip(took_part, before, strict=True)]
+    key = tuple(
+        "slide" if closed and now in OPEN else now for now, closed in zip(before, shut, strict=True)
+    )
     warnings = []
     if min(rates) < -setup.tolerances["speed"]:
-        if rest > 0.0 and height > _LOW:
+        early = rest > 0.0 and height > 1.0
+        if early and (height > _LOW or _pushed_aside(key, at(state), state, setup)):
             return None
         try:
             sequence = impacts(snapshot, setup.contacts, took_part, "sequential")
@@ -92,11 +99,6 @@ def closed_at_once(
         warnings.append(sequence.warning)
         state = snapshot.moved(state, sequence.velocity)
         snapshot = at(state)
-    before = plain(flow.flow)
-    shut = [part or now not in OPEN for part, now in zip(took_part, before, strict=True)]
-    key = tuple(
-        "slide" if closed and now in OPEN else now for now, closed in zip(before, shut, strict=True)
-    )
     still = 2.0 * setup.tolerances["speed"]
     left = settled(snapshot, setup.contacts, shut, still)
     if left is not None:
@@ -117,6 +119,19 @@ def closed_at_once(
     after = landed(choice.taken.states, snapshot, state, setup.tolerances)
     warning = "; ".join(filter(None, (*warnings, choice.warning)))
     return Closed(after, snapshot.energy, choice, warning)
+
+
+def _pushed_aside(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup) -> bool:
+    """Whether closing the gaps of `key` would move a contact along its surface.
+
+    What comes down closes the gap by itself in the time left, and no light body below makes way.
+    """
+    moved = (on_constraints(key, snapshot, state) - state)[: len(state) // 2]
+    return any(
+        abs(float(contact.jacobian[1] @ moved)) > setup.tolerances["gap"]
+        for contact, now in zip(snapshot.whole.contacts, key, strict=True)
+        if now not in OPEN
+    )
 
 
 def settled(

@@ -389,6 +389,7 @@ class _Run:
         if made is not None:
             self.jumps[-1], self.flow = made
             self.state = self.jumps[-1].after
+            self._warn()
 
     def _stall(self, fired: tuple[str, ...]) -> EventLoop | None:
         """Note a fall that changes no mode: once a graze, at the same instant again a loop."""
