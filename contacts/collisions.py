@@ -43,6 +43,8 @@ _ON_EDGE = 1e-9
 _EXACT, _TIE = 1e-13, 1e-11
 # No impulses make velocities so many times those that they are to change.
 _RUNAWAY = 1e9
+# Of the terms of a work: less is their rounding.
+_GAIN = 1e-9
 _SAME = 1e-8
 # Velocities below this part of the largest in their group are not compared with themselves.
 _ROUNDED = 1e-4
@@ -139,6 +141,10 @@ class _Problem:
     mass : (m, m), jacobians : (g, 2, m), cones : (g, 2)
     start : (g, 2)
         What v_n + e min(v_n-, 0) and v_t are without impulses.
+    velocity : (m,)
+        Before.
+    plastic : bool
+        Whether nothing rebounds: then no impulses can raise the energy.
     """
 
     group: list[int]
@@ -148,6 +154,8 @@ class _Problem:
     jacobians: Array
     cones: Array
     start: Array
+    velocity: Array
+    plastic: bool
 
     @classmethod
     def of(
@@ -173,6 +181,8 @@ class _Problem:
             np.ascontiguousarray(jacobians[:, :, moved]),
             np.array([(laws[i].cone_n, laws[i].cone_t) for i in group]),
             np.array(start),
+            snapshot.velocity[moved],
+            not any(restitution[i] > 0.0 for i in group),
         )
 
     def solve(self, codes: Sequence[Sequence[int]]) -> list[Collision]:
@@ -254,8 +264,37 @@ class _Problem:
             [-slip, slip, np.abs(slip)],
             default=-np.inf,
         )
+        if self.plastic:
+            runaway |= self._raising(changes, impulses)
         found = np.maximum(worst, along).max(axis=1)
         return np.where(runaway, np.inf, np.maximum(found, self._unexplained(changes, impulses)))
+
+    def _raising(self, changes: Array, impulses: Array) -> NDArray[np.bool_]:
+        """Whether impulses do work on the bodies: what solves the laws of plastic ones cannot.
+
+        At the contacts, or by the momenta, whichever is made of smaller terms.
+        """
+        rates = np.einsum("gdn,...n->...gd", self.jacobians, changes)
+        spread = np.einsum("gdn,...n->...gd", np.abs(self.jacobians), np.abs(changes))
+        receding = self.start - self.jacobians @ self.velocity
+        momenta = changes @ self.mass
+        works = np.array(
+            [
+                (impulses * (self.start + 0.5 * rates)).sum(axis=(-2, -1)),
+                (momenta * (self.velocity + 0.5 * changes)).sum(axis=-1)
+                + (impulses * receding).sum(axis=(-2, -1)),
+            ]
+        )
+        sizes = np.array(
+            [
+                (np.abs(impulses) * (np.abs(self.start) + spread)).sum(axis=(-2, -1)),
+                (np.abs(momenta) * (np.abs(self.velocity) + np.abs(changes))).sum(axis=-1)
+                + (np.abs(impulses) * np.abs(receding)).sum(axis=(-2, -1)),
+            ]
+        )
+        smaller = sizes.argmin(axis=0)[None]
+        work, size = (np.take_along_axis(x, smaller, axis=0)[0] for x in (works, sizes))
+        return np.asarray(work > _GAIN * size)
 
     def _unexplained(self, changes: Array, impulses: Array) -> Array:
         """Return the largest change of momentum (..,) that no impulse explains, relatively.
