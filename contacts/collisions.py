@@ -265,7 +265,9 @@ class _Problem:
             default=-np.inf,
         )
         if self.plastic:
-            runaway |= self._raising(changes, impulses)
+            # Combinations that solve nothing may have any impulses.
+            with np.errstate(over="ignore", invalid="ignore"):
+                runaway |= self._raising(changes, impulses)
         found = np.maximum(worst, along).max(axis=1)
         return np.where(runaway, np.inf, np.maximum(found, self._unexplained(changes, impulses)))
 
