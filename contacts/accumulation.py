@@ -23,7 +23,7 @@ from statechart.automaton import Flow, plain
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.trace import Key
 
-__all__ = ["Closed", "closed_at_once", "settled"]
+__all__ = ["Closed", "closed_at_once"]
 
 Array = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ def closed_at_once(
         state = snapshot.moved(state, sequence.velocity)
         snapshot = at(state)
     still = 2.0 * setup.tolerances["speed"]
-    left = settled(snapshot, setup.contacts, shut, still)
+    left = _settled(snapshot, setup.contacts, shut, still)
     if left is not None:
         state = snapshot.moved(state, left)
     state = on_constraints(key, at(state), state)
@@ -134,7 +134,7 @@ def _pushed_aside(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup)
     )
 
 
-def settled(
+def _settled(
     snapshot: Snapshot, laws: Sequence[ContactLaw], shut: Sequence[bool], still_below: float
 ) -> Array | None:
     """Return the velocity (n,) that impacts in turn leave, besides what forces do meanwhile.

@@ -27,6 +27,7 @@ from contacts.exact import exact_impulses
 from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SOLVED, solve_modes
 from contacts.redundancy import connected, into_cone, mode_columns, rank, smallest
 from contacts.snapshot import Snapshot
+from contacts.work import work_of
 
 __all__ = ["Collision", "collisions", "coupled"]
 
@@ -267,36 +268,12 @@ class _Problem:
         if self.plastic:
             # Combinations that solve nothing may have any impulses.
             with np.errstate(over="ignore", invalid="ignore"):
-                runaway |= self._raising(changes, impulses)
+                work, size = work_of(
+                    self.jacobians, self.mass, self.velocity, self.start, changes, impulses
+                )
+                runaway |= work > _GAIN * size
         found = np.maximum(worst, along).max(axis=1)
         return np.where(runaway, np.inf, np.maximum(found, self._unexplained(changes, impulses)))
-
-    def _raising(self, changes: Array, impulses: Array) -> NDArray[np.bool_]:
-        """Whether impulses do work on the bodies: what solves the laws of plastic ones cannot.
-
-        At the contacts, or by the momenta, whichever is made of smaller terms.
-        """
-        rates = np.einsum("gdn,...n->...gd", self.jacobians, changes)
-        spread = np.einsum("gdn,...n->...gd", np.abs(self.jacobians), np.abs(changes))
-        receding = self.start - self.jacobians @ self.velocity
-        momenta = changes @ self.mass
-        works = np.array(
-            [
-                (impulses * (self.start + 0.5 * rates)).sum(axis=(-2, -1)),
-                (momenta * (self.velocity + 0.5 * changes)).sum(axis=-1)
-                + (impulses * receding).sum(axis=(-2, -1)),
-            ]
-        )
-        sizes = np.array(
-            [
-                (np.abs(impulses) * (np.abs(self.start) + spread)).sum(axis=(-2, -1)),
-                (np.abs(momenta) * (np.abs(self.velocity) + np.abs(changes))).sum(axis=-1)
-                + (np.abs(impulses) * np.abs(receding)).sum(axis=(-2, -1)),
-            ]
-        )
-        smaller = sizes.argmin(axis=0)[None]
-        work, size = (np.take_along_axis(x, smaller, axis=0)[0] for x in (works, sizes))
-        return np.asarray(work > _GAIN * size)
 
     def _unexplained(self, changes: Array, impulses: Array) -> Array:
         """Return the largest change of momentum (..,) that no impulse explains, relatively.

@@ -21,6 +21,7 @@ from contacts.collisions import Collision, collisions, coupled
 from contacts.impact import Impact, impact
 from contacts.parts import Simultaneous
 from contacts.snapshot import PerContact, Snapshot
+from contacts.work import work_of
 from statechart.errors import NoConsistentMode
 
 __all__ = ["Impacts", "groups", "impacts"]
@@ -224,25 +225,16 @@ def _shares(
 
 
 def _work(snapshot: Snapshot, group: Sequence[int], found: Collision) -> tuple[float, float]:
-    """Return the work of impulses against the surfaces, and the size of the terms it is made of.
-
-    At the contacts, or of the bodies' momenta: where impulses are huge and cancel, rounding hides
-    it in the one, and where bodies are fast in the other.
-    """
-    jacobians, impulses = snapshot.jacobians[group], found.impulses[group]
+    """Return what `work_of` does, of one solution."""
     before = np.array([snapshot.contacts[i][1:3] for i in group])
-    mean = 0.5 * found.change
-    sizes = np.abs(jacobians) @ np.abs(found.change) + np.abs(before)
-    momenta, receding = found.change @ snapshot.mass, before - jacobians @ snapshot.velocity
-    terms = np.abs(snapshot.velocity) + np.abs(mean)
-    ways = (
-        ((impulses * (before + jacobians @ mean)).sum(), (np.abs(impulses) * sizes).sum()),
-        (
-            momenta @ (snapshot.velocity + mean) + (impulses * receding).sum(),
-            np.abs(momenta) @ terms + (np.abs(impulses) * np.abs(receding)).sum(),
-        ),
+    work, size = work_of(
+        snapshot.jacobians[group],
+        snapshot.mass,
+        snapshot.velocity,
+        before,
+        found.change,
+        found.impulses[group],
     )
-    work, size = min(ways, key=lambda way: way[1])
     return float(work), float(size)
 
 

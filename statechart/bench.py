@@ -216,8 +216,13 @@ class Bench:
         StatechartError
             If the engine cannot run the model.
         """
-        stepped = setting.step is not None
-        answers = [self.answerer(s) for s in (_parts(setting) if stepped else [setting])]
+        step = setting.step
+        settings = (
+            [setting]
+            if step is None
+            else [setting.model_copy(update={"step": part * step}) for part in _PARTS]
+        )
+        answers = [self.answerer(one) for one in settings]
 
         def timed(answer: Callable[[], Answer]) -> tuple[Answer, float]:
             began = self.clock()
@@ -296,12 +301,3 @@ class Bench:
             violations=dict(violated),
         )
         return errors, found.diverged
-
-
-def _parts(setting: Setting) -> list[Setting]:
-    """Return the settings whose runs are the point of a step."""
-    return [
-        setting.model_copy(update={"step": part * setting.step})
-        for part in _PARTS
-        if setting.step is not None
-    ]
