@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from strategies import examples
 
 from contacts.complementarity import (
     LcpSolution,
@@ -125,7 +126,7 @@ def test_what_lemke_finds_is_among_all_solutions() -> None:
 
 
 @given(st.integers(1, 30), st.integers(0, 2**32 - 1))
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_convex_problems_as_least_squares(size: int, seed: int) -> None:
     from scipy.optimize import nnls
 

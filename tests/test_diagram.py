@@ -7,8 +7,9 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from strategies import examples
 
 from statechart.diagram import Diagram, Link, Node, dot, mermaid, scxml, write
 from statechart.diagram.model import identifiers
@@ -185,7 +186,7 @@ def test_mermaid_has_unique_ids_and_only_lines_its_grammar_knows(make):
 
 
 @given(diagrams())
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_any_text_survives_every_renderer(diagram):
     check_dot(diagram)
     check_scxml(diagram)

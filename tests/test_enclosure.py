@@ -5,8 +5,9 @@ import flint
 import numpy as np
 import pytest
 import sympy as sp
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from strategies import examples
 from test_tape import P, T, X, Y, expressions, tape_of
 
 from statechart.enclosure import Verdict, first_crossing, integrals, lowest, sample
@@ -106,7 +107,7 @@ def exact_jet(tape, coeffs, parameters, times, start, s):
 small = st.floats(-1.5, 1.5)
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(
     expressions,
     st.lists(small, min_size=6, max_size=6),
@@ -133,7 +134,7 @@ def test_an_enclosure_contains_what_balls_of_200_bits_find(expression, numbers, 
                 )
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(st.integers(0, 2**32), st.integers(0, 24), st.floats(0, 1), st.floats(0, 0.5))
 def test_polynomials_of_any_degree_are_enclosed(seed, degree, m, w):
     generator = np.random.default_rng(seed)

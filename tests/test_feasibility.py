@@ -9,11 +9,12 @@ from collections.abc import Iterable
 import hypothesis.extra.numpy as hnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from runs import golden
 from scipy.linalg import null_space
 from scipy.optimize import nnls
+from strategies import examples
 
 from contacts.feasibility import DRIVEN, Feasibility, feasible_modes, without_direction
 
@@ -258,7 +259,7 @@ def alternative(jacobians: np.ndarray, conflict: tuple[tuple[int, str], ...]) ->
     return float(nnls(weights, np.append(np.zeros(left.shape[1]), 1.0))[1])
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(JACOBIANS)
 def test_every_conflict_is_one_and_spares_no_condition(jacobians: np.ndarray) -> None:
     for mode in feasible_modes(jacobians, [ALL] * len(jacobians)):
@@ -304,7 +305,7 @@ def sampled(jacobians: np.ndarray, rng: np.random.Generator, draws: int) -> set[
     return found
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(JACOBIANS, st.integers(0, 2**32))
 def test_what_sampling_finds_is_feasible(jacobians: np.ndarray, seed: int) -> None:
     found = sampled(jacobians, np.random.default_rng(seed), 10)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from strategies import examples
 
 from contacts.polygons import FOUND, between, place
 from statechart.cli import main
@@ -133,7 +134,7 @@ SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-3.2, 3.2), st.floats(-3.2, 3.2))
-@settings(max_examples=200, deadline=None)
+@examples(200)
 def test_contacts_of_two_squares_agree_with_their_corners(x, y, one_angle, other_angle):
     one, other = place(SQUARE, 0.0, 0.0, one_angle), place(SQUARE, x, y, other_angle)
     found, swapped = np.zeros((16, FOUND)), np.zeros((16, FOUND))

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 import sympy as sp
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from strategies import examples
 
 from statechart.errors import SingularMode
 from statechart.linear import Definition, solve_linear
@@ -35,7 +36,7 @@ def system(size: int, prefix: str = "u") -> tuple[sp.Symbol, ...]:
     return tuple(sp.Symbol(f"{prefix}{i}", real=True) for i in range(size))
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(st.integers(1, 8), st.integers(0, 2**32 - 1), st.floats(0.2, 1.0), st.floats(0.0, 1.0))
 def test_random_systems_agree_with_numpy(
     size: int, seed: int, density: float, plain: float

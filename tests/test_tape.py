@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 import sympy as sp
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from strategies import examples
 
 from statechart.enclosure import first_crossing
 from statechart.errors import StatechartError
@@ -72,7 +73,7 @@ def tape_of(*outputs, **options):
     return compile_tape(outputs, variables=[X, Y], parameters=[P], time=T, **options)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(expressions, numbers, numbers, numbers, numbers)
 def test_values_agree_with_sympy(expression, x, y, p, t):
     exact = expression.subs(
