@@ -3,29 +3,97 @@
 numba's cache looks only at the file of the function that is called: where that calls kernels of
 another file, an edit there would silently run the old code. Here a kernel's cache is as old as the
 newest of all files whose kernels it can see.
+
+A file of the cache that was cut off or damaged, or that cannot be written, must not end a run: each
+carries a digest of its content, and what does not agree with its own is compiled again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+import io
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
 __all__ = ["is_cached", "kernel", "part"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+_DIGEST = 16  # bytes: damage is an accident, not an attack
+
+
+class _DigestedFile(IndexDataCacheFile):
+    """Index and data of a kernel, each file with a digest of the rest at its end."""
+
+    def _load_index(self) -> Any:
+        return super()._load_index() if self._sound(self._index_path) else {}
+
+    def _load_data(self, name: str) -> Any:
+        # None is what is not in the cache; unpickling takes no notice of what follows.
+        return super()._load_data(name) if self._sound(self._data_path(name)) else None
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        content = io.BytesIO()
+        yield content
+        data = content.getvalue()
+        with super()._open_for_write(filepath) as stream:
+            stream.write(data + _digest(data))
+
+    @staticmethod
+    def _sound(path: str) -> bool:
+        try:
+            data = Path(path).read_bytes()
+        except OSError:
+            return False
+        if data[-_DIGEST:] == _digest(data[:-_DIGEST]):
+            return True
+        with suppress(OSError):
+            os.unlink(path)
+        return False
+
+
+class _Cache(FunctionCache):
+    """numba's cache of one function, without which everything works, too."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        stamps: dict[str, tuple[float, int]] = {}
+        _collect(function, stamps)
+        self._cache_file: Any = _DigestedFile(
+            self._cache_path, self._impl.filename_base, tuple(sorted(stamps.items()))
+        )
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        # What another version of a library wrote may be whole, and of no use.
+        with suppress(Exception):
+            return super().load_overload(sig, target_context)
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        # A full disk, or a folder that may not be written any more.
+        with suppress(OSError):
+            super().save_overload(sig, data)
+
+
+def _digest(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=_DIGEST).digest()
+
 
 def kernel(function: F) -> F:
     """Compile a function when it is first called, from Python or from other kernels; cached."""
     # Without what C would need to call it, it compiles sooner.
-    compiled = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)
-    stamps: dict[str, tuple[float, int]] = {}
-    _collect(function, stamps)
-    compiled._cache._cache_file._source_stamp = tuple(sorted(stamps.items()))
+    compiled = njit(error_model="numpy", no_cfunc_wrapper=True)(function)
+    # Where no folder can be written numba has no cache to offer.
+    with suppress(RuntimeError):
+        compiled._cache = _Cache(function)
     return compiled
 
 
@@ -35,8 +103,9 @@ def part(function: F) -> F:
 
 
 def is_cached(compiled: Any) -> bool:
-    """Whether a kernel lies compiled on disk, for the files as they are."""
-    return bool(compiled._cache._cache_file._load_index())
+    """Whether a kernel lies compiled on disk, whole, for the files as they are."""
+    file = getattr(compiled._cache, "_cache_file", None)
+    return file is not None and bool(file._load_index())
 
 
 def _collect(function: Callable[..., Any], stamps: dict[str, tuple[float, int]]) -> None:

@@ -9,7 +9,6 @@ The plain values are those of YAML 1.2's core schema: `1e-3` is a number, `off` 
 
 from __future__ import annotations
 
-import importlib
 import importlib.metadata
 import io
 from collections.abc import Callable, Iterator, Mapping
@@ -38,6 +37,7 @@ from ruamel.yaml.reader import ReaderError
 from statechart.errors import DeclarationError, Position
 from statechart.formula import close_matches
 from statechart.kinds import kind, kinds
+from statechart.offered import module
 from statechart.problems import declaration_error
 from statechart.yaml_text import dump, resolve
 
@@ -382,10 +382,11 @@ def find(path_or_name: str) -> Path:
         return path
     names: list[str] = []
     for entry in importlib.metadata.entry_points(group="statechart.models"):
-        shipped: Callable[[str], Path | None] = entry.load()
+        offering = module(entry)
+        shipped: Callable[[str], Path | None] = getattr(offering, entry.attr)
         if (found := shipped(path_or_name)) is not None:
             return found
-        names += getattr(importlib.import_module(entry.module), "names", list)()
+        names += getattr(offering, "names", list)()
     if exists:
         return path
     raise DeclarationError(

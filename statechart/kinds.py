@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from pydantic import BaseModel
 
 from statechart.chart import Chart
+from statechart.offered import load
 
 if TYPE_CHECKING:
     import numpy as np
@@ -88,8 +89,10 @@ def kind(name: str) -> Kind:
         If there is none of this name.
     TypeError
         If the entry point leads to something else.
+    StatechartError
+        If its package is hidden by another of its name.
     """
-    loaded = kinds()[name].load()
+    loaded = load(kinds()[name])
     if not isinstance(loaded, Kind):
         raise TypeError(f"the entry point of kind {name!r} is not a Kind but {loaded!r}")
     return loaded

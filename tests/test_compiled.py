@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import pickle
 import sys
 
 import pytest
@@ -68,9 +69,55 @@ def test_an_edit_in_another_file_is_seen(upper, decorator):
 
 def test_an_unchanged_kernel_comes_from_the_disk(upper, tmp_path):
     upper("kernel", "10.0")(1.0)
-    for name in ("upper_kernels", "lower_kernels"):
-        sys.modules.pop(name)
-    found = importlib.import_module("upper_kernels").upper
+    found = again()
     assert is_cached(found)
     assert found(1.0) == 22.0
     assert found.stats.cache_hits
+
+
+def again():
+    """Import the files as they are once more, as a new process would."""
+    for name in ("upper_kernels", "lower_kernels"):
+        sys.modules.pop(name)
+    return importlib.import_module("upper_kernels").upper
+
+
+@pytest.mark.parametrize(
+    ("suffix", "damage"),
+    [
+        ("nbi", lambda data: b""),
+        ("nbi", lambda data: data[: len(data) // 2]),
+        ("nbc", lambda data: data[:-1]),
+        # One bit of the machine code: it would be run as it is.
+        ("nbc", lambda data: data[:-200] + bytes([data[-200] ^ 1]) + data[-199:]),
+        ("nbc", lambda data: pickle.dumps(7)),
+    ],
+    ids=["empty index", "half an index", "short", "bit", "other"],
+)
+def test_a_damaged_file_of_the_cache_is_made_again(upper, tmp_path, suffix, damage):
+    upper("kernel", "10.0")(1.0)
+    (file,) = tmp_path.glob(f"**/upper*.{suffix}")
+    file.write_bytes(damage(file.read_bytes()))
+    found = again()
+    assert is_cached(found) == (suffix == "nbc")
+    assert found(1.0) == 22.0
+    assert not found.stats.cache_hits
+    after = again()
+    assert after(1.0) == 22.0
+    assert after.stats.cache_hits
+
+
+def test_a_kernel_runs_where_its_cache_cannot_be_written(upper, tmp_path, monkeypatch):
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("numba.core.caching.os.replace", full)
+    assert upper("kernel", "10.0")(1.0) == 22.0
+    assert not list(tmp_path.glob("**/upper*.nb*"))
+
+
+def test_a_kernel_runs_where_no_folder_can_hold_a_cache(upper, monkeypatch):
+    monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
+    found = upper("kernel", "10.0")
+    assert found(1.0) == 22.0
+    assert not is_cached(found)

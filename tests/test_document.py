@@ -307,19 +307,19 @@ def _installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
             assert loaded is not None, f"kind {name!r} must not be imported"
             return loaded
 
-        return SimpleNamespace(name=name, module=module, load=load_entry)
+        return SimpleNamespace(name=name, module=module, attr="path", load=load_entry)
 
     groups = {
         "statechart.kinds": [
             entry("chart", "statechart.kinds", kinds.CHART),
             entry("scene", "contacts.kind", None),
         ],
-        "statechart.models": [
-            entry("shipped", "math", lambda name: shipped if name == "ball" else None)
-        ],
+        "statechart.models": [entry("shipped", "math", None)],
     }
     monkeypatch.setattr("importlib.metadata.entry_points", lambda *, group: groups[group])
     monkeypatch.setattr(math, "names", lambda: ["ball"], raising=False)
+    path = {"ball": shipped}.get
+    monkeypatch.setattr(math, "path", path, raising=False)
 
 
 @pytest.mark.usefixtures("_installed")
