@@ -24,8 +24,9 @@ from contacts.modes import OPEN
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot, SnapshotTape
-from statechart.automaton import Edge, Flow, Margin, Region, Setup, State, plain
+from statechart.automaton import CAPTURED, Edge, Flow, Margin, Region, Setup, State, plain
 from statechart.constraints import Constraints
+from statechart.course import Courses
 from statechart.firing import Guard, Listening, Watch, considered, guards
 from statechart.trace import Clock, Jump, Key
 
@@ -106,6 +107,7 @@ class ControlledLaws:
         self._count = len(regions) - len(self._names)
         self._under: dict[Key, SceneLaws] = {}
         self._guarded: dict[Key, ControlGuards] = {}
+        self._courses = Courses((*mechanics.q, *mechanics.v), self._parameters, mechanics.time)
         region_of = mechanics.scene.controlled.region_of
         self._varying = any(
             region_of(text) is not None
@@ -237,9 +239,18 @@ class ControlledLaws:
         found = None
         if isinstance(solved, Candidate):
             accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
-            found = np.concatenate([accelerations, solved.forces.ravel(), joints])
+            captured = np.array([state.startswith(CAPTURED) for state in flow.flow[: self._count]])
+            forces = np.where(captured[:, None], 0.0, solved.forces)
+            found = np.concatenate([accelerations, forces.ravel(), joints])
         rows = guarded.rows(setup, clock.high, state, found)
-        return guarded.watch.due(rows, flow.tolerances, fired, _relative(setup))
+        relative = _relative(setup)
+
+        def later(guard: Guard) -> float:
+            return self._courses.sign(
+                setup, flow.flow, guard.margin, state, setup.scales.sizes, clock.high, relative
+            )
+
+        return guarded.watch.due(rows, flow.tolerances, fired, relative, later)
 
     def _guards(self, states: Key) -> ControlGuards:
         """Return the guards out of `states`."""

@@ -63,6 +63,7 @@ def automaton(scene: Scene) -> Automaton:
             jams=scene.jams(name),
             bounces=scene.bounces(name),
             gate=scene.gate(name),
+            forces=mechanics.forces[name],
         )
         for name, contact in scene.contacts.items()
     )

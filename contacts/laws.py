@@ -26,7 +26,7 @@ from contacts.setup import SceneNumbers, SceneSetup
 from contacts.simultaneous import Impacts, impacts
 from contacts.snapshot import Snapshot, SnapshotTape
 from contacts.usual import usual_mode
-from statechart.automaton import UNBOUNDED, Flow, Margin, Setup, plain
+from statechart.automaton import CAPTURED, UNBOUNDED, Flow, Margin, Setup, plain, uncaptured
 from statechart.constraints import Constraints
 from statechart.errors import DeclarationProblem, NoConsistentMode, SingularMode
 from statechart.parameters import Parameters
@@ -42,6 +42,14 @@ _START_DEPTH = 1e-9
 
 def _alike(one: Jump, other: Jump) -> bool:
     return (one.region, one.cause) == (other.region, other.cause)
+
+
+def _shown(mode: Key, flow: Key) -> Key:
+    """Return a flow with the contacts marked whose bounces are skipped: they are shown as free."""
+    return tuple(
+        CAPTURED + moves if shown in OPEN and moves not in OPEN else moves
+        for shown, moves in zip(mode, flow, strict=True)
+    )
 
 
 class SceneLaws:
@@ -193,7 +201,7 @@ class SceneLaws:
                 sizes = setup.scales.sizes[: len(state) // 2]
                 # Where contacts share a load their constraints are dependent, and rightly so.
                 why = dead_point(snapshot, setup.contacts, moving, sizes)
-                if why and moving == flow.flow:
+                if why and moving == uncaptured(flow.flow):
                     raise SingularMode(why)
                 return None
             if self._paradox == "stop":
@@ -213,8 +221,9 @@ class SceneLaws:
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
-            if choice.taken.flow != flow.flow:
-                return None, flow._replace(flow=choice.taken.flow, settled=True)
+            goes_on = _shown(flow.mode, choice.taken.flow)
+            if goes_on != flow.flow:
+                return None, flow._replace(flow=goes_on, settled=True)
             if state is before or not fired or flow.settled:
                 return None
             # What fell off the constraints has not fallen on them.
@@ -484,7 +493,8 @@ class SceneLaws:
         notes: tuple[str, ...] = (),
     ) -> Flow:
         remaining = math.inf if rest is None else rest
-        return Flow(mode, flow or mode, remaining, warning, settled, notes, tolerances=setup.bands)
+        moving = _shown(mode, flow or mode)
+        return Flow(mode, moving, remaining, warning, settled, notes, tolerances=setup.bands)
 
     def _check_declared(
         self, choice: Choice, snapshot: Snapshot, touching: list[bool], failing: Sequence[str]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import sympy as sp
+
 from contacts.modes import OFF, OPEN, ContactSymbols, Free, Pin, Slide, off, shared
 from contacts.parts import Contact
 from statechart.automaton import Edge, Margin, Region, State
@@ -36,6 +38,7 @@ def region(
     jams: bool,
     bounces: bool,
     gate: str,
+    forces: tuple[sp.Symbol, ...],
 ) -> Region:
     """Return the region of a contact.
 
@@ -55,6 +58,8 @@ def region(
         Whether impacts may accumulate (see `Scene.bounces`).
     gate : str
         Conditions without which it is off; "" where it has none (see `Scene.gate`).
+    forces : tuple of Symbol
+        Its normal and tangential force.
     """
     modes = {mode.mode: mode for mode in contact.modes}
 
@@ -72,7 +77,8 @@ def region(
 
     names = states(contact, gate=gate)
     groups = {s: "slide" for s in names if s in ("slide+", "slide-")}
-    return Region(name, names, build, edges(contact, jams=jams, bounces=bounces, gate=gate), groups)
+    arrows = edges(contact, jams=jams, bounces=bounces, gate=gate)
+    return Region(name, names, build, arrows, groups, forces)
 
 
 def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Edge, ...]:

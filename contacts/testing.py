@@ -19,6 +19,7 @@ from contacts.modes import OFF, OPEN
 from contacts.scene import Scene
 from contacts.setup import SceneSetup, cones, scene_parameters
 from contacts.symmetry import mirrored, rescaled
+from statechart.automaton import uncaptured
 from statechart.comparison import Reading, assert_same, identical
 from statechart.formula import parse
 from statechart.testing import Case, Property, Subject, dense
@@ -363,7 +364,7 @@ def _forces(scene: Scene, subject: Subject, trace: Trace) -> Iterator[tuple[Arc,
 
 def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
     """Yield every contact with its mode."""
-    return zip(scene.contacts, arc.flow, strict=False)  # controllers follow
+    return zip(scene.contacts, uncaptured(arc.flow), strict=False)  # controllers follow
 
 
 def _edges(scene: Scene, trace: Trace, mode: Key) -> dict[str, tuple[float, float]]:

@@ -14,7 +14,8 @@ from statechart.compose import Mode
 from statechart.enclosure import Crossing, Search, Verdict, search
 from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Watch
 from statechart.errors import NonFinite, SimulationError, StepFailure, Undecided
-from statechart.kernels.polynomials import cut_steps
+from statechart.kernels.polynomials import cut_steps, sample_states
+from statechart.series import size_at
 from statechart.tape import Tape, compile_tape
 
 __all__ = ["Advance", "CompiledMode", "advance", "compile_mode"]
@@ -31,6 +32,9 @@ _BLIND = 1e3
 _STAYS = 0.75
 # Of the way to where a step left its constraints unseen.
 _NEARER = 0.5
+# Errors of dense output, in tolerances of the engine.
+_NOISE = 100.0
+_LOCATED = (Verdict.CROSSING, Verdict.GRAZE)
 # The look-ahead in time grows likewise.
 _GROWTH = 16.0
 
@@ -90,8 +94,10 @@ class Advance:
     failure: SimulationError | KeyboardInterrupt | None = None
 
 
-def compile_mode(engine: Engine, automaton: Automaton, mode: Mode) -> CompiledMode:
-    """Put the guards of `mode` on tape and let `engine` compile its rates."""
+def compile_mode(
+    engine: Engine, automaton: Automaton, mode: Mode, stepper: object = None
+) -> CompiledMode:
+    """Put the guards of `mode` on tape; without a `stepper`, let `engine` compile its rates."""
     return CompiledMode(
         mode,
         compile_tape(
@@ -103,7 +109,7 @@ def compile_mode(engine: Engine, automaton: Automaton, mode: Mode) -> CompiledMo
         ),
         tuple((margin.name, margin.kind) for margin in mode.margins),
         tuple(margin.name for margin in mode.margins),
-        engine.compile(automaton, mode),
+        stepper or engine.compile(automaton, mode),
     )
 
 
@@ -206,6 +212,21 @@ def advance(
                     state = initial
                 path.count, count, begin = kept, 1, Begin.MOVED
                 continue
+            noise = _noise(engine, compiled, watch, path, initial, found)
+            if noise is not None:
+                wider = watch._replace(tolerances=noise)
+                again = advance(
+                    engine,
+                    compiled,
+                    path,
+                    wider,
+                    state=initial,
+                    duration=duration,
+                    horizon=end,
+                    on_steps=on_steps,
+                )
+                again.boxes, again.steps = again.boxes + boxes, again.steps + total
+                return again
             if found.verdict is not Verdict.NONE:
                 crossing = _decide(found, compiled, watch, path, reached)
                 graze = found.verdict is not Verdict.CROSSING
@@ -265,6 +286,36 @@ def _blind(
     if blind is None or (where is not None and blind.time > where.time):
         return None
     return blind.step, blind.time
+
+
+def _noise(
+    engine: Engine, compiled: CompiledMode, watch: Watch, path: Path, initial: Array, found: Search
+) -> Array | None:
+    """Return wider tolerances where what was found is no fall but noise; None where it may be one.
+
+    The laws have kept a mode whose margin starts at zero: it rises from there, or stays. Where its
+    first derivatives are zero the polynomials are so to their own errors only, and may dip below
+    zero before it rises.
+    """
+    where = found.crossing or found.undecided
+    if where is None or where.guard < 0 or found.verdict not in _LOCATED:
+        return None
+    guards, parameters, start = compiled.guards, watch.parameters, watch.start
+    tolerance = watch.tolerances.item(where.guard)
+    begun = guards.values(initial, parameters, start).item(where.guard)
+    if compiled.kind(where.guard) != "plain" or not abs(begun) <= tolerance:
+        return None
+    sizes = np.maximum(np.abs(path.coefficients[where.step]).sum(axis=1), engine.floor)
+    times, terms = path.times[: where.step + 2], path.coefficients[: where.step + 1]
+    middle = sample_states(terms, times, np.array([0.5 * where.time]))[0]
+    margin = guards.values(middle, parameters, start + 0.5 * where.time).item(where.guard)
+    size = size_at(guards, where.guard, middle, sizes, parameters, start + where.time)
+    wider = _NOISE * engine.tolerance * size
+    if margin > wider or not wider > tolerance:
+        return None
+    tolerances = watch.tolerances.copy()
+    tolerances[where.guard] = wider
+    return tolerances
 
 
 def _decide(

@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 from statechart.trace import Clock, Jump, Key
 
 if TYPE_CHECKING:
+    from statechart.compose import Mode
     from statechart.constraints import Constraints
     from statechart.declaration import Declaration
     from statechart.stepping import TimeStepper
 
 __all__ = [
+    "CAPTURED",
     "HELD",
     "UNBOUNDED",
     "Automaton",
@@ -38,6 +40,7 @@ __all__ = [
     "Setup",
     "State",
     "plain",
+    "uncaptured",
 ]
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -52,6 +55,17 @@ UNBOUNDED = "unbounded"
 (a force that has grown without bound)."""
 
 
+CAPTURED = "~"
+"""In the key of a flow, before a state: the region is shown in another meanwhile, and for everybody
+else its forces are what they are in that: zero."""
+
+
+@lru_cache(maxsize=1024)
+def uncaptured(flow: Key) -> Key:
+    """Return the flow that moves the state as `flow` does, with nothing hidden from others."""
+    return tuple(state.removeprefix(CAPTURED) for state in flow)
+
+
 @lru_cache(maxsize=1024)
 def plain(flow: Key) -> Key:
     """Return the mode of a flow: its states without what chooses among equivalent equations.
@@ -59,7 +73,7 @@ def plain(flow: Key) -> Key:
     Where a mode's equations leave quantities open that do not change the motion, a flow says after
     the state's name, separated by ``|``, what determines them (``pin|inside|nt|nt|0,1,2|``).
     """
-    return tuple(state.partition("|")[0] for state in flow)
+    return tuple(state.partition("|")[0] for state in uncaptured(flow))
 
 
 @dataclass(frozen=True)
@@ -175,6 +189,8 @@ class Region:
         The region's own statechart.
     groups : mapping
         State -> the state as its declaration names it, where that differs (slide+ -> slide).
+    forces : tuple of Symbol
+        Unknowns that are zero for others while the region is captured (see `CAPTURED`).
     """
 
     name: str
@@ -182,6 +198,7 @@ class Region:
     build: Callable[[str], State]
     edges: tuple[Edge, ...]
     groups: Mapping[str, str] = field(default_factory=dict)
+    forces: tuple[sp.Symbol, ...] = ()
 
     def declared(self, state: str) -> str:
         """Return the state as the declaration names it."""
@@ -211,6 +228,8 @@ class Setup:
         How large each variable is, where the model has scales of its own.
     horizon : float
         A long time for the first flow, in the model's own scales: how far to look ahead at first.
+    modes : callable or None
+        Key of a flow -> its mode, solved for the parameters of the run; set by the executor.
     """
 
     values: NDArray[np.float64]
@@ -221,6 +240,7 @@ class Setup:
     warnings: tuple[str, ...] = ()
     sizes: NDArray[np.float64] | None = None
     horizon: float = float("inf")
+    modes: Callable[[Key], Mode] | None = None
 
     @cached_property
     def zeros(self) -> frozenset[int]:
@@ -253,6 +273,8 @@ class Flow(NamedTuple):
     terms : (n, k) array or None
         What each variable was summed from when the last flow ended; None before the first. Kept
         by the executor.
+    summed : (n,) array or None
+        How large the terms are that jumps since then have summed each variable from.
     pending : mapping
         Region -> the jumps of this instant that it has yet to hear of. None outlasts the instant.
     start : (n,) array or None
@@ -269,6 +291,7 @@ class Flow(NamedTuple):
     held: Mapping[str, Clock] = _NOTHING
     tolerances: Mapping[str, float] = _NOTHING
     terms: NDArray[np.float64] | None = None
+    summed: NDArray[np.float64] | None = None
     pending: Mapping[str, tuple[Jump, ...]] = _NOTHING
     start: NDArray[np.float64] | None = None
 

@@ -20,9 +20,10 @@ from statechart.automaton import HELD, Automaton, Edge, Flow, Margin, Region, Se
 from statechart.chart import Chart, Transition
 from statechart.chart import Region as DeclaredRegion
 from statechart.constraints import NO_CONSTRAINTS, Constraints
+from statechart.course import Courses
 from statechart.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
-from statechart.firing import Guard, Listening, Watch, considered, guards
+from statechart.firing import Guard, Listening, Watch, considered, guards, size_of
 from statechart.formula import parse, parse_relation
 from statechart.parameters import Parameters
 from statechart.tape import Tape, compile_tape
@@ -151,6 +152,11 @@ class ChartLaws:
         self._regions = tuple(chart.regions)
         self._watches: dict[Key, Watch] = {}
         self._updates: dict[tuple[int, int], Tape] = {}
+        self._courses = Courses(
+            tuple(symbols.variables.values()),
+            tuple(symbols.parameters.symbols.values()),
+            symbols.time,
+        )
         self._considered = tuple(map(considered, regions))
         self._listening = Listening(
             regions,
@@ -205,19 +211,28 @@ class ChartLaws:
             index = self._zeno[place][flow.mode[place]]
         else:
             watch = self._watch(flow.flow)
-            rows = watch.at(setup, state, _sizes(flow, state), clock.high)
-            guarded = watch.due(rows, flow.tolerances, fired)
+            sizes = _summed(flow, state)
+
+            def later(guard: Guard) -> float:
+                return self._courses.sign(
+                    setup, flow.flow, guard.margin, state, sizes, clock.high, _ROUNDING
+                )
+
+            rows = watch.at(setup, state, sizes, clock.high)
+            guarded = watch.due(rows, flow.tolerances, fired, _ROUNDING, later)
             firing = self._listening.first(self._regions, flow.mode, pending, guarded)
             if firing is None:
                 return None
             place, index, pending = firing.place, firing.transition, firing.pending
         name = self._regions[place]
         transitions = self._chart.regions[name].transitions
-        after = self._updated(setup, clock, place, index, state)
+        sizes = _summed(flow, state)
+        after, summed = self._updated(setup, clock, place, index, state, sizes)
         if transitions[index].source == transitions[index].target and (after == state).all():
             limit = self._zeno[place].get(transitions[index].source)
             if limit is not None:
-                index, after = limit, self._updated(setup, clock, place, limit, state)
+                index = limit
+                after, summed = self._updated(setup, clock, place, limit, state, sizes)
         taken = transitions[index]
         target = (*flow.mode[:place], taken.target, *flow.mode[place + 1 :])
         jump = Jump(
@@ -240,6 +255,7 @@ class ChartLaws:
                 for region, now in zip(self._regions, target, strict=True)
             ),
             held=held,
+            summed=summed,
             pending=self._listening.heard(pending, jump),
         )
         return jump, self._with_tolerances(setup, clock, following, after)
@@ -307,31 +323,48 @@ class ChartLaws:
             )
         return self._watches[flow]
 
-    def _updated(self, setup: Setup, clock: Clock, place: int, index: int, state: Array) -> Array:
+    def _updated(
+        self, setup: Setup, clock: Clock, place: int, index: int, state: Array, sizes: Array
+    ) -> tuple[Array, Array]:
+        """Return the state after a transition, and the sizes of what it was summed from."""
         transition = self._chart.regions[self._regions[place]].transitions[index]
         if not transition.updates:
-            return state
+            return state, sizes
         tape = self._updates.get((place, index))
         if tape is None:
             known = self._symbols.known
-            updates = transition.updates
+            variables = tuple(self._symbols.variables.values())
+            before = {v: sp.Symbol(f"size_{v}", real=True) for v in variables}
+            values = [
+                parse(transition.updates[name]).to_sympy(known)
+                if name in transition.updates
+                else symbol
+                for name, symbol in self._symbols.variables.items()
+            ]
             tape = self._updates[place, index] = compile_tape(
-                [
-                    parse(updates[name]).to_sympy(known) if name in updates else symbol
-                    for name, symbol in self._symbols.variables.items()
-                ],
-                variables=tuple(self._symbols.variables.values()),
+                [*values, *(size_of(value, before) for value in values)],
+                variables=(*variables, *before.values()),
                 parameters=tuple(self._symbols.parameters.symbols.values()),
                 time=self._symbols.time,
             )
-        after = tape.values(state, setup.values, clock.high)
+        found = tape.values(np.concatenate([state, sizes]), setup.values, clock.high)
+        after, summed = found[: len(state)], found[len(state) :]
         for name, value in zip(self._chart.variables, after, strict=True):
             if not np.isfinite(value):
                 raise NonFinite(f"{transition.name} sets {name} to {value}")
-        return after
+        return after, np.where(np.isfinite(summed), summed, np.abs(after))
+
+
+def _summed(flow: Flow, state: Array) -> Array:
+    """Return the size of the terms that the state was summed from, or is itself."""
+    sizes = flow.sizes if flow.summed is None else flow.summed
+    return np.abs(state) if sizes is None else np.maximum(sizes, np.abs(state))
 
 
 def _sizes(flow: Flow, state: Array) -> Array:
-    """Return the size of the terms that the state was summed from, or is itself."""
-    sizes = flow.sizes
-    return np.abs(state) if sizes is None else np.maximum(sizes, np.abs(state))
+    """Return these sizes, or those before the jumps of this instant where they are larger.
+
+    What is set to zero leaves it by what the time at hand can resolve.
+    """
+    sizes, found = flow.sizes, _summed(flow, state)
+    return found if sizes is None else np.maximum(sizes, found)

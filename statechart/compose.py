@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
 import sympy as sp
 
-from statechart.automaton import Automaton, Loads, Margin
+from statechart.automaton import CAPTURED, Automaton, Loads, Margin, uncaptured
 from statechart.linear import Definition, solve_linear
 from statechart.trace import Key
 
 if TYPE_CHECKING:
     import networkx as nx
 
-__all__ = ["Mode", "build_mode", "graph", "product_modes"]
+__all__ = ["Mode", "build_mode", "captured", "graph", "product_modes"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +33,15 @@ class Mode:
         d/dt of every variable.
     margins : tuple of Margin
         The mode's invariant, stop conditions last.
+    hidden : mapping
+        What forces are for those who look at the mode, where they are not what moves the state.
     """
 
     key: Key
     definitions: tuple[Definition, ...]
     rates: tuple[sp.Expr, ...]
     margins: tuple[Margin, ...]
+    hidden: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
 
 
 def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> Mode:
@@ -59,6 +62,9 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
     Singular
         If the equations leave an unknown free whatever the numbers are.
     """
+    bare = uncaptured(key)
+    if bare != key:
+        return captured(automaton, build_mode(automaton, bare, zeros), key)
     states = [region.build(state) for region, state in zip(automaton.regions, key, strict=True)]
     substitution: dict[sp.Symbol, sp.Expr] = dict.fromkeys(zeros, sp.S.Zero)
     values = {control: value for state in states for control, value in state.values.items()}
@@ -94,6 +100,31 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
         tuple(rate.xreplace(substitution) for rate in automaton.rates),
         tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins),
     )
+
+
+def captured(automaton: Automaton, mode: Mode, key: Key) -> Mode:
+    """Return `mode` as `key` shows it: with the forces of regions that are captured hidden.
+
+    They hold these regions in place, so that their own margins see them.
+    """
+    pairs = list(zip(automaton.regions, key, strict=True))
+    hidden: dict[sp.Symbol, sp.Expr] = {
+        force: sp.S.Zero
+        for region, state in pairs
+        if state.startswith(CAPTURED)
+        for force in region.forces
+    }
+    margins: list[Margin] = []
+    for region, state in pairs:
+        own = region.build(state.removeprefix(CAPTURED)).margins
+        found = mode.margins[len(margins) : len(margins) + len(own)]
+        margins += found if state.startswith(CAPTURED) else _without(found, hidden)
+    margins += _without(mode.margins[len(margins) :], hidden)
+    return replace(mode, key=key, margins=tuple(margins), hidden=hidden)
+
+
+def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> Iterable[Margin]:
+    return [Margin(m.name, m.expression.xreplace(hidden), m.kind) for m in margins]
 
 
 def _shared(

@@ -161,6 +161,8 @@ class Engine(ABC):
         Of the rates, so far; 0 where they are not counted.
     sizes : (n,) array or None
         How large each variable is in the model's own scales, where it says so; set for each run.
+    floor : (n,) array or float
+        Errors of a variable that is smaller are relative to this; set for each flow.
     """
 
     name: str
@@ -168,6 +170,7 @@ class Engine(ABC):
     tolerance: float
     evaluations: int = 0
     sizes: Array | None = None
+    floor: Array | float = 0.0
 
     @abstractmethod
     def compile(self, automaton: Automaton, mode: Mode) -> object:

@@ -2,9 +2,10 @@
 
 A transition fires at the instant its guard becomes true, and at once where its state is entered
 with the guard true. On the guard's boundary, within the rounding of the state, the way the margin
-goes in the entered state decides: a ball at x = 0 that rises does not bounce again on ``x <= 0``,
-one that is about to fall does; where the margin stays at zero the relation itself decides, so that
-``n >= 3`` fires at n = 3 and ``n > 3`` does not.
+goes in the entered state decides, by its first derivative in time that is not zero: a ball at
+x = 0 that rises does not bounce again on ``x <= 0``, one that is about to fall does; where the
+margin stays at zero the relation itself decides, so that ``n >= 3`` fires at n = 3 and ``n > 3``
+does not.
 
 A transition on an event fires at the instant of the event. A region hears the events of an instant
 one by one in their order, before its guards are judged; one that its state does not wait for has
@@ -16,7 +17,7 @@ before it left: regions in their order, in a region the first one declared.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +32,7 @@ from statechart.tape import compile_tape
 from statechart.trace import Jump, Key
 from statechart.transitions import BaseTransition
 
-__all__ = ["Firing", "Guard", "Listening", "Watch", "considered", "guards"]
+__all__ = ["Firing", "Guard", "Listening", "Watch", "considered", "guards", "size_of"]
 
 Array = NDArray[np.float64]
 
@@ -101,6 +102,32 @@ def guards(place: int, name: str, transitions: Sequence[BaseTransition], state: 
     ]
 
 
+def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
+    """Return what the rounding of an expression is relative to.
+
+    Parameters
+    ----------
+    expression : Expr
+        Its terms count, and those of its parts: each is rounded when it is computed.
+    sizes : mapping
+        What inputs were summed from; others (parameters, time) are as large as they are.
+    """
+    if not expression.args:
+        return sizes.get(expression, abs(expression))
+    # A number is exact: an exponent, a factor.
+    parts = [part for part in expression.args if not part.is_Number]
+    if isinstance(expression, sp.Add | sp.Abs | sp.Min | sp.Max):
+        return sp.Add(*(size_of(part, sizes) for part in parts), *map(abs, _numbers(expression)))
+    slots = {part: sp.Dummy(real=True) for part in parts}
+    form = expression.func(*(slots.get(part, part) for part in expression.args))
+    whole = {slot: part for part, slot in slots.items()}
+    changes = (
+        abs(_slope(form, slot).xreplace(whole)) * size_of(part, sizes)
+        for part, slot in slots.items()
+    )
+    return sp.Add(abs(expression), *changes)
+
+
 def considered(region: Region) -> tuple[dict[str, str], ...]:
     """Return, for each transition of a region that is taken, what else could have been, and why."""
     return tuple(
@@ -144,19 +171,13 @@ class Watch:
     ) -> None:
         self.guards = tuple(watched)
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in inputs}
-
-        def size(expression: sp.Expr) -> sp.Expr:
-            used = expression.free_symbols
-            return sp.Add(*(abs(_slope(expression, v)) * s for v, s in sizes.items() if v in used))
-
         outputs: list[sp.Expr] = []
         for guard in self.guards:
             margin = guard.relation.margin(known)
             first = _along(margin, rates, time)
             second = _along(first, rates, time)
-            sides = (guard.relation.left, guard.relation.right)
-            terms = size(margin) + sp.Add(*(abs(side.to_sympy(known)) for side in sides))
-            outputs += [margin, first, second, terms, size(first), size(second)]
+            outputs += [margin, first, second]
+            outputs += [size_of(expression, sizes) for expression in (margin, first, second)]
         self._tape = compile_tape(
             outputs, variables=(*inputs, *sizes.values()), parameters=parameters, time=time
         )
@@ -184,7 +205,8 @@ class Watch:
         rows: Array,
         tolerances: Mapping[str, float],
         fired: Collection[str],
-        relative: float = 0.0,
+        relative: float,
+        later: Callable[[Guard], float],
     ) -> dict[int, int]:
         """Return place -> the first transition whose guard is due.
 
@@ -199,6 +221,9 @@ class Watch:
             The margins that were found to fall.
         relative : float
             Rates this small relative to their terms are zero.
+        later : callable
+            Guard -> the sign of the first derivative of its margin from the third on that is not
+            zero; asked where the first two are.
         """
         found: dict[int, int] = {}
         for guard, row in zip(self.guards, rows.tolist(), strict=True):
@@ -206,18 +231,22 @@ class Watch:
                 continue
             margin, first, second, _, slow, slower = row
             tolerance = tolerances[guard.margin]
-            rate = 0.0
+            fell = guard.margin in fired
+            if not (fell or margin <= tolerance):
+                continue
             if not abs(first) <= relative * slow:
                 rate = first
             elif not abs(second) <= relative * slower:
                 rate = second
-            if guard.margin in fired:
+            else:
+                rate = 0.0 if margin < -tolerance else later(guard)
+            if fell:
                 # What was found is a fall, or a touch too close to tell: then it must not rise.
                 now = margin < -tolerance or not rate > 0.0
             else:
                 strict = guard.relation.operator in "<>"
                 falls = rate < 0.0 or (rate == 0.0 and not strict)
-                now = margin < -tolerance or (margin <= tolerance and falls)
+                now = margin < -tolerance or falls
             if now:
                 found[guard.place] = guard.transition
         return found
@@ -291,6 +320,10 @@ class Listening:
                 left = {**pending, name: ()} if queue else pending
                 return Firing(place, guarded[place], left)
         return None
+
+
+def _numbers(expression: sp.Expr) -> list[sp.Expr]:
+    return [part for part in expression.args if part.is_Number]
 
 
 def _slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:

@@ -302,7 +302,7 @@ class Observer:
                 modes = modes or self._modes(trace)
                 mode = modes(arc.flow)
             total[active.places] += integrals(
-                tape or self._tape(active.expressions, mode),
+                tape or self._tape(_seen(active.expressions, mode), mode),
                 arc.times,
                 coefficients,
                 values,
@@ -385,7 +385,7 @@ class Observer:
             ]
             if columns:
                 index = np.concatenate(parts)
-                tape = self._tape(tuple([expressions[i] for i in columns]), mode)
+                tape = self._tape(_seen([expressions[i] for i in columns], mode), mode)
                 found = tape.table(points.states[index], values, points.times[index])
                 result[np.ix_(index, np.array(columns))] = found
         return result
@@ -463,6 +463,12 @@ class Observer:
             return self._passed[flow, zeros]
 
         return look_up
+
+
+def _seen(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:
+    """Return the expressions as others see the mode: without the forces that it hides."""
+    hidden = mode.hidden if mode else {}
+    return tuple([e.xreplace(hidden) for e in expressions]) if hidden else tuple(expressions)
 
 
 def _parameters(trace: Trace) -> Array:

@@ -5,17 +5,28 @@ from __future__ import annotations
 import sys
 import time as wall
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 
 import numpy as np
 import sympy as sp
 
 from statechart.advance import CompiledMode, advance, compile_mode
-from statechart.automaton import HELD, UNBOUNDED, Automaton, Flow, Setup, plain
-from statechart.compose import build_mode
+from statechart.automaton import (
+    CAPTURED,
+    HELD,
+    UNBOUNDED,
+    Automaton,
+    Flow,
+    Setup,
+    plain,
+    uncaptured,
+)
+from statechart.compose import Mode, build_mode, captured
 from statechart.engine import Engine, Path, Watch
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure
+from statechart.series import size_at
 from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace
 from statechart.zeno import Accumulation, between
 
@@ -49,6 +60,7 @@ class Simulator:
         self.automaton = automaton
         self.engine = engine
         self.progress = progress
+        self._modes: dict[tuple[Key, frozenset[int]], Mode] = {}
         self._compiled: dict[tuple[Key, frozenset[int]], CompiledMode] = {}
         self._built: set[Key] = set()
         self.path = Path()
@@ -86,6 +98,7 @@ class Simulator:
             With the trace so far, where the run cannot go on and `throw` is set.
         """
         setup = self.automaton.laws.setup(parameters or {}, self.engine.tolerance)
+        setup = replace(setup, modes=partial(self._mode, zeros=setup.zeros))
         self.engine.sizes = setup.sizes
         run = _Run(self, setup, until, max_jumps)
         try:
@@ -103,16 +116,33 @@ class Simulator:
         """Return the mode `key`, compiled for the parameters that are zero in `setup`."""
         found = self._compiled.get((key, setup.zeros))
         if found is None:
-            # Zeros that its equations do not mention call for no mode of its own.
-            zeros = setup.zeros & self._used(key)
-            found = self._compiled.get((key, zeros))
+            mode = self._mode(key, setup.zeros)
+            found = next((made for made in self._compiled.values() if made.mode is mode), None)
             if found is None:
-                symbols = self.automaton.parameters
-                mode = build_mode(self.automaton, key, frozenset(symbols[i] for i in zeros))
-                found = self._compiled[key, zeros] = compile_mode(self.engine, self.automaton, mode)
+                bare = uncaptured(key)
+                stepper = None if bare == key else self.compiled(bare, setup).stepper
+                found = compile_mode(self.engine, self.automaton, mode, stepper)
                 if HELD not in key:
                     self._built.add(plain(key))
             self._compiled[key, setup.zeros] = found
+        return found
+
+    def _mode(self, key: Key, zeros: frozenset[int]) -> Mode:
+        """Return the mode `key`, solved where the parameters at the places `zeros` are zero."""
+        found = self._modes.get((key, zeros))
+        if found is None:
+            # Zeros that its equations do not mention call for no mode of its own.
+            mentioned = zeros & self._used(key)
+            found = self._modes.get((key, mentioned))
+            if found is None:
+                symbols, bare = self.automaton.parameters, uncaptured(key)
+                if bare != key:
+                    found = captured(self.automaton, self._mode(bare, zeros), key)
+                else:
+                    gone = frozenset(symbols[i] for i in mentioned)
+                    found = build_mode(self.automaton, key, gone)
+                self._modes[key, mentioned] = found
+            self._modes[key, zeros] = found
         return found
 
     def _used(self, key: Key) -> frozenset[int]:
@@ -120,7 +150,7 @@ class Simulator:
         automaton = self.automaton
         parts = list(automaton.equations) + list(automaton.rates)
         for region, name in zip(automaton.regions, key, strict=True):
-            state = region.build(name)
+            state = region.build(name.removeprefix(CAPTURED))
             parts += (*state.equations, *state.values.values())
         used: set[sp.Symbol] = set().union(*(part.free_symbols for part in parts))
         return frozenset(i for i, symbol in enumerate(automaton.parameters) if symbol in used)
@@ -211,7 +241,7 @@ class _Run:
             if self.outcome is Outcome.STOPPED:
                 return
             if not fired:
-                if not self._closed() or not self._settle(()):
+                if not self._ending() or not self._settle(()):
                     self.message = f"reached t = {self.clock.high:.17g}"
                 return
             if self._settle(fired):
@@ -286,17 +316,30 @@ class _Run:
             self._stop(margin.name)
         return (margin.name,)
 
-    def _closed(self) -> bool:
-        """Whether a gap has closed at the very end of the run: it is searched for below zero."""
+    def _ending(self) -> bool:
+        """Whether something may just be happening as the run ends: it belongs to the run.
+
+        Gaps are searched for below zero, and a guard may fall short of its boundary by what the
+        run is off.
+        """
         assert self.flow is not None
         compiled = self.entered.get(self.flow.flow)
         if compiled is None:
             return False
-        margins = compiled.guards.values(self.state, self.setup.values, self.clock.high)
-        return any(
-            kind == "gap" and margin <= _AT_END * self.setup.tolerances[kind]
-            for (_, kind), margin in zip(compiled.watched, margins.tolist(), strict=True)
-        )
+        guards, parameters, time = compiled.guards, self.setup.values, self.clock.high
+        margins = guards.values(self.state, parameters, time).tolist()
+        relative, sizes = self.simulator.engine.tolerance, self.flow.sizes
+        sizes = np.abs(self.state) if sizes is None else sizes
+        closed, tolerances = False, dict(self.flow.tolerances)
+        for place, ((name, kind), margin) in enumerate(zip(compiled.watched, margins, strict=True)):
+            if kind == "gap":
+                closed |= margin <= _AT_END * self.setup.tolerances[kind]
+            elif kind == "plain" and name in tolerances:
+                size = size_at(guards, place, self.state, sizes, parameters, time)
+                tolerances[name] = max(tolerances[name], relative * size)
+                closed |= margin <= tolerances[name]
+        self.flow = self.flow._replace(tolerances=tolerances)
+        return closed
 
     def _warn(self) -> None:
         if self.flow is not None:

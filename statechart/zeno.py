@@ -17,6 +17,9 @@ _INTERVALS = 8
 _SHRUNK = 1e-4
 # Relative spread of those ratios; a decaying but not geometric sequence has more.
 _SPREAD = 1e-3
+# A ratio that rises all the time tends to less than one if it rises by less than this part of its
+# distance to one while the sum is done; that of 1/n**p never does, it rises by the part 1/p.
+_RISE = 1e-3
 # That spread corrects the sum by no more than this part of it.
 _CORRECTION = 0.1
 # How many geometric sequences the intervals may be the sum of, and how many of them lie between
@@ -114,6 +117,9 @@ class Accumulation:
         ratios = [b / a for a, b in itertools.pairwise(intervals)]
         ratio = math.exp(math.fsum(map(math.log, ratios)) / len(ratios))
         if ratio >= 1.0 or max(ratios) - min(ratios) > _SPREAD * ratio:
+            return None
+        rises = [b - a for a, b in itertools.pairwise(ratios)]
+        if min(rises) > 0.0 and sum(rises) > _RISE * len(rises) * (1.0 - ratio) ** 2:
             return None
         rest = intervals[-1] * ratio / (1.0 - ratio)
         return _remaining(series.intervals, rest) if rest < short * series.longest else None

@@ -111,8 +111,8 @@ class SciPy(Engine):
             # not below what rounding makes of a state at rest.
             moving = float((magnitude / sizes).max(initial=0.0)) or 1.0
             least = sizes * max(moving, _ROUNDING / self.tolerance)
-        absolute = self.tolerance * np.maximum(magnitude, 1e-3 * least)
-        options: dict[str, Any] = {"rtol": self.tolerance, "atol": absolute}
+        self.floor = np.maximum(magnitude, 1e-3 * least)
+        options: dict[str, Any] = {"rtol": self.tolerance, "atol": self.tolerance * self.floor}
         if stepper.suggested is not None and 0 < stepper.suggested < duration:
             options["first_step"] = stepper.suggested
         solver = getattr(integrate, self.method)

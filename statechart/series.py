@@ -1,0 +1,272 @@
+"""Taylor series in time of a tape along a flow, and how well their coefficients are known.
+
+The coefficients follow one from another (Moore, "Interval Analysis", 1966, chapter 11). With each
+goes a size: what rounding and the errors of the inputs may change it by, in units of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.kernels.tapes import OPCODES
+from statechart.tape import Tape
+
+__all__ = ["Series", "expand", "size_at"]
+
+Array = NDArray[np.float64]
+
+_NAMES = {code: name for name, code in OPCODES.items()}
+# A coefficient is zero below so many roundings of its size.
+_ROUNDING = 2.0**-46
+
+
+class Series(NamedTuple):
+    """Coefficients of 1, t, t**2, ..., and their sizes: at least as large as their amounts."""
+
+    values: list[float]
+    sizes: list[float]
+
+
+def expand(
+    tape: Tape, variables: Sequence[Series], parameters: Sequence[float], time: float
+) -> list[Series]:
+    """Return the series of a tape's outputs, as long as those of its variables.
+
+    What has no series (a root at zero) has coefficients that are not numbers.
+    """
+    terms = len(variables[0].values) if variables else 1
+    clock = _constant(time, terms)
+    clock.values[1:2] = [1.0][: terms - 1]
+    registers = [*variables, clock]
+    registers += [_constant(p, terms) for p in (*parameters, *tape.constants.tolist())]
+    for op, left, right in tape.code.tolist():
+        a, name = registers[left], _NAMES[op]
+        try:
+            if name in _BINARY:
+                found = _BINARY[name](a, registers[right])
+            else:
+                found = _power(a, right) if name == "powi" else _UNARY[name](a)
+        except (ValueError, ZeroDivisionError, OverflowError):
+            found = Series([math.nan] * terms, [math.nan] * terms)
+        registers.append(found)
+    return [registers[place] for place in tape.outputs.tolist()]
+
+
+def size_at(
+    tape: Tape, output: int, state: Array, sizes: Array, parameters: Array, time: float
+) -> float:
+    """Return how large the terms of an output are, given those of the state."""
+    pairs = zip(state.tolist(), sizes.tolist(), strict=True)
+    variables = [Series([x], [max(abs(x), size)]) for x, size in pairs]
+    return expand(tape, variables, parameters.tolist(), time)[output].sizes[0]
+
+
+def _constant(value: float, terms: int) -> Series:
+    zeros = [0.0] * (terms - 1)
+    return Series([value, *zeros], [abs(value), *zeros])
+
+
+def _product(a: Sequence[float], b: Sequence[float]) -> list[float]:
+    return [sum(a[i] * b[k - i] for i in range(k + 1)) for k in range(len(a))]
+
+
+def _amounts(a: Sequence[float]) -> list[float]:
+    return [abs(x) for x in a]
+
+
+def _sum(*parts: Sequence[float]) -> list[float]:
+    return [sum(column) for column in zip(*parts, strict=True)]
+
+
+def _add(a: Series, b: Series) -> Series:
+    return Series(_sum(a.values, b.values), _sum(a.sizes, b.sizes))
+
+
+def _neg(a: Series) -> Series:
+    return Series([-x for x in a.values], a.sizes)
+
+
+def _sub(a: Series, b: Series) -> Series:
+    return _add(a, _neg(b))
+
+
+def _mul(a: Series, b: Series) -> Series:
+    left, right = _amounts(a.values), _amounts(b.values)
+    return Series(
+        _product(a.values, b.values), _sum(_product(left, b.sizes), _product(a.sizes, right))
+    )
+
+
+def _div(a: Series, b: Series) -> Series:
+    below = [-x for x in b.values]
+
+    def quotient(above: Sequence[float], signed: Sequence[float]) -> list[float]:
+        found: list[float] = []
+        for k, x in enumerate(above):
+            found.append((x + sum(found[i] * signed[k - i] for i in range(k))) / abs(b.values[0]))
+        return found
+
+    sign = math.copysign(1.0, b.values[0])
+    values = quotient([sign * x for x in a.values], [sign * x for x in below])
+    sizes = _sum(a.sizes, _product(_amounts(values), b.sizes))
+    return Series(values, quotient(sizes, _amounts(b.values)))
+
+
+def _chain(first: float, *parts: tuple[Series, Series]) -> Series:
+    """Return a function from its first value, and pairs of argument and partial derivative."""
+    values = [first]
+    for k in range(1, len(parts[0][0].values)):
+        values.append(
+            sum(
+                i * a.values[i] * slope.values[k - i] for a, slope in parts for i in range(1, k + 1)
+            )
+            / k
+        )
+    sizes = [_product(_amounts(slope.values), a.sizes) for a, slope in parts]
+    return Series(values, _sum(_amounts(values), *sizes))
+
+
+def _coupled(
+    a: Series, first: tuple[float, float], signs: tuple[float, float]
+) -> tuple[Series, Series]:
+    """Return f and g with the derivatives f' = signs[0] g and g' = signs[1] f."""
+    f, g = [first[0]], [first[1]]
+    for k in range(1, len(a.values)):
+        rates = [i * a.values[i] / k for i in range(1, k + 1)]
+        f_k = signs[0] * sum(rate * g[k - 1 - i] for i, rate in enumerate(rates))
+        g_k = signs[1] * sum(rate * f[k - 1 - i] for i, rate in enumerate(rates))
+        f.append(f_k)
+        g.append(g_k)
+    return (
+        Series(f, _sum(_amounts(f), _product(_amounts(g), a.sizes))),
+        Series(g, _sum(_amounts(g), _product(_amounts(f), a.sizes))),
+    )
+
+
+def _trigonometric(a: Series) -> tuple[Series, Series]:
+    x = a.values[0]
+    return _coupled(a, (math.sin(x), math.cos(x)), (1.0, -1.0))
+
+
+def _hyperbolic(a: Series) -> tuple[Series, Series]:
+    x = a.values[0]
+    return _coupled(a, (math.sinh(x), math.cosh(x)), (1.0, 1.0))
+
+
+def _exp(a: Series) -> Series:
+    first = math.exp(a.values[0])
+    return _coupled(a, (first, first), (1.0, 1.0))[0]
+
+
+def _one(a: Series) -> Series:
+    return _constant(1.0, len(a.values))
+
+
+def _sqrt(a: Series) -> Series:
+    if not any(a.values):
+        return a
+    values = [math.sqrt(a.values[0])]
+    for k in range(1, len(a.values)):
+        mixed = sum(values[i] * values[k - i] for i in range(1, k))
+        values.append((a.values[k] - mixed) / (2.0 * values[0]))
+    root = Series(values, _amounts(values))
+    slope = _div(_constant(0.5, len(values)), root)
+    return Series(values, _sum(root.sizes, _product(_amounts(slope.values), a.sizes)))
+
+
+def _log(a: Series) -> Series:
+    return _chain(math.log(a.values[0]), (a, _div(_one(a), a)))
+
+
+def _asin(a: Series) -> Series:
+    slope = _div(_one(a), _sqrt(_sub(_one(a), _mul(a, a))))
+    return _chain(math.asin(a.values[0]), (a, slope))
+
+
+def _acos(a: Series) -> Series:
+    slope = _div(_one(a), _sqrt(_sub(_one(a), _mul(a, a))))
+    return _chain(math.acos(a.values[0]), (a, _neg(slope)))
+
+
+def _atan(a: Series) -> Series:
+    return _chain(math.atan(a.values[0]), (a, _div(_one(a), _add(_one(a), _mul(a, a)))))
+
+
+def _atan2(y: Series, x: Series) -> Series:
+    square = _add(_mul(x, x), _mul(y, y))
+    first = math.atan2(y.values[0], x.values[0])
+    return _chain(first, (y, _div(x, square)), (x, _neg(_div(y, square))))
+
+
+def _power(a: Series, exponent: int) -> Series:
+    result = None
+    while exponent:
+        if exponent & 1:
+            result = a if result is None else _mul(result, a)
+        exponent >>= 1
+        a = _mul(a, a) if exponent else a
+    return _one(a) if result is None else result
+
+
+def _pow(a: Series, b: Series) -> Series:
+    return _exp(_mul(b, _log(a)))
+
+
+def _sign_of(a: Series) -> float:
+    """Return the sign that a series has just after its start."""
+    for value, size in zip(a.values, a.sizes, strict=True):
+        if not abs(value) <= _ROUNDING * size:
+            return math.copysign(1.0, value)
+    return 0.0
+
+
+def _abs(a: Series) -> Series:
+    return _neg(a) if _sign_of(a) < 0.0 else a
+
+
+def _sign(a: Series) -> Series:
+    return _constant(_sign_of(a), len(a.values))
+
+
+def _min(a: Series, b: Series) -> Series:
+    return b if _sign_of(_sub(a, b)) > 0.0 else a
+
+
+def _max(a: Series, b: Series) -> Series:
+    return b if _sign_of(_sub(a, b)) < 0.0 else a
+
+
+_BINARY: dict[str, Callable[[Series, Series], Series]] = {
+    "add": _add,
+    "sub": _sub,
+    "mul": _mul,
+    "div": _div,
+    "min": _min,
+    "max": _max,
+    "atan2": _atan2,
+    "hypot": lambda a, b: _sqrt(_add(_mul(a, a), _mul(b, b))),
+    "pow": _pow,
+}
+_UNARY: dict[str, Callable[[Series], Series]] = {
+    "neg": _neg,
+    "square": lambda a: _mul(a, a),
+    "sqrt": _sqrt,
+    "exp": _exp,
+    "log": _log,
+    "sin": lambda a: _trigonometric(a)[0],
+    "cos": lambda a: _trigonometric(a)[1],
+    "tan": lambda a: _div(*_trigonometric(a)),
+    "asin": _asin,
+    "acos": _acos,
+    "atan": _atan,
+    "sinh": lambda a: _hyperbolic(a)[0],
+    "cosh": lambda a: _hyperbolic(a)[1],
+    "tanh": lambda a: _div(*_hyperbolic(a)),
+    "abs": _abs,
+    "sign": _sign,
+}

@@ -1,0 +1,128 @@
+"""Bounces that are summed: until they end, nobody sees the force that stands for them."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from runs import ENGINES, engine
+from strategies import examples
+from test_guards import run, scene, times
+
+from statechart.observe import Observer
+from statechart.outputs import Outputs
+from statechart.simulate import Simulator
+from statechart.trace import Outcome
+
+both = pytest.mark.parametrize("name", ENGINES)
+
+# A ball dropped on a floor at any height; a controller that feels its weight there.
+DROP = """\
+kind: scene
+name: drop
+parameters: {h: 1, base: 0, e: 0.3, g: 9.81, part: 0.5, mu: 0, v: 0}
+gravity: g
+bodies: {ball: {mass: 2, start: {y: base + h, dx: v}}}
+surfaces: {floor: {height: base}}
+contacts:
+  skin: {point: {body: ball}, surface: floor, friction: mu, restitution: e}
+regions:
+  scale:
+    initial: light
+    states: {light: {}, heavy: {}, loose: {}}
+    transitions:
+      - {name: feel, from: light, to: heavy, guard: skin.V > part*2*g}
+  rub:
+    initial: no
+    states: {no: {}, yes: {}}
+    transitions: [{name: drag, from: no, to: yes, guard: abs(skin.H) > 0.9*mu*part*2*g}]
+outputs:
+  weight: {integral: skin.V}
+  felt: {value: skin.V, at: first scale.feel}
+  before: {value: skin.V, at: first skin.zeno, before: true}
+  after: {value: skin.V, at: first skin.zeno}
+"""
+STOPPED = DROP.replace("outputs:", "stop: {conditions: {heavy: skin.V > part*2*g}}\noutputs:")
+
+
+@functools.cache
+def drop(name: str, text: str = DROP) -> Simulator:
+    return Simulator(scene(text), engine(name))
+
+
+def rest(h: float, g: float, e: float) -> float:
+    return math.sqrt(2.0 * h / g) * (1.0 + e) / (1.0 - e)
+
+
+@examples(20)
+@given(
+    st.floats(0.1, 3.0),
+    st.sampled_from([0.0, 1.0, -30.0, 1000.0]),
+    st.floats(0.05, 0.8),
+    st.floats(1.0, 20.0),
+    st.floats(0.05, 0.95),
+    st.sampled_from([0.0, 0.3]),
+)
+def test_a_weight_is_felt_when_the_bounces_have_ended_wherever_the_scene_is(
+    h: float, base: float, e: float, g: float, part: float, mu: float
+) -> None:
+    end = rest(h, g, e)
+    # Still fast when it comes to rest on the floor: friction has taken mu times what it weighed.
+    speed = 3.0 * mu * g * end
+    given_ = {"h": h, "base": base, "e": e, "g": g, "part": part, "mu": mu, "v": speed}
+    for name in ENGINES:
+        simulator = drop(name)
+        trace = simulator.run(given_, until=1.5 * end)
+        (zeno,) = [jump for jump in trace.jumps if jump.cause == "zeno"]
+        felt = [jump for jump in trace.jumps if jump.region in ("scale", "rub")]
+        assert [jump.cause for jump in felt] == ["feel", "drag"][: 1 + (mu > 0.0)], name
+        assert {jump.t for jump in felt} == {zeno.t}
+        # Where rounding hides what is above the floor, by the third power of what is left out.
+        assert zeno.t == pytest.approx(end, rel=1e-9)
+        found = Outputs(Observer(simulator)).of(trace)
+        assert found["before"] == 0.0
+        assert found["after"] == found["felt"] == pytest.approx(2.0 * g, rel=1e-12)
+        assert found["weight"] == pytest.approx(2.0 * g * (trace.t_end - zeno.t), rel=1e-9)
+        assert trace.certified
+
+
+@both
+@pytest.mark.parametrize("base", [0.0, 1.0, 1000.0])
+def test_a_stop_on_a_force_waits_for_the_end_of_the_bounces(name: str, base: float) -> None:
+    trace = drop(name, STOPPED).run({"base": base}, until=5.0)
+    assert trace.outcome is Outcome.STOPPED
+    assert trace.t_end == pytest.approx(rest(1.0, 9.81, 0.3), rel=1e-11)
+    assert [jump.cause for jump in trace.jumps][-3:] == ["zeno", "feel", "stop"]
+
+
+ROCK = """\
+kind: scene
+name: rock
+gravity: 9.81
+parameters: {b: 0.2, h: 0.3, lean: 0.1}
+bodies:
+  block:
+    mass: 1
+    inertia: (b**2 + h**2)/3
+    start: {x: 0, y: b*sin(lean) + h*cos(lean), angle: -lean}
+surfaces: {ground: {height: 0}}
+contacts:
+  left: {point: {body: block, at: [-b, -h]}, surface: ground, friction: inf, restitution: 0}
+  right: {point: {body: block, at: [b, -h]}, surface: ground, friction: inf, restitution: 0}
+regions:
+  scale:
+    initial: one
+    states: {one: {}, both: {}}
+    transitions: [{name: stand, from: one, to: both, guard: left.V*right.V > 1}]
+"""
+
+
+@both
+def test_feet_that_rattle_bear_together_only_when_they_have_come_to_rest(name: str) -> None:
+    trace = run(scene(ROCK), name, 3.0)
+    (zeno,) = times(trace, "zeno")
+    assert times(trace, "stand") == [zeno]
+    assert sum(jump.cause == "touchdown" for jump in trace.jumps) > 10

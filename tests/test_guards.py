@@ -1,0 +1,325 @@
+"""When guards fire: clocks, margins that leave their boundary slowly, both ends of a run."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from runs import ENGINES, engine
+from strategies import examples
+from test_chart import compose, go, region, times
+
+from contacts.scene import Scene
+from statechart.automaton import Automaton
+from statechart.document import interpret, read_text
+from statechart.kinds import kind
+from statechart.simulate import Simulator
+from statechart.trace import Outcome, Trace
+
+both = pytest.mark.parametrize("name", ENGINES)
+
+
+def run(automaton: Automaton, name: str, until: float, **parameters: float) -> Trace:
+    return Simulator(automaton, engine(name)).run(parameters, until=until)
+
+
+def scene(text: str) -> Automaton:
+    model = interpret(read_text(text, "f.yaml"))
+    assert isinstance(model, Scene)
+    built = kind("scene").automaton(model)
+    assert isinstance(built, Automaton)
+    return built
+
+
+@both
+def test_every_day_has_one_dusk_and_one_dawn(name: str) -> None:
+    chart = compose(
+        {"n": 0, "x": 0},
+        {
+            "clock": region(
+                {"day": {"x": "1"}, "night": {"x": "1"}},
+                go("day", "night", "cos(time) <= 0", "dusk"),
+                go("night", "day", "cos(time) >= 0", "dawn", n="n + 1"),
+            )
+        },
+    )
+    trace = run(chart, name, 100.0)
+    assert [jump.t for jump in trace.jumps] == pytest.approx(
+        [math.pi * (k + 0.5) for k in range(32)], abs=1e-12
+    )
+    assert trace.final[0] == 16
+    assert trace.certified
+
+
+# A block on the ground, and a clock that it does not care for.
+CLOCKED = """\
+kind: scene
+name: clocked
+parameters: {W: 2, phase: 1, late: 0, light: 1}
+gravity: 9.81
+bodies: {block: {mass: 1}}
+surfaces: {ground: {height: 0}}
+contacts:
+  base: {point: {body: block}, surface: ground, friction: 0.3, restitution: 0}
+regions:
+  clock:
+    initial: up
+    states: {up: {}, down: {}}
+    transitions:
+      - {name: fall, from: up, to: down, guard: light*sin(W*(time - late) + phase) <= 0}
+      - {name: rise, from: down, to: up, guard: light*sin(W*(time - late) + phase) >= 0}
+"""
+
+
+@functools.cache
+def clock(of: str, name: str, fall: str, rise: str) -> Simulator:
+    if of == "scene":
+        return Simulator(scene(CLOCKED.replace("<=", fall).replace(">=", rise)), engine(name))
+    form = "light*sin(W*(time - late) + phase)"
+    up_and_down = region(
+        {"up": {"x": "v", "v": "-x"}, "down": {"x": "v", "v": "-x"}},
+        go("up", "down", f"{form} {fall} 0", "fall"),
+        go("down", "up", f"{form} {rise} 0", "rise"),
+    )
+    parameters = {"W": 2.0, "phase": 1.0, "late": 0.0, "light": 1.0}
+    return Simulator(compose({"x": 1, "v": 0}, {"clock": up_and_down}, parameters), engine(name))
+
+
+@examples(20)
+@given(
+    st.sampled_from(["chart", "scene"]),
+    st.sampled_from([("<=", ">="), ("<", ">"), ("<=", ">"), ("<", ">=")]),
+    st.floats(0.5, 40.0),
+    st.floats(0.01, 3.1),
+    st.sampled_from([0.0, 0.125, -7.0, 1000.0, -1e6]),
+    st.sampled_from([1.0, 1e-9, 1e12]),
+    st.floats(1.0, 12.5),
+)
+def test_a_clock_strikes_as_often_as_its_sine_passes_zero(
+    of: str,
+    signs: tuple[str, str],
+    rate: float,
+    phase: float,
+    late: float,
+    light: float,
+    periods: float,
+) -> None:
+    until = periods * 2 * math.pi / rate
+    # Where rounding of the phase decides whether the run ends before or after a zero.
+    angle = phase - rate * late
+    first, last = math.ceil(angle / math.pi), math.floor((angle + rate * until) / math.pi)
+    near = 1e-12 * (1.0 + abs(rate * late))
+    edges = [angle / math.pi, (angle + rate * until) / math.pi]
+    if min(abs(edge - round(edge)) for edge in edges) < 100 * near:
+        return
+    if math.sin(angle) <= 0.0:
+        phase, first, last = phase + math.pi, first + 1, last + 1
+    given_ = {"W": rate, "phase": phase, "late": late, "light": light}
+    expected = [(k * math.pi - phase) / rate + late for k in range(first, last + 1)]
+    for name in ENGINES:
+        trace = clock(of, name, *signs).run(given_, until=until)
+        found = [jump.t for jump in trace.jumps]
+        assert len(found) == len(expected), (name, found)
+        assert found == pytest.approx(expected, abs=near + 1e-9 * until), name
+        assert trace.certified
+
+
+@functools.cache
+def chain(order: int, name: str, strict: bool) -> Simulator:
+    """Return x0' = x1, ..., the last rate constant, with a state for each sign of x0."""
+    below, above = ("<", ">") if strict else ("<=", ">=")
+    names = [f"x{i}" for i in range(order)]
+    rates = dict(zip(names, [*names[1:], "c"], strict=True))
+    chart = compose(
+        {x: f"p{x}" for x in names},
+        {
+            "r": region(
+                {"up": rates, "down": rates},
+                go("up", "down", f"x0 {below} 0", "fall"),
+                go("down", "up", f"x0 {above} 0", "rise"),
+            )
+        },
+        {"c": 1.0, **{f"p{x}": 0.0 for x in names}},
+    )
+    return Simulator(chart, engine(name))
+
+
+@examples(20)
+@given(
+    st.integers(1, 5),
+    st.lists(st.sampled_from([0.5, 0.8, 1.25, 2.0, 2.75]), max_size=3, unique=True),
+    st.booleans(),
+    st.sampled_from([-1.0, 1.0, 1e-6, -1e9]),
+    st.sampled_from([1.0, 60.0]),
+)
+def test_a_margin_leaves_its_boundary_by_its_first_derivative_that_is_not_zero(
+    order: int, roots: list[float], strict: bool, amount: float, unit: float
+) -> None:
+    # amount t^order (1 - t/r1) (1 - t/r2) ..., t in units.
+    polynomial = np.polynomial.Polynomial([0.0] * order + [amount])
+    for r in sorted(roots):
+        polynomial *= np.polynomial.Polynomial([1.0, -1.0 / r])
+    coefficients = [float(c) * math.factorial(i) / unit**i for i, c in enumerate(polynomial.coef)]
+    given_ = {"c": coefficients[-1]}
+    given_ |= {f"px{i}": c for i, c in enumerate(coefficients[:-1])}
+    expected = [r * unit for r in sorted(roots)]
+    if amount < 0.0:
+        expected.insert(0, 0.0)
+    for name in ENGINES:
+        trace = chain(len(coefficients) - 1, name, strict).run(given_, until=3.0 * unit)
+        assert [jump.t for jump in trace.jumps] == pytest.approx(expected, abs=1e-7 * unit), name
+        assert trace.final_mode == (("up", "down")[len(expected) % 2],)
+        assert trace.certified
+
+
+@both
+@pytest.mark.parametrize(
+    ("margin", "jumps"),
+    [
+        ("x - sin(x)", 0),
+        ("sin(x) - x", 1),
+        ("1 - x**2/2 - cos(x)", 1),
+        ("cos(x) - 1 + x**2/2 - x**4/24", 1),
+        ("exp(x) - 1 - x", 0),
+        ("tan(x) - x*sqrt(1 + x**2)", 1),
+        ("abs(x**3)", 0),
+        ("x**3 - x**5", 1),
+    ],
+)
+def test_guards_of_any_form_leave_their_boundary_likewise(
+    name: str, margin: str, jumps: int
+) -> None:
+    chart = compose(
+        {"x": 0}, {"r": region({"a": {"x": "1"}, "b": {}}, go("a", "b", f"{margin} <= 0"))}
+    )
+    trace = run(chart, name, 0.9)
+    expected = [0.0] * jumps if margin != "x**3 - x**5" else []
+    assert times(trace) == expected
+
+
+RAMP = """\
+kind: scene
+name: ramp
+parameters: {F: 1, k: 0, p: 0}
+gravity: 0
+bodies: {cart: {mass: 1, start: {x: p}}}
+forces: {drive: {body: cart, force: [F*time**k, 0]}}
+regions:
+  gate:
+    initial: near
+    states: {near: {}, far: {}}
+    transitions: [{name: go, from: near, to: far, guard: cart.x <= p}]
+"""
+
+
+@both
+@pytest.mark.parametrize("place", [0.0, 3.7])
+@pytest.mark.parametrize("power", [0, 1, 2])
+def test_a_body_pushed_off_its_boundary_by_a_growing_force_leaves_it(
+    name: str, power: int, place: float
+) -> None:
+    automaton = scene(RAMP.replace("time**k", "*".join(["1", *["time"] * power])))
+    assert not run(automaton, name, 2.0, F=1.0, p=place).jumps
+    assert [jump.t for jump in run(automaton, name, 2.0, F=-1.0, p=place).jumps] == [0.0]
+
+
+@both
+def test_a_controllers_guard_that_is_true_on_entry_fires_at_once(name: str) -> None:
+    text = CLOCKED[: CLOCKED.index("regions:")] + (
+        "regions:\n  r:\n    initial: a\n    states: {a: {}, b: {}, c: {}, d: {}}\n"
+        "    transitions:\n"
+        "      - {name: first, from: a, to: b, guard: time >= 0}\n"
+        "      - {name: second, from: b, to: c, guard: base.V >= 1}\n"
+        "      - {name: third, from: c, to: d, guard: time > 0}\n"
+    )
+    trace = run(scene(text), name, 1.0)
+    # At the start time is 0, and is about to be more.
+    assert [(jump.t, jump.cause) for jump in trace.jumps] == [
+        (0.0, "first"),
+        (0.0, "second"),
+        (0.0, "third"),
+    ]
+
+
+@functools.cache
+def ending(of: str, name: str) -> Simulator:
+    if of == "scene":
+        text = (
+            CLOCKED[: CLOCKED.index("contacts:")].replace("mass: 1", "mass: 1, start: {dx: W}")
+            + "regions:\n  gate:\n    initial: near\n    states: {near: {}, far: {}}\n"
+            + "    transitions: [{name: go, from: near, to: far, guard: block.x >= late}]\n"
+        )
+        return Simulator(scene(text), engine(name))
+    chart = compose(
+        {"x": 0, "v": "W"},
+        {"gate": region({"near": {"x": "v"}, "far": {}}, go("near", "far", "x >= late"))},
+        {"W": 1.0, "late": 1.0},
+    )
+    return Simulator(chart, engine(name))
+
+
+@examples(20)
+@given(st.sampled_from(["chart", "scene"]), st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
+def test_what_happens_exactly_as_the_run_ends_happens(of: str, rate: float, way: float) -> None:
+    end = way / rate
+    for name in ENGINES:
+        simulator = ending(of, name)
+        trace = simulator.run({"W": rate, "late": way}, until=end)
+        assert times(trace) == pytest.approx([end], rel=1e-12), name
+        assert trace.final_mode == ("far",) if of == "chart" else ("free", "far")
+        assert trace.outcome is Outcome.HORIZON
+        before = simulator.run({"W": rate, "late": way}, until=end * (1.0 - 1e-6))
+        assert not before.jumps
+
+
+@both
+def test_a_transition_back_to_its_own_state_is_judged_anew_and_is_no_entering(name: str) -> None:
+    hear: dict[str, Any] = {"name": "hear", "from": "on", "to": "on", "updates": {"m": "m + 1"}}
+    chart = compose(
+        {"x": 0, "n": 0, "m": 0},
+        {
+            "saw": region(
+                {"rise": {"x": "1"}, "done": {}},
+                go("rise", "done", "n >= 3", "stop"),
+                go("rise", "rise", "x >= 1", "reset", x="x - 0.5*n", n="n + 1"),
+            ),
+            "ear": region({"on": {}}, {**hear, "on": "saw.rise"}),
+        },
+    )
+    trace = run(chart, name, 9.0)
+    # The first reset leaves x where it is: its guard is still true, and fires again at once.
+    assert times(trace, "reset") == pytest.approx([1.0, 1.0, 1.5], abs=1e-12)
+    assert times(trace, "stop") == times(trace, "reset")[-1:]
+    assert trace.final.tolist()[2] == 0
+
+
+@both
+@pytest.mark.parametrize(
+    ("following", "end"),
+    [
+        ("d/2", 2.0),
+        ("d*(0.65 + 0.15*cos(pi*n))", 2.5),
+        ("2**(-n**2)", 1.0 + sum(2.0 ** -(n**2) for n in range(1, 9))),
+        ("1/(n + 1)**2", None),
+        ("1/(n + 1)**3", None),
+    ],
+)
+def test_intervals_that_do_not_tend_to_a_geometric_sequence_are_not_summed(
+    name: str, following: str, end: float | None
+) -> None:
+    ticks = go("a", "a", "x >= d", "tick", x=0, n="n + 1", d=following)
+    settle = {"name": "settle", "from": "a", "to": "b", "on": "zeno"}
+    chart = compose(
+        {"x": 0, "d": 1, "n": 1}, {"r": region({"a": {"x": "1"}, "b": {}}, ticks, settle)}
+    )
+    trace = Simulator(chart, engine(name)).run(until=9.0, max_jumps=400, throw=False)
+    if end is None:
+        assert trace.outcome is Outcome.TOO_MANY_JUMPS
+        assert not times(trace, "settle")
+    else:
+        assert times(trace, "settle") == pytest.approx([end], abs=1e-11)
