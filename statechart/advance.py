@@ -311,7 +311,8 @@ def _noise(
     margin = guards.values(middle, parameters, start + 0.5 * where.time).item(where.guard)
     size = size_at(guards, where.guard, middle, sizes, parameters, start + where.time)
     wider = _NOISE * engine.tolerance * size
-    if margin > wider or not wider > tolerance:
+    # Twice as wide at least each time, so that this comes to an end.
+    if margin > wider or not wider > 2.0 * tolerance:
         return None
     tolerances = watch.tolerances.copy()
     tolerances[where.guard] = wider

@@ -271,8 +271,8 @@ class Flow(NamedTuple):
     tolerances : mapping
         Margin -> its tolerance in this flow, where that of its kind is not the one.
     terms : (n, k) array or None
-        What each variable was summed from when the last flow ended; None before the first. Kept
-        by the executor.
+        What each variable was summed from when the last flow ended, at a time that is rounded;
+        None before the first. Kept by the executor.
     summed : (n,) array or None
         How large the terms are that jumps since then have summed each variable from.
     pending : mapping

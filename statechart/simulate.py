@@ -11,6 +11,7 @@ from itertools import chain
 
 import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 
 from statechart.advance import CompiledMode, advance, compile_mode
 from statechart.automaton import (
@@ -31,6 +32,8 @@ from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace
 from statechart.zeno import Accumulation, between
 
 __all__ = ["Progress", "Simulator", "error_of"]
+
+Array = NDArray[np.float64]
 
 # More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
 _JUMPS_AT_ONCE = 64
@@ -285,7 +288,7 @@ class _Run:
         elapsed, terms = 0.0, flow.terms
         if path.count > 0:
             times, coefficients = path.arc()
-            elapsed, terms = times.item(-1), coefficients[-1]
+            elapsed, terms = times.item(-1), _terms(times, coefficients)
             self.arcs.append(
                 Arc(flow.mode, flow.flow, self.clock, len(self.jumps), times, coefficients)
             )
@@ -509,6 +512,13 @@ class _Run:
                 "modes_built": simulator.modes_built,
             },
         )
+
+
+def _terms(times: Array, coefficients: Array) -> Array:
+    """Return what each variable was summed from as a flow ended, its rounded time among them."""
+    last = coefficients[-1]
+    rates = last @ np.arange(last.shape[1]) / (times[-1] - times[-2])
+    return np.column_stack([last, rates * times[-1]])
 
 
 def error_of(trace: Trace) -> SimulationError:
