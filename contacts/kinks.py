@@ -1,4 +1,4 @@
-"""Kinks: where a formula has no derivative that motion or contact needs."""
+"""Kinks of a scene: where a formula has no derivative that motion or contact needs."""
 
 from __future__ import annotations
 
@@ -7,26 +7,28 @@ from typing import TYPE_CHECKING
 
 from contacts.parts import Path
 from statechart.declaration import TIME
-from statechart.errors import DeclarationProblem
 from statechart.formula import parse
-from statechart.syntax import Call, names_in, nodes
+from statechart.kinks import PIECES, check_smooth
 
 if TYPE_CHECKING:
     from contacts.scene import Scene
 
 __all__ = ["check_kinks"]
 
-# Their first or second derivative jumps, or is infinite at a point.
-_KINKED = ("abs", "sign", "min", "max")
-_PIECES = (
+_SURFACES = (
     "declare a surface and a contact for each smooth piece: that is all for the higher of them "
     "(max, abs); for the lower (min) each with enabled: a relation that holds on its side"
 )
 _SMOOTH = "a velocity that jumps takes an impact without cause: write a smooth formula"
 
+Loc = tuple[str | int, ...]
+Text = str | int | float
+
 
 def check_kinks(scene: Scene) -> None:
     """Check that surfaces, paths and positions have the derivatives that are taken of them.
+
+    Forces, and what controllers set them to, are smooth as long as a state lasts.
 
     Raises
     ------
@@ -34,21 +36,43 @@ def check_kinks(scene: Scene) -> None:
         At the first that has not.
     """
     for loc, text, variables in _differentiated(scene):
-        calls = (node for node in nodes(parse(text).root) if isinstance(node, Call))
-        for call in calls:
-            switched = {name.name for name in names_in(call)}.intersection(variables)
-            if call.function in _KINKED and switched:
-                raise DeclarationProblem(
-                    f"{call.function} of {', '.join(sorted(switched))} has no slope, or no "
-                    "curvature, where it switches",
-                    advice=_PIECES if loc[-1] == "height" else _SMOOTH,
-                    loc=loc,
-                )
+        advice = _SURFACES if loc[-1] == "height" else _SMOOTH
+        check_smooth(text, variables, loc=loc, lacks="slope, or no curvature,", advice=advice)
+    changing, texts = _forces(scene)
+    for loc, text in texts:
+        check_smooth(text, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
+
+
+def _forces(scene: Scene) -> tuple[Collection[str], list[tuple[Loc, Text]]]:
+    """Return the names that change as the scene flows, and the formulas of its forces."""
+    found: list[tuple[Loc, Text]] = []
+    for name, force in scene.forces.items():
+        found += [(("forces", name, "force", i), text) for i, text in enumerate(force.force)]
+        found.append((("forces", name, "moment"), force.moment))
+    used = set[str]().union(*(parse(text).names for _, text in found))
+    changing = set(scene.kinematic_names - scene.parameters.keys())
+    controls = scene.controlled
+    values: dict[str, list[tuple[Loc, Text]]] = {
+        name: [(("controls", name), text)] for name, text in controls.declared.items()
+    }
+    for region, declared in controls.regions.items():
+        for state, content in declared.states.items():
+            for name, text in content.sets.items():
+                at = ("regions", region, "states", state, "sets", name)
+                values.setdefault(name, []).append((at, text))
+    for name in controls.order:
+        if any(parse(text).names & changing for _, text in values[name]):
+            changing.add(name)
+    for name in reversed(controls.order):
+        if name in used:
+            found += values[name]
+            used = used.union(*(parse(text).names for _, text in values[name]))
+    return changing, found
 
 
 def _differentiated(
     scene: Scene,
-) -> Iterator[tuple[tuple[str | int, ...], str | int | float, Collection[str]]]:
+) -> Iterator[tuple[Loc, Text, Collection[str]]]:
     """Yield where a formula stands, it, and the names that it is differentiated by."""
     for name, surface in scene.surfaces.items():
         if surface.height is not None:

@@ -20,7 +20,7 @@ Loc = tuple[str | int, ...]
 
 
 def check_physical(scene: Scene, values: Mapping[str, float]) -> None:
-    """Check masses, inertias, friction, restitution and radii.
+    """Check masses, inertias, friction, restitution, radii and inclines.
 
     Parameters
     ----------
@@ -42,6 +42,8 @@ def check_physical(scene: Scene, values: Mapping[str, float]) -> None:
         if surface.radius is not None:
             at = ("surfaces", name, "radius")
             _bounded(values, surface.radius, at, "positive", positive=True)
+        if surface.incline is not None:
+            _within_right_angle(values, surface.incline, ("surfaces", name, "incline"))
     for name, contact in scene.contacts.items():
         for key, words, most in (
             ("friction", "zero or positive", math.inf),
@@ -150,6 +152,22 @@ def _in_states(
         yield (
             f" in state {state!r} of {region!r}",
             {**values, **{name: parse(set_[name]).value(values) for name in used}},
+        )
+
+
+def _within_right_angle(
+    values: Mapping[str, float], text: FormulaText, loc: tuple[str, ...]
+) -> None:
+    try:
+        value = parse(text).value(values)
+    except FormulaError as error:
+        raise problem(error, *loc) from None
+    # Beyond it the solid would be above; what is meant are degrees, or a line for a ceiling.
+    if abs(value) > math.nextafter(math.pi / 2, math.inf):
+        raise DeclarationProblem(
+            f"an incline of {value:g} is beyond a right angle",
+            advice=f"angles are in radians: {value:g}*pi/180; a ceiling is a line",
+            loc=loc,
         )
 
 

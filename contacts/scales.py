@@ -22,6 +22,8 @@ __all__ = ["ScaleTape", "Scales"]
 Array = NDArray[np.float64]
 
 _EPS = float(np.finfo(float).eps)
+# Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
+_LEAST, _MOST = 1e-100, 1e100
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,13 +134,15 @@ class ScaleTape:
         largest = sizes.tolist()
         length, speed, push, mass, duration = largest[:5]
         moves = largest[5 + self._gravity :]
+        duration = min(max(duration, _LEAST), _MOST)
         acceleration = math.hypot(*largest[5 : 5 + self._gravity]) or push
         # A start that is off zero by rounding of what the motion needs to turn has no length.
-        if length <= _EPS * (speed**2 / acceleration if acceleration > 0.0 else 0.0):
+        turn = speed**2 / acceleration if acceleration > 0.0 else 0.0
+        if length <= max(_LEAST, _EPS * turn):
             length = max(speed * duration, acceleration * duration**2) or 1.0
         acceleration = max(acceleration, speed**2 / length)
         if acceleration == 0.0:
-            acceleration = length / max(duration, 1e-300) ** 2
+            acceleration = length / duration**2
         speed = max(speed, math.sqrt(acceleration * length))
         # A coordinate that moves no point is an angle about a centre.
         coordinates = [length / move if move > 0.0 else 1.0 for move in moves]

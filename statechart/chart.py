@@ -11,6 +11,7 @@ from statechart.declaration import TIME, Declaration, Part, check_names
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FiniteText, Label, NameText, RelationText, problem
 from statechart.formula import close_matches, parse, parse_relation
+from statechart.kinks import PIECES, check_smooth
 from statechart.transitions import BaseTransition, check_listening, check_region
 
 __all__ = ["Chart", "Region", "State", "Transition"]
@@ -102,6 +103,8 @@ class Chart(Declaration):
             loc = ("regions", region, "states", state, "flows", name)
             self._check_variable(name, *loc)
             check_names(parse(flow), names, *loc)
+            changing = {TIME, *self.variables}
+            check_smooth(flow, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
         for region, declared in self.regions.items():
             for state, content in declared.states.items():
                 for label, relation in content.invariants.items():

@@ -96,6 +96,9 @@ def _build(node: Node, symbols: Mapping[str, sp.Expr], source: Source) -> sp.Exp
             return sympy.Mul(left, sympy.Pow(right, sympy.Integer(-1)))
     if left.is_number and right.is_number:
         return _power_of_numbers(node, left, right, source)
+    if right.is_Float and float(2 * right).is_integer():
+        # Halves are exact in floats: x**2.0 is a product, x**1.5 has a root.
+        right = sympy.Rational(right)
     return sympy.Pow(left, right)
 
 

@@ -19,7 +19,6 @@ from statechart.errors import (
     DeclarationError,
     DeclarationProblem,
     FormulaError,
-    StatechartError,
 )
 from statechart.estimate import Answer, Cost, tighten, within
 from statechart.formula import close_matches, parse
@@ -273,16 +272,13 @@ class Runner:
     ) -> tuple[Observer, Trace]:
         observer = self._observer(tolerance, off)
         limit = self.model.settings.max_jumps
-        try:
-            with located(self.document, overrides):
-                trace = observer.simulator.run(overrides, until=end, max_jumps=limit, throw=False)
-        except StatechartError as error:
-            if not self._fall_back(error):
-                raise
-            if self.accuracy is None and self.budget is None:
-                tolerance = self._engine.tolerance
-            return self._once(tolerance, overrides, end, off=off)
-        return observer, trace
+        with located(self.document, overrides):
+            trace = observer.simulator.run(overrides, until=end, max_jumps=limit, throw=False)
+        if trace.outcome is not Outcome.UNSUPPORTED or not self._fall_back(trace.message):
+            return observer, trace
+        if self.accuracy is None and self.budget is None:
+            tolerance = self._engine.tolerance
+        return self._once(tolerance, overrides, end, off=off)
 
     def _observer(self, tolerance: float, off: bool) -> Observer:
         """Return what makes the runs at a tolerance; `off`: from a start off by it."""
@@ -309,18 +305,14 @@ class Runner:
             found = self._observers[step, False] = Observer(simulator)
         return found
 
-    def _fall_back(self, error: StatechartError) -> bool:
+    def _fall_back(self, reason: str) -> bool:
         """Take scipy where taylor was picked for the user and cannot expand a flow."""
         if self._request.engine != "auto" or self._engine.name != "taylor":
-            return False
-        from statechart.engines.taylor import Unsupported
-
-        if not isinstance(error, Unsupported):
             return False
         self._request = replace(self._request, engine="scipy")
         given = self.model.settings.tolerance
         self._engine = self._choose(given)[0]
-        self._reason = f"engine scipy: {error}"
+        self._reason = f"engine scipy: {reason}"
         self._observers.clear()
         return True
 

@@ -27,7 +27,7 @@ from statechart.request import Request
 from statechart.simulate import Simulator
 from statechart.stepping import SteppingSimulator
 from statechart.tape import Tape, compile_tape
-from statechart.trace import Arc, Trace
+from statechart.trace import Arc, Outcome, Trace
 
 __all__ = ["Case", "Subject"]
 
@@ -286,15 +286,12 @@ class Case:
     def _run(self, name: str, parameters: Mapping[str, float]) -> Trace | None:
         subject = self.subject
         limit = subject.model.settings.max_jumps
-        try:
-            return subject.simulators[name].run(
-                parameters, until=subject.end(parameters), max_jumps=limit, throw=False
-            )
-        except Exception as error:
-            # Taylor series do not exist for every formula; importing heyoka to name its error
-            # would be wrong where it is not installed.
-            if type(error).__name__ != "Unsupported":
-                raise
-            subject.missing[name] = str(error)
-            del subject.simulators[name]
-            return None
+        trace = subject.simulators[name].run(
+            parameters, until=subject.end(parameters), max_jumps=limit, throw=False
+        )
+        if trace.outcome is not Outcome.UNSUPPORTED:
+            return trace
+        # Taylor series do not exist for every formula.
+        subject.missing[name] = trace.message
+        del subject.simulators[name]
+        return None

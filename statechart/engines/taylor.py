@@ -20,11 +20,12 @@ from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.enclosure import BOXES, Verdict, as_search
 from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Steps, Watch
-from statechart.engines.stepping import OFF, Step, taylor_flow
-from statechart.errors import NonFinite, StatechartError, StepFailure
+from statechart.engines.stepping import HALVINGS, OFF, STRAY, Step, taylor_flow
+from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
 from statechart.kernels.polynomials import append_steps
+from statechart.tape import Tape, compile_tape, merged
 
-__all__ = ["LONG_DOUBLE", "Taylor", "Unsupported", "has_long_double"]
+__all__ = ["LONG_DOUBLE", "Taylor", "has_long_double"]
 
 Array = NDArray[np.float64]
 
@@ -35,15 +36,14 @@ LONG_DOUBLE = "long double"
 _COMPACT = 240
 # Steps in one call: in between, progress is shown and an interruption heard.
 _MOST = 512
+# To the power -20, the order of the method, this is near the largest float.
+_LEAST_BASE = 1e-15
+_SHOWN = 80  # characters of a formula in a message
 
 
 def _operations(mode: Mode) -> int:
     found: int = sp.count_ops([*(value for _, value in mode.definitions), *mode.rates])
     return found
-
-
-class Unsupported(StatechartError):  # noqa: N818 -- named after what the flow is
-    """A formula that has no Taylor series everywhere (abs, sign, min, max)."""
 
 
 def has_long_double() -> bool:
@@ -66,6 +66,8 @@ class _Stepper:
     shape: tuple[int, int]  # of the series
     durations: Array
     begun: Array  # scratch
+    powers: tuple[str, ...]  # without a series where their base is zero
+    bases: Tape
 
 
 class Taylor(Engine):
@@ -111,6 +113,9 @@ class Taylor(Engine):
         state, pars, series = integrator.state, integrator.pars, integrator.tc
         compiled = None if extended else Step.of(integrator)
         address = 0 if compiled is None else compiled.address
+        symbols = (*automaton.variables, *automaton.parameters)
+        words = (*automaton.names, *automaton.parameter_names)
+        names = dict(zip(symbols, map(sp.Symbol, words), strict=True))
         return _Stepper(
             integrator,
             state,
@@ -123,6 +128,14 @@ class Taylor(Engine):
             series.shape,
             np.empty(0),
             np.empty(len(states)),
+            tuple(sp.sstr(power.xreplace(names))[:_SHOWN] for power in convert.singular),
+            compile_tape(
+                [power.base for power in convert.singular],
+                variables=automaton.variables,
+                parameters=automaton.parameters,
+                time=automaton.time,
+                definitions=mode.definitions,
+            ),
         )
 
     def steps(
@@ -160,6 +173,7 @@ class Taylor(Engine):
                 begin is not Begin.ON,
                 state,
                 *stepper.memory,
+                self.tolerance,
                 until,
                 count,
                 LONGEST_CHUNK,
@@ -185,6 +199,7 @@ class Taylor(Engine):
             made = Steps(finished, begins, begun, boxes, search)
         if last == first:
             start = watch.start + reached
+            _check_powers(stepper, state, watch.parameters, start)
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
         if h == 0.0 and left > 0.0 and (made.found is None or made.found.verdict is Verdict.NONE):
             # What came before the step that underflowed stands, and may hold an event.
@@ -192,9 +207,21 @@ class Taylor(Engine):
                 last -= 1
             if last == first:
                 start = watch.start + reached
+                _check_powers(stepper, state, watch.parameters, start)
                 raise StepFailure(f"the step near t = {start:.17g} underflowed")
         path.count = last
         return made
+
+
+def _check_powers(stepper: _Stepper, state: Array, parameters: Array, time: float) -> None:
+    """Raise `Unsupported` where a power that is not a whole one meets a base of zero."""
+    bases = stepper.bases.values(state, parameters, time)
+    for power, base in zip(stepper.powers, bases.tolist(), strict=True):
+        if not base > _LEAST_BASE:
+            raise Unsupported(
+                f"{power} has no Taylor series at t = {time:.17g}, where its base is {base:.3g}; "
+                "use engine: scipy"
+            )
 
 
 def _one_by_one(
@@ -207,10 +234,21 @@ def _one_by_one(
     series, now = path.coefficients, stepper.series
     first, left, h = path.count, duration, duration
     taken = 0
+    order = np.arange(1, now.shape[1])
     while taken < count:
-        h = step(left, True)[1]
+        begun, began, longest = stepper.state.copy(), stepper.integrator.time, left
+        for _ in range(HALVINGS):
+            stepper.state[:], stepper.integrator.time = begun, began
+            h = step(longest, True)[1]
+            terms = now.copy()
+            step(type(h)(0), True)
+            slopes = h * order * terms[:, 1:] * h ** (order - 1)
+            off = np.abs(slopes.sum(axis=1) - h * now[:, 1]).max()
+            if not off > STRAY * max(np.abs(begun).max(), np.abs(slopes).sum(axis=1).max()):
+                break
+            longest = h / 2
         with np.errstate(over="ignore"):  # of what no double can hold, the step is not finite
-            series[first + taken] = now
+            series[first + taken] = terms
         durations[taken] = h
         taken += 1
         # The step is cut to end at the duration exactly, and then its length is what was left.
@@ -246,6 +284,7 @@ class _Converter:
             symbol: hy.expression(f"v{i}") for i, symbol in enumerate(automaton.variables)
         }
         self.used: list[int] = []
+        self.singular: list[sp.Pow] = []  # powers without a series where their base is zero
         self.timed = False
         self._parameters = {symbol: i for i, symbol in enumerate(automaton.parameters)}
         self._time = automaton.time
@@ -264,9 +303,12 @@ class _Converter:
         if node.is_Add:
             return functools.reduce(operator.add, (self(a) for a in node.args))
         if node.is_Mul:
-            return functools.reduce(operator.mul, (self(a) for a in node.args))
+            return functools.reduce(operator.mul, (self(a) for a in merged(node.args)))
         if node.is_Pow:
             return self._power(*node.args)
+        if node.func is sp.Abs and not node.free_symbols - self._parameters.keys():
+            # The length of a line by its parameters: a number of the run.
+            return hy.sqrt(self(node.args[0]) ** 2.0)
         function = _FUNCTIONS.get(node.func)
         if function is None:
             raise Unsupported(
@@ -290,8 +332,12 @@ class _Converter:
         return hy.par[self.used.index(index) + 1]
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> Any:
-        if exponent == -1:
-            return 1.0 / self(base)
+        if exponent.is_Integer:
+            # heyoka's series of a power divides by the base, which may be zero.
+            product = _product(self(base), abs(int(exponent)))
+            return product if exponent > 0 else 1.0 / product
+        if not base.is_number:
+            self.singular.append(sp.Pow(base, exponent))
         if exponent == sp.Rational(1, 2):
             return hy.sqrt(self(base))
         if exponent == sp.Rational(-1, 2):
@@ -299,3 +345,11 @@ class _Converter:
         if exponent.is_number:
             return self(base) ** float(exponent)
         return hy.exp(self(exponent) * hy.log(self(base)))
+
+
+def _product(base: Any, exponent: int) -> Any:
+    """Return a whole power by repeated squaring."""
+    if exponent == 1:
+        return base
+    square = _product(base, exponent // 2) ** 2.0
+    return square if exponent % 2 == 0 else square * base

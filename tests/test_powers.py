@@ -1,0 +1,185 @@
+"""Powers of what is zero, or nearly so, against an independent integration."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from strategies import examples
+
+from contacts.scene import Scene
+from statechart.document import read_text, validate
+from statechart.run import Runner, run
+from statechart.trace import Outcome
+
+CHART = """\
+kind: chart
+name: flow
+parameters: {{x0: 0, a: 1, b: 1, c: 1}}
+variables: {{x: x0, y: 0}}
+regions: {{r: {{initial: s, states: {{s: {{flows: {{x: {x}, y: {y}}}}}}}, transitions: []}}}}
+stop: {{time: 2}}
+"""
+SCENE = """\
+kind: scene
+name: flow
+gravity: {gravity}
+parameters: {{x0: 0, a: 1, b: 1, c: 1}}
+bodies: {{p: {{mass: 2, {inertia} start: {{x: x0, {start}}}}}}}
+stop: {{time: 1.5}}
+"""
+FORCE = SCENE + "forces: {{f: {{body: p, force: ['{force}', 0]}}}}\n"
+HEIGHT = SCENE + (
+    "surfaces: {{s: {{height: b*x**{p}}}}}\n"
+    "contacts: {{k: {{point: {{body: p}}, surface: s, friction: 0, modes: [slide]}}}}\n"
+)
+PATH = SCENE + "joints: {{j: {{point: {{body: p, at: [0, 0.5]}}, to: ['{path}', 0.5]}}}}\n"
+
+Numbers = dict[str, float]
+
+
+def flow(p: int, q: int, n: Numbers) -> Callable[[float, np.ndarray], list[float]]:
+    return lambda t, z: [n["a"] - n["b"] * z[0] ** p, n["c"] * t**q - z[0] ** q * z[1]]
+
+
+def drag(p: int, q: int, n: Numbers) -> Callable[[float, np.ndarray], list[float]]:
+    return lambda t, z: [z[2], z[3], (n["a"] * t**q - n["b"] * z[2] ** p) / 2, 0.0]
+
+
+def spring(p: int, q: int, n: Numbers) -> Callable[[float, np.ndarray], list[float]]:
+    return lambda t, z: [z[2], z[3], (n["c"] - n["b"] * z[0] ** p - z[2] ** q) / 2, 0.0]
+
+
+def valley(p: int, q: int, n: Numbers) -> Callable[[float, np.ndarray], list[float]]:
+    def rates(t: float, z: np.ndarray) -> list[float]:
+        x, v, b = z[0], z[2], n["b"]
+        slope, bend = b * p * x ** (p - 1), b * p * (p - 1) * x ** (p - 2)
+        a = -slope * (9.81 + bend * v * v) / (1 + slope**2)
+        return [v, slope * v, a, bend * v * v + slope * a]
+
+    return rates
+
+
+def hung(p: int, q: int, n: Numbers) -> Callable[[float, np.ndarray], list[float]]:
+    # A pendulum of mass 2 and inertia 1, held 0.5 above its centre at x = a t**p + c t**q.
+    def rates(t: float, z: np.ndarray) -> list[float]:
+        pull = n["a"] * p * (p - 1) * t ** (p - 2) + n["c"] * q * (q - 1) * t ** (q - 2)
+        turn = -2 * 0.5 * (9.81 * math.sin(z[2]) + pull * math.cos(z[2])) / (1 + 2 * 0.25)
+        return [0.0, 0.0, z[5], 0.0, 0.0, turn]
+
+    return rates
+
+
+KINDS = {
+    "flow": (CHART, flow, {"x": "a - b*x**{p}", "y": "c*time**{q} - x**{q}*y"}),
+    "drag": (FORCE, drag, {"force": "a*time**{q} - b*p.dx**{p}"}),
+    "spring": (FORCE, spring, {"force": "c - b*p.x**{p} - p.dx**{q}"}),
+    "valley": (HEIGHT, valley, {"p": "{p}"}),
+    "hung": (PATH, hung, {"path": "a*time**{p} + c*time**{q}"}),
+}
+
+
+@functools.cache
+def runner(what: str, p: int, q: int, engine: str) -> Runner:
+    text, _, holes = KINDS[what]
+    filled = {name: hole.format(p=p, q=q) for name, hole in holes.items()}
+    filled |= {"gravity": "9.81" if what in ("valley", "hung") else "0"}
+    filled |= {"inertia": "inertia: 1," if what == "hung" else ""}
+    start = f"y: b*x0**{p}, dx: a, dy: a*b*{p}*x0**{p - 1}" if what == "valley" else "y: 0"
+    filled |= {"start": start}
+    document = read_text(text.format(**filled))
+    return Runner(document, engine=engine)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@examples(12)
+@given(
+    what=st.sampled_from(list(KINDS)),
+    p=st.sampled_from([3, 4, 5]),
+    q=st.sampled_from([2, 7]),
+    x0=st.sampled_from([0.0, 1e-300, 1e-30, 1e-9, 1e-3, 0.1]),
+    a=st.floats(0.1, 1.0),
+    b=st.floats(0.1, 1.0),
+    c=st.floats(0.1, 1.0),
+)
+def test_whole_powers_of_what_starts_at_zero_follow_their_equations(
+    what: str, p: int, q: int, x0: float, a: float, b: float, c: float
+) -> None:
+    numbers = {"x0": 0.0 if what == "hung" else x0, "a": a, "b": b, "c": c}
+    found = runner(what, p, q, "taylor").run(numbers, throw=False).trace
+    assert found.outcome is Outcome.HORIZON
+    assert found.certified
+    expected = solve_ivp(
+        KINDS[what][1](p, q, numbers),
+        (0.0, found.t_end),
+        found.initial,
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-14,
+    ).y[:, -1]
+    if what == "hung":  # only its angle and its rate are integrated
+        assert found.final[[2, 5]] == pytest.approx(expected[[2, 5]], abs=1e-9)
+    else:
+        assert found.final == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("power", [2, 3, 4, 6, 8, 12, 24, 64])
+@pytest.mark.parametrize("start", [0.0, 1e-300, 1e-9])
+def test_a_series_without_its_last_terms_takes_no_step_too_long(power: int, start: float) -> None:
+    text = CHART.format(x=f"1 - x**{power}", y="0")
+    x = run(read_text(text), engine="taylor", parameters={"x0": start}).trace.final[0]
+    expected = solve_ivp(
+        lambda t, z: 1 - z**power, (0.0, 2.0), [start], method="DOP853", rtol=1e-12, atol=1e-14
+    )
+    assert x == pytest.approx(expected.y[0, -1], abs=1e-10)
+
+
+def test_a_force_that_is_flat_at_the_ends_of_a_period_is_seen_inside() -> None:
+    text = CHART.format(x="sin(2*pi*time)**22", y="0")
+    x = run(read_text(text), engine="taylor", until=10.0).trace.final[0]
+    assert x == pytest.approx(10 * math.comb(22, 11) / 2**22, rel=1e-12)
+
+
+@pytest.mark.parametrize("rate", ["1 - x**1.5", "1 - x**(1/3)", "1 - hypot(x, y)", "1 - x**(3*b)"])
+def test_other_powers_of_zero_are_left_to_the_other_engine_which_is_said(rate: str) -> None:
+    text = CHART.format(x=rate, y="0")
+    found = run(read_text(text))
+    assert found.trace.engine.startswith("scipy")
+    assert any("has no Taylor series at t = 0" in warning for warning in found.warnings)
+    assert run(read_text(text), engine="taylor", throw=False).trace.outcome is Outcome.UNSUPPORTED
+
+
+def test_a_rate_that_ends_at_zero_ends_the_run() -> None:
+    text = CHART.format(x="-sqrt(x)", y="0")
+    found = run(read_text(text), parameters={"x0": 0.25}, engine="taylor", throw=False).trace
+    assert found.outcome is Outcome.UNSUPPORTED
+    assert found.t_end == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("guard", ["sqrt(x) >= 0.5", "x**1.5 >= 0.125", "x**(3*b/2) >= 0.125"])
+def test_guards_on_roots_hold_from_zero_on(guard: str) -> None:
+    text = CHART.format(x="1", y="0").replace(
+        "transitions: []",
+        f"transitions: [{{name: go, from: s, to: s, guard: '{guard}', updates: {{x: -1}}}}]",
+    )
+    trace = run(read_text(text), until=0.9).trace
+    assert [jump.t for jump in trace.jumps] == pytest.approx([0.25])
+
+
+def test_the_slope_of_a_power_by_a_parameter_has_a_value_at_zero() -> None:
+    text = HEIGHT.format(gravity=9.81, inertia="", start="y: 0, dx: 1", p="n").replace(
+        "c: 1}", "c: 1, n: 4}"
+    )
+    scene = validate(read_text(text), Scene)
+    final = run(scene).trace.final
+    assert np.isfinite(final).all()
+    expected = solve_ivp(
+        valley(4, 0, {"b": 1.0}), (0.0, 1.5), [0, 0, 1, 0], method="DOP853", rtol=1e-12, atol=1e-14
+    ).y[:, -1]
+    assert final == pytest.approx(expected, abs=1e-8)

@@ -1,0 +1,87 @@
+"""Kinks in forces and flows, angles in degrees, lengths between parameters."""
+
+from __future__ import annotations
+
+import pytest
+
+from contacts.scene import Scene
+from statechart.chart import Chart
+from statechart.document import read_text, validate
+from statechart.errors import DeclarationError
+from statechart.run import run
+
+FORCED = """\
+kind: scene
+name: forced
+gravity: 0
+parameters: {c: 1, l: 2}
+bodies: {b: {mass: 1, start: {dx: 1}}}
+controls: {push: 0}
+regions:
+  r:
+    initial: s
+    states: {s: {sets: {push: 0.5}}}
+forces: {f: {body: b, force: [-c*b.dx, 0]}}
+outputs: {least: {minimum: "min(b.x, 0)"}}
+stop: {time: 1, conditions: {far: abs(b.x) >= 3}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ("-c*b.dx,", "'-c*sign(b.dx)',", "forces.f.force.0"),
+        ("[-c*b.dx, 0]", "[0, 'max(0, b.y)']", "forces.f.force.1"),
+        ("[-c*b.dx, 0]", "[0, 0], moment: abs(sin(time))", "forces.f.moment"),
+        ("push: 0.5}}}\n", "push: 'sign(sin(c*time))'}}}\n", ""),
+    ],
+)
+def test_a_force_with_a_kink_is_refused_and_the_way_out_named(
+    old: str, new: str, place: str
+) -> None:
+    text = FORCED.replace(old, new, 1)
+    if not place:
+        text, place = text.replace("-c*b.dx,", "push - c*b.dx,"), "regions.r.states.s.sets.push"
+    with pytest.raises(DeclarationError, match="a state for each smooth piece") as caught:
+        validate(read_text(text), Scene)
+    assert place in str(caught.value)
+
+
+@pytest.mark.parametrize("force", ["-c*b.dx", "-abs(c)*b.dx", "min(c, l)*push - b.dx", "abs(push)"])
+def test_kinks_of_what_is_constant_while_a_scene_flows_are_allowed(force: str) -> None:
+    validate(read_text(FORCED.replace("-c*b.dx", f"'{force}'")), Scene)
+
+
+@pytest.mark.parametrize("incline", ["30", "-a", "pi/2 + 0.01"])
+def test_an_incline_beyond_a_right_angle_is_refused(incline: str) -> None:
+    text = FORCED.replace("l: 2}", "l: 2, a: 45}") + f"surfaces: {{s: {{incline: {incline}}}}}\n"
+    with pytest.raises(DeclarationError, match=r"angles are in radians: .*\*pi/180") as caught:
+        validate(read_text(text), Scene)
+    assert "surfaces.s.incline" in str(caught.value)
+
+
+@pytest.mark.parametrize("ends", ["[[l, 0], [-l, 0]]", "[[-l, 0], [l, 0]]", "[[0, l], [0, -l]]"])
+@pytest.mark.parametrize("form", ["line", "edge"])
+def test_a_line_between_parameters_needs_no_other_engine(ends: str, form: str) -> None:
+    text = (
+        FORCED
+        + f"surfaces: {{s: {{{form}: {ends}}}}}\n"
+        + ("contacts: {tip: {point: {body: b}, surface: s, friction: c/2, modes: [slide, pin]}}\n")
+    )
+    text = text.replace("dx: 1", "dx: 1, dy: 0" if "0]," in ends else "dy: 1")
+    for size in (2.0, 0.5):
+        found = run(validate(read_text(text), Scene), parameters={"l": size}, until=0.2)
+        assert found.trace.engine == "taylor"
+        assert not any("engine" in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize("flow", ["-sign(x)", "max(x, 0)", "abs(sin(time)) - x", "min(time, 1)"])
+def test_a_flow_with_a_kink_is_refused_and_the_way_out_named(flow: str) -> None:
+    text = (
+        "kind: chart\nname: kink\nvariables: {x: 1}\nparameters: {c: -1}\nstop: {time: 1}\n"
+        f"regions: {{r: {{initial: s, states: {{s: {{flows: {{x: '{flow}'}}}}}}}}}}\n"
+    )
+    with pytest.raises(DeclarationError, match="a state for each smooth piece") as caught:
+        validate(read_text(text), Chart)
+    assert "regions.r.states.s.flows.x" in str(caught.value)
+    validate(read_text(text.replace(flow, "abs(c)*x")), Chart)
