@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from contacts.parts import Path
 from statechart.declaration import TIME
+from statechart.derived import check_derived
 from statechart.formula import parse
 from statechart.kinks import PIECES, check_smooth
 
@@ -28,7 +29,8 @@ Text = str | int | float
 def check_kinks(scene: Scene) -> None:
     """Check that surfaces, paths and positions have the derivatives that are taken of them.
 
-    Forces, and what controllers set them to, are smooth as long as a state lasts.
+    Forces, and what controllers set them to, are smooth as long as a state lasts; derivatives are
+    not too large to be built.
 
     Raises
     ------
@@ -38,6 +40,7 @@ def check_kinks(scene: Scene) -> None:
     for loc, text, variables in _differentiated(scene):
         advice = _SURFACES if loc[-1] == "height" else _SMOOTH
         check_smooth(text, variables, loc=loc, lacks="slope, or no curvature,", advice=advice)
+        check_derived(text, variables, loc)
     changing, texts = _forces(scene)
     for loc, text in texts:
         check_smooth(text, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)

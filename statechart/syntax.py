@@ -30,6 +30,7 @@ __all__ = [
     "Reader",
     "Source",
     "Unary",
+    "children",
     "close_matches",
     "evaluate",
     "names_in",
@@ -396,7 +397,8 @@ def _literal(text: str) -> int | float | None:
     return int(text) if text.isdigit() else value
 
 
-def _children(node: Node) -> tuple[Node, ...]:
+def children(node: Node) -> tuple[Node, ...]:
+    """Return what stands right below `node`, left to right."""
     match node:
         case Unary():
             return (node.operand,)
@@ -418,7 +420,7 @@ def nodes(node: Node) -> Iterator[Node]:
     while pending:
         node = pending.pop()
         yield node
-        pending.extend(reversed(_children(node)))
+        pending.extend(reversed(children(node)))
 
 
 def _is_constant(node: Node) -> bool:
@@ -439,7 +441,7 @@ def evaluate(node: Node, values: Mapping[str, float], source: Source) -> float:
             if math.isnan(value):
                 source.fail(f"{node.name} is not a number", node.offset)
             return value
-    arguments = [evaluate(child, values, source) for child in _children(node)]
+    arguments = [evaluate(child, values, source) for child in children(node)]
     try:
         result = _apply(node, arguments)
     except ZeroDivisionError:

@@ -85,3 +85,21 @@ def test_a_flow_with_a_kink_is_refused_and_the_way_out_named(flow: str) -> None:
         validate(read_text(text), Chart)
     assert "regions.r.states.s.flows.x" in str(caught.value)
     validate(read_text(text.replace(flow, "abs(c)*x")), Chart)
+
+
+@pytest.mark.parametrize("nested", ["sqrt(1 + x*{})", "exp({})", "sin({})", "(1 + x*{})"])
+def test_a_height_whose_derivatives_are_too_large_is_refused_before_they_are_built(
+    nested: str,
+) -> None:
+    def text(depth: int) -> str:
+        height = "x"
+        for _ in range(depth):
+            height = nested.format(height)
+        return FORCED + f"surfaces: {{s: {{height: '{height}'}}}}\n"
+
+    with pytest.raises(DeclarationError, match="nest fewer functions") as caught:
+        validate(read_text(text(28)), Scene)
+    assert "surfaces.s.height" in str(caught.value)
+    validate(read_text(text(5)), Scene)
+    many = " + ".join(f"0.1*sin({k}*x)" for k in range(60))
+    validate(read_text(FORCED + f"surfaces: {{s: {{height: {many}}}}}\n"), Scene)
