@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.errors import StatechartError
 from statechart.kernels.tapes import OPCODES, tape_table, tape_values
 
-__all__ = ["Tape", "compile_tape", "merged", "plain"]
+__all__ = ["Tape", "compile_tape", "plain"]
 
 _UNARY: dict[type[sp.Basic], str] = {
     sp.exp: "exp",
@@ -51,23 +51,6 @@ def plain(array: ArrayLike) -> NDArray[np.float64]:
     """
     result = np.ascontiguousarray(array, dtype=np.float64)
     return result if result.flags.carray else np.array(result, order="C")
-
-
-def merged(factors: Sequence[sp.Expr]) -> list[sp.Expr]:
-    """Return factors with powers of one base put together where an exponent is no number.
-
-    The derivative of x**n is n*x**n/x to SymPy, which has no value at 0.
-    """
-    exponents: dict[sp.Expr, list[sp.Expr]] = {}
-    for factor in factors:
-        base, exponent = factor.as_base_exp()
-        exponents.setdefault(base, []).append(exponent)
-    open_ones = {b: e for b, e in exponents.items() if b is not sp.E and len(e) > 1}
-    open_ones = {b: e for b, e in open_ones.items() if not all(x.is_number for x in e)}
-    if not open_ones:
-        return list(factors)
-    kept = [factor for factor in factors if factor.as_base_exp()[0] not in open_ones]
-    return kept + [sp.Pow(base, sp.Add(*powers)) for base, powers in open_ones.items()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,7 +285,7 @@ class _Writer:
         number, factors = node.as_coeff_mul()
         above: list[int] = []
         below: list[int] = []
-        for factor in merged(factors):
+        for factor in factors:
             if factor.is_Pow and factor.exp.is_Number and factor.exp.is_negative:
                 below.append(self.register(sp.Pow(factor.base, -factor.exp)))
             else:

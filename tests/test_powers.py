@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from strategies import examples
 
-from contacts.scene import Scene
-from statechart.document import read_text, validate
+from statechart.document import read_text
 from statechart.run import Runner, run
 from statechart.trace import Outcome
 
@@ -23,7 +22,7 @@ kind: chart
 name: flow
 parameters: {{x0: 0, a: 1, b: 1, c: 1}}
 variables: {{x: x0, y: 0}}
-regions: {{r: {{initial: s, states: {{s: {{flows: {{x: {x}, y: {y}}}}}}}, transitions: []}}}}
+regions: {{r: {{initial: s, states: {{s: {{flows: {{x: '{x}', y: '{y}'}}}}}}, transitions: []}}}}
 stop: {{time: 2}}
 """
 SCENE = """\
@@ -129,13 +128,18 @@ def test_whole_powers_of_what_starts_at_zero_follow_their_equations(
         assert found.final == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("power", [2, 3, 4, 6, 8, 12, 24, 64])
+@pytest.mark.parametrize("power", [2, 3, 4, 6, 8, 12, 24])
 @pytest.mark.parametrize("start", [0.0, 1e-300, 1e-9])
 def test_a_series_without_its_last_terms_takes_no_step_too_long(power: int, start: float) -> None:
     text = CHART.format(x=f"1 - x**{power}", y="0")
     x = run(read_text(text), engine="taylor", parameters={"x0": start}).trace.final[0]
     expected = solve_ivp(
-        lambda t, z: 1 - z**power, (0.0, 2.0), [start], method="DOP853", rtol=1e-12, atol=1e-14
+        lambda t, z: 1 - np.minimum(z, 2) ** power,
+        (0.0, 2.0),
+        [start],
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-14,
     )
     assert x == pytest.approx(expected.y[0, -1], abs=1e-10)
 
@@ -160,26 +164,3 @@ def test_a_rate_that_ends_at_zero_ends_the_run() -> None:
     found = run(read_text(text), parameters={"x0": 0.25}, engine="taylor", throw=False).trace
     assert found.outcome is Outcome.UNSUPPORTED
     assert found.t_end == pytest.approx(1.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("guard", ["sqrt(x) >= 0.5", "x**1.5 >= 0.125", "x**(3*b/2) >= 0.125"])
-def test_guards_on_roots_hold_from_zero_on(guard: str) -> None:
-    text = CHART.format(x="1", y="0").replace(
-        "transitions: []",
-        f"transitions: [{{name: go, from: s, to: s, guard: '{guard}', updates: {{x: -1}}}}]",
-    )
-    trace = run(read_text(text), until=0.9).trace
-    assert [jump.t for jump in trace.jumps] == pytest.approx([0.25])
-
-
-def test_the_slope_of_a_power_by_a_parameter_has_a_value_at_zero() -> None:
-    text = HEIGHT.format(gravity=9.81, inertia="", start="y: 0, dx: 1", p="n").replace(
-        "c: 1}", "c: 1, n: 4}"
-    )
-    scene = validate(read_text(text), Scene)
-    final = run(scene).trace.final
-    assert np.isfinite(final).all()
-    expected = solve_ivp(
-        valley(4, 0, {"b": 1.0}), (0.0, 1.5), [0, 0, 1, 0], method="DOP853", rtol=1e-12, atol=1e-14
-    ).y[:, -1]
-    assert final == pytest.approx(expected, abs=1e-8)

@@ -26,7 +26,7 @@ from statechart.compiled import kernel, part
 from statechart.kernels.constraints import off_by
 from statechart.kernels.search import NONE, search
 
-__all__ = ["HALVINGS", "OFF", "STRAY", "Step", "taylor_flow"]
+__all__ = ["HALVINGS", "LEAST_MOTION", "OFF", "STRAY", "Step", "taylor_flow"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -48,6 +48,8 @@ OFF = -1
 # orders that do better: stiff springs at rest are by less in rounding.
 STRAY = 1e-9
 _ORDERS = 1e2  # likewise in tolerances, for orders that do worse
+# The motion counts as so much at least: below 1 heyoka's tolerance is absolute.
+LEAST_MOTION = 1e-6
 # Above this it is never rounding; below, what falls by less as a step is halved is: what a series
 # leaves out falls with a power above its order.
 _ROUGH, _ROUNDING = 1e-3, 0.25
@@ -129,7 +131,7 @@ def _call(
 @part
 def _stray(row: Floats, h: float, series: Floats, s: float) -> float:
     """How far the slope at `s` of a step is off the rate there, in parts of the motion."""
-    worst, size = 0.0, 0.0
+    worst, size = 0.0, LEAST_MOTION
     for v in range(row.shape[0]):
         slope, reach, power = 0.0, abs(row[v, 0]), 1.0
         for k in range(1, row.shape[1]):
@@ -140,7 +142,7 @@ def _stray(row: Floats, h: float, series: Floats, s: float) -> float:
         if off != off:
             return math.inf
         worst, size = max(worst, off), max(size, reach)
-    return worst / size if worst > 0.0 else 0.0
+    return worst / size
 
 
 @part

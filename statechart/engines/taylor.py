@@ -20,10 +20,10 @@ from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.enclosure import BOXES, Verdict, as_search
 from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Steps, Watch
-from statechart.engines.stepping import HALVINGS, OFF, STRAY, Step, taylor_flow
+from statechart.engines.stepping import HALVINGS, LEAST_MOTION, OFF, STRAY, Step, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
 from statechart.kernels.polynomials import append_steps
-from statechart.tape import Tape, compile_tape, merged
+from statechart.tape import Tape, compile_tape
 
 __all__ = ["LONG_DOUBLE", "Taylor", "has_long_double"]
 
@@ -244,7 +244,9 @@ def _one_by_one(
             step(type(h)(0), True)
             slopes = h * order * terms[:, 1:] * h ** (order - 1)
             off = np.abs(slopes.sum(axis=1) - h * now[:, 1]).max()
-            if not off > STRAY * max(np.abs(begun).max(), np.abs(slopes).sum(axis=1).max()):
+            if not off > STRAY * max(
+                LEAST_MOTION, np.abs(begun).max(), np.abs(slopes).sum(axis=1).max()
+            ):
                 break
             longest = h / 2
         with np.errstate(over="ignore"):  # of what no double can hold, the step is not finite
@@ -303,7 +305,7 @@ class _Converter:
         if node.is_Add:
             return functools.reduce(operator.add, (self(a) for a in node.args))
         if node.is_Mul:
-            return functools.reduce(operator.mul, (self(a) for a in merged(node.args)))
+            return functools.reduce(operator.mul, (self(a) for a in node.args))
         if node.is_Pow:
             return self._power(*node.args)
         if node.func is sp.Abs and not node.free_symbols - self._parameters.keys():

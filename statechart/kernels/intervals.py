@@ -20,7 +20,6 @@ __all__ = [
     "MINUS_ONE",
     "ONE",
     "TINY",
-    "UNDERFLOW",
     "WHOLE",
     "ZERO",
     "Interval",
@@ -48,7 +47,6 @@ Interval = tuple[float, float]
 
 EPS = 2.0**-52
 TINY = 1e-300  # above the subnormal numbers, which some processors handle a hundred times slower
-UNDERFLOW = -1e-290  # what widening alone takes a bound below an exact zero to, in sums of products
 LIBM = 4.0 * EPS
 INF = math.inf
 
@@ -134,9 +132,9 @@ def square(a: Interval) -> Interval:
 @part
 def sqrt(a: Interval) -> Interval:
     """Square root; the whole line where a number below zero is possible."""
-    if not a[0] >= UNDERFLOW or not a[1] >= 0.0:
+    if not a[0] >= 0.0:
         return WHOLE
-    p, q = math.sqrt(max(0.0, a[0])), math.sqrt(a[1])
+    p, q = math.sqrt(a[0]), math.sqrt(a[1])
     return max(0.0, p - p * EPS), q + q * EPS
 
 

@@ -18,7 +18,6 @@ from statechart.kernels.intervals import (
     LIBM,
     MINUS_ONE,
     ONE,
-    UNDERFLOW,
     WHOLE,
     ZERO,
     Interval,
@@ -183,16 +182,11 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
 
 @part
 def _power_jet(x: Jet, y: Jet) -> Jet:
-    """Jets of x**y = exp(y log x), x > 0; the value from its corners, where its extremes are.
-
-    From x = 0 on, y > 0, there is a value, but no derivative.
-    """
+    """Jets of x**y = exp(y log x), x > 0; the value from its corners, where its extremes are."""
     x0, x1, x2 = x
     y0, y1, y2 = y
     if not x0[0] > 0.0:
-        if not (x0[0] >= UNDERFLOW and x0[1] >= 0.0 and y0[0] > 0.0):
-            return WHOLE, WHOLE, WHOLE
-        return wide((0.0, max(x0[1] ** y0[0], x0[1] ** y0[1])), LIBM), WHOLE, WHOLE
+        return WHOLE, WHOLE, WHOLE
     f = hull(x0[0] ** y0[0], x0[0] ** y0[1], x0[1] ** y0[0], x0[1] ** y0[1])
     f = wide(f, LIBM)
     f = (max(0.0, f[0]), f[1])
