@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from contacts.recognise import Chunk, Recorder
 from contacts.setup import SceneSetup
+from statechart import interrupts
 from statechart.errors import SimulationError, StepTooLarge
 from statechart.tape import Tape
 from statechart.trace import Arc, Jump, Key, Outcome, Trace
@@ -39,6 +40,7 @@ __all__ = ["DEEPEST", "Stepping", "run"]
 
 Array = NDArray[np.float64]
 
+# Steps of regions at once: they take up to a quarter of a second, in which no signal is seen.
 _CHUNK = 512
 DEEPEST = 0.1
 """Deeper than this part of the scene in one step: the step does not see its surfaces."""
@@ -158,7 +160,8 @@ def run(
     try:
         if failure is not None:
             raise failure
-        made.loop()
+        with interrupts.held():
+            made.loop()
     except KeyboardInterrupt:
         made.end(Outcome.INTERRUPTED, "interrupted by the user")
     except SimulationError as error:
@@ -207,12 +210,14 @@ class _Run:
         else:
             # Forces are impulses over a step: in a very short one they would be rounding.
             counts = [(whole - 1, self.step), (2, 0.5 * (self.step + rest))]
+        most = max(1, _CHUNK // len(self.stepping.regions)) if self.stepping.regions else _CHUNK
         for count, h in counts:
             done = 0
             first = self.time
             while done < count:
+                interrupts.check()
                 begin = first + done * h
-                chunk = self.stepped.steps(begin, h, self.state, min(count - done, _CHUNK))
+                chunk = self.stepped.steps(begin, h, self.state, min(count - done, most))
                 if self.control is not None:
                     chunk = self.control.cut(chunk, begin, self.recorder)
                 jumps = len(self.recorder.jumps)

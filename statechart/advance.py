@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from statechart import interrupts
 from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.enclosure import Crossing, Search, Verdict, search
@@ -162,6 +163,7 @@ def advance(
     failure: SimulationError | KeyboardInterrupt | None = None
     try:
         while reached < duration:
+            interrupts.check()
             path.count = kept
             ended, first = np.empty(len(state)), kept
             made = engine.steps(compiled.stepper, path, watch, state, end, count, begin, ended)

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
-import gc
-import math
+import errno
+import io
 import os
 import sys
-from collections.abc import Callable, Sequence
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
+
+from statechart import interrupts
+
+if TYPE_CHECKING:
+    # Signals are listened to before anything is imported that takes long.
+    import argparse
+    from collections.abc import Callable, Iterator, Sequence
+    from typing import TextIO
 
 __all__ = ["main", "program"]
 
@@ -25,9 +33,96 @@ _COLLECTED_AFTER = 200_000
 
 
 def program() -> int:
-    """Be the process `statechart`: `main` with garbage looked for less often."""
-    gc.set_threshold(_COLLECTED_AFTER)
-    return main()
+    """Be the process `statechart`: `main` with its signals, streams and garbage looked after."""
+    try:
+        interrupts.listen()
+        _take_streams()
+        _be_quiet()
+        import gc
+
+        gc.set_threshold(_COLLECTED_AFTER)
+        return main()
+    except KeyboardInterrupt:
+        return _say("interrupted", _FAILED)
+
+
+def _take_streams() -> None:
+    """Put streams that say what is wrong in the place of stdout and stderr."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            # Else the next file that is opened would be written what is printed.
+            os.open(os.devnull, os.O_RDWR)
+    sys.stdout, sys.stderr = _Out(sys.stdout), _Err(sys.stderr)
+
+
+def _be_quiet() -> None:
+    """Let no library write warnings or logs to stderr: what users must know is in the report."""
+    import logging
+    import warnings
+
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+    logging.disable(logging.CRITICAL)
+
+
+class _Out(io.TextIOBase):
+    """Stdout; where it cannot be written, that is an error of ours, once."""
+
+    def __init__(self, stream: TextIO | None) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        stream = self._stream
+        with self._explained():
+            if stream is None:
+                raise OSError(errno.EBADF, "it is closed")
+            return stream.write(text)
+        raise AssertionError
+
+    def flush(self) -> None:
+        if self._stream is not None:
+            with self._explained():
+                self._stream.flush()
+
+    def fileno(self) -> int:
+        return 1
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return "utf-8" if self._stream is None else self._stream.encoding
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        from statechart.errors import StatechartError
+
+        try:
+            yield
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            # What is still in its buffer would fail once more as the process ends.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            raise StatechartError(f"cannot write to stdout: {error.strerror or error}") from None
+
+
+class _Err(io.TextIOBase):
+    """Stderr; where it cannot be written, nothing is said."""
+
+    def __init__(self, stream: TextIO | None) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            if self._stream is not None:
+                self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            if self._stream is not None:
+                self._stream.flush()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -44,17 +139,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         0 done, 1 the run or the check failed, 2 the input is wrong.
     """
-    from statechart.errors import DeclarationError, StatechartError
-
     try:
         chosen = _parser().parse_args(arguments)
     except SystemExit as exit_:
         return exit_.code if isinstance(exit_.code, int) else _WRONG
+    from statechart.errors import DeclarationError, StatechartError
+
     try:
         verb: Callable[[argparse.Namespace], int] = _verb(chosen.verb)
         code = verb(chosen)
         sys.stdout.flush()
-        return code
+        return code or (_say("interrupted", _FAILED) if interrupts.arrived() else _DONE)
     except DeclarationError as error:
         return _say(str(error), _WRONG)
     except StatechartError as error:
@@ -71,11 +166,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("STATECHART_DEBUG") == "1":
             raise
-        return _say(
-            f"internal error, {type(error).__name__}: {error}\n"
-            "please report it; STATECHART_DEBUG=1 shows where it came from",
-            _FAILED,
-        )
+        return _say(_unexpected(error), _FAILED)
+
+
+def _unexpected(error: Exception) -> str:
+    if interrupts.arrived():
+        # In compiled code a signal becomes another error.
+        return "interrupted"
+    causes: list[BaseException] = [error]
+    while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
+        causes.append(cause)
+    if any(isinstance(cause, MemoryError) for cause in causes):
+        return "out of memory; end the run earlier, or give the process more"
+    if any(isinstance(cause, RecursionError) for cause in causes):
+        limit = sys.getrecursionlimit()
+        return f"Python's recursion limit, {limit}, is too low; its usual 1000 is enough"
+    if isinstance(error, ImportError):
+        return f"a library cannot be loaded: {error}"
+    return (
+        f"internal error, {type(error).__name__}: {error}\n"
+        "please report it; STATECHART_DEBUG=1 shows where it came from"
+    )
 
 
 def _verb(name: str) -> Callable[[argparse.Namespace], int]:
@@ -91,6 +202,8 @@ def _say(message: str, code: int) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    import argparse
+
     parser = argparse.ArgumentParser(
         prog="statechart",
         description="Statecharts of rigid bodies in contact: declare, draw, run, check.",
@@ -173,6 +286,8 @@ def _settable(parser: argparse.ArgumentParser) -> None:
 
 
 def _number(text: str) -> float:
+    import argparse
+
     from statechart.errors import FormulaError
     from statechart.formula import parse
 
@@ -183,6 +298,8 @@ def _number(text: str) -> float:
 
 
 def _assignment(text: str) -> tuple[str, float]:
+    import argparse
+
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
@@ -190,6 +307,9 @@ def _assignment(text: str) -> tuple[str, float]:
 
 
 def _place(text: str) -> tuple[str, float]:
+    import argparse
+    import math
+
     name, value = _assignment(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r}: must be finite")
@@ -197,12 +317,16 @@ def _place(text: str) -> tuple[str, float]:
 
 
 def _count(text: str) -> int:
+    import argparse
+
     if not text.isdecimal() or len(text) > 18:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
     return int(text)
 
 
 def _positive(text: str) -> int:
+    import argparse
+
     count = _count(text)
     if count == 0:
         raise argparse.ArgumentTypeError("at least 1 is needed")
@@ -210,4 +334,4 @@ def _positive(text: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(program())

@@ -11,8 +11,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from statechart.errors import DeclarationError, SimulationError
+from statechart import interrupts
+from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.formula import close_matches
+from statechart.pieces import Pieces
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
     from statechart.result import Result
     from statechart.run import Runner
     from statechart.study import Study
+
+# Seconds after a signal in which what was computed is saved, but for what is always saved.
+_PATIENCE = 1.2
 
 __all__ = ["check", "draw", "modes", "new", "run", "schema", "trade", "validate"]
 
@@ -57,17 +62,39 @@ def run(arguments: argparse.Namespace) -> int:
     )
     _check_folder(arguments.output)
     result = runner.run(parameters, until=arguments.until, throw=False)
-    # What was saved must be able to answer why, too.
-    report = result.report(explain=arguments.explain or arguments.output is not None)
+    # From here on nothing is lost: what fails is left out, and what is left out is said.
+    with interrupts.held(), interrupts.limited(_PATIENCE):
+        complete = _tell(runner, result, parameters, arguments)
+    asked = result.asked
+    met = asked is None or asked.accuracy is None or asked.reached(result.error_estimate)
+    return 0 if complete and met and result.trace.outcome.succeeded else 1
+
+
+def _tell(
+    runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
+) -> bool:
+    """Save and print a run; return whether all of it could be."""
+    pieces, failure = Pieces(), ""
+    # What was saved must be able to answer why, too; of many events that takes long.
+    saved = arguments.output is not None and not interrupts.arrived()
+    report = result.report(explain=arguments.explain or saved, pieces=pieces)
     if arguments.alternatives:
-        report["alternatives"] = _alternatives(runner, result, parameters, arguments)
+        none: list[dict[str, Any]] = []
+        report["alternatives"] = pieces.attempt(
+            "alternatives", lambda: _alternatives(runner, result, parameters, arguments), none
+        )
     _warn(result.warnings)
     if arguments.output is not None:
         from statechart.tables import write_run
 
-        write_run(arguments.output, result.observer, result.trace, report)
+        try:
+            write_run(arguments.output, result.observer, result.trace, report, pieces)
+        except StatechartError as error:
+            failure = str(error)
     if arguments.json:
-        _print_json(report)
+        from statechart.report import dumps
+
+        print(dumps(report), end="")
     else:
         from statechart.summary import summary
 
@@ -76,9 +103,11 @@ def run(arguments: argparse.Namespace) -> int:
             from statechart.explanation import explanation
 
             print(f"\n{explanation(report)}", end="")
-    asked = result.asked
-    met = asked is None or asked.accuracy is None or asked.reached(result.error_estimate)
-    return 0 if met and result.trace.outcome.succeeded else 1
+    sys.stdout.flush()
+    failure = failure or (f"left out: {pieces.text()}" if pieces.failed else "")
+    if failure:
+        print(failure, file=sys.stderr)
+    return not failure
 
 
 def _check_folder(output: str | None) -> None:
@@ -91,6 +120,8 @@ def _check_folder(output: str | None) -> None:
     """
     if output is None:
         return
+    if not output.strip():
+        raise DeclarationError("--output: the name is empty", advice="name a folder; . is this one")
     path = Path(output).absolute()
     place = next(known for known in (path, *path.parents) if known.exists())
     if not place.is_dir():
@@ -122,18 +153,21 @@ def trade(arguments: argparse.Namespace) -> int:
         folder=arguments.output,
         progress=lambda line: print(line, file=sys.stderr, flush=True),
     )
+    pieces = Pieces()
     if arguments.output is not None:
         from statechart.study_figure import write
 
-        write(arguments.output, study)
+        pieces.attempt("tables and figure", lambda: write(arguments.output, study), None)
     if arguments.json:
         _print_json(study.report())
     else:
         print(text(study), end="")
+    if pieces.failed:
+        print(f"left out: {pieces.text()}", file=sys.stderr)
     if not study.complete:
         again = "the same command goes on" if arguments.output is not None else "-o DIR keeps it"
         print(f"interrupted; {again}", file=sys.stderr)
-    return 0 if study.complete else 1
+    return 0 if study.complete and not pieces.failed else 1
 
 
 def _alternatives(
@@ -239,17 +273,20 @@ def check(arguments: argparse.Namespace) -> int:
             seed=arguments.seed,
             progress=lambda name: print(f"testing: {name}", file=sys.stderr),
         )
-    written = None
+    pieces, written = Pieces(), None
     if not report.passed:
         path = Path(f"{runner.model.name}_failure.yaml")
-        write_atomic(path, report.reproduction.encode())
-        written = str(path)
+        data = report.reproduction.encode()
+        pieces.attempt(str(path), lambda: write_atomic(path, data), None)
+        written = None if pieces.failed else str(path)
     if arguments.json:
         _print_json({**report.to_json(), "reproduction": written})
     else:
         print(report.text(), end="")
         if written is not None:
             print(f"{written} reproduces it")
+    if pieces.failed:
+        print(f"left out: {pieces.text()}", file=sys.stderr)
     return 0 if report.passed else 1
 
 

@@ -22,6 +22,8 @@ from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
+from statechart import interrupts
+
 __all__ = ["is_cached", "kernel", "part"]
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -94,7 +96,18 @@ def kernel(function: F) -> F:
     # Where no folder can be written numba has no cache to offer.
     with suppress(RuntimeError):
         compiled._cache = _Cache(function)
+    compiled.compile = _interruptible(compiled.compile)
     return compiled
+
+
+def _interruptible(compile_: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Let signals end a compilation at once: it may take half a minute."""
+
+    def compiling(signature: Any) -> Any:
+        with interrupts.let_through():
+            return compile_(signature)
+
+    return compiling
 
 
 def part(function: F) -> F:

@@ -37,7 +37,7 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
     setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
     modes: dict[tuple[str, ...], dict[str, Any]] = {}
     for arc in trace.arcs:
-        if HELD in arc.flow:
+        if HELD in arc.flow or plain(arc.flow) in modes:
             continue
         mode = simulator.compiled(arc.flow, setup).mode
         # Contacts that are open have forces that are zero: they are no unknowns.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
@@ -14,10 +15,11 @@ from statechart.enclosure import lowest
 from statechart.inventory import built, left_out
 from statechart.observe import Observer
 from statechart.outputs import outputs
+from statechart.pieces import Pieces
 from statechart.simulate import Simulator
-from statechart.trace import Jump, Key, Trace
+from statechart.trace import Jump, Key, Outcome, Trace
 
-__all__ = ["json_safe", "margins", "report"]
+__all__ = ["dumps", "json_safe", "margins", "report"]
 
 
 def report(
@@ -29,6 +31,7 @@ def report(
     explain: bool = False,
     asked: Mapping[str, Any] | None = None,
     conditions: Sequence[float | None] = (),
+    pieces: Pieces | None = None,
 ) -> dict[str, Any]:
     """Return a run as an object of dicts, lists, strings and numbers.
 
@@ -52,6 +55,8 @@ def report(
         What was asked for instead of a tolerance, and what it took.
     conditions : sequence of float or None
         Of every event, from `statechart.condition.conditions`; shown where given.
+    pieces : Pieces, optional
+        Takes what could not be evaluated, and why, instead of an error; `left_out` has it too.
 
     Returns
     -------
@@ -65,12 +70,25 @@ def report(
         `timings`, `parameters`, `tolerances`.
     """
     automaton = observer.automaton
-    events = [
-        _event(trace, jump, condition) for jump, condition in zip_longest(trace.jumps, conditions)
-    ]
-    if explain:
-        for event, values in zip(events, observer.margins(trace, trace.jumps), strict=True):
+    attempt = _all_or_nothing if pieces is None else pieces.attempt
+    # Of many events it takes long to say why they were what they were.
+    hurried = pieces is not None and trace.outcome is Outcome.INTERRUPTED
+    if pieces is not None and hurried:
+        pieces.failed |= dict.fromkeys(("considered", "margins"), "interrupted")
+    events: list[dict[str, Any]] = attempt(
+        "events", lambda: _events(trace, conditions, hurried), []
+    )
+    found_outputs: dict[str, Any] = attempt("outputs", lambda: outputs(observer, trace), {})
+    found_margins: dict[str, float] = (
+        {} if hurried else attempt("margins", lambda: margins(observer, trace), {})
+    )
+    if explain and not hurried:
+        explained = attempt("margins of events", lambda: observer.margins(trace, trace.jumps), [])
+        for event, values in zip(events, explained, strict=False):
             event["margins"] = values
+    without = left_out(automaton, trace)
+    if pieces is not None:
+        without += [{"what": what, "why": why} for what, why in pieces.failed.items()]
     result = {
         "model": trace.name,
         "outcome": trace.outcome.name,
@@ -88,7 +106,7 @@ def report(
         "modes_declared": automaton.modes_declared,
         "modes_built": trace.counts.get("modes_built", 0),
         "built": built(observer, trace),
-        "left_out": left_out(automaton, trace),
+        "left_out": without,
         "modes": [dict(zip(trace.regions, key, strict=True)) for key in trace.modes],
         "indeterminate": [
             {"mode": dict(zip(trace.regions, key, strict=True)), "regions": names}
@@ -96,8 +114,8 @@ def report(
         ],
         "events": events,
         "final": dict(zip(trace.variables, trace.final.tolist(), strict=True)),
-        "outputs": outputs(observer, trace),
-        "margins": margins(observer, trace),
+        "outputs": found_outputs,
+        "margins": found_margins,
         "warnings": trace.warnings,
         "counts": trace.counts,
         "timings": timings or {},
@@ -132,18 +150,50 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
     return dict(sorted(least.items()))
 
 
+def _all_or_nothing(name: str, work: Callable[[], Any], otherwise: Any) -> Any:
+    return work()
+
+
+def dumps(report: Mapping[str, Any]) -> str:
+    """Return a report as JSON, every event on a line of its own.
+
+    Floats are printed with the fewest digits that read back as the same float.
+    """
+    parts = []
+    for key, value in report.items():
+        if key == "events" and value:
+            lines = ",\n    ".join(json.dumps(event, allow_nan=False) for event in value)
+            text = f"[\n    {lines}\n  ]"
+        else:
+            text = json.dumps(value, indent=2, allow_nan=False).replace("\n", "\n  ")
+        parts.append(f"  {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
 def json_safe(value: Any) -> Any:
     """Return `value` with tuples as lists, keys as text, and non-finite floats as text."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return repr(float(value))
-    if isinstance(value, Mapping):
-        return {str(key): json_safe(item) for key, item in value.items()}
+    # Of many events most values are numbers and names: what they are is asked for first.
+    if isinstance(value, float):
+        return value if math.isfinite(value) else repr(float(value))
+    if isinstance(value, str | int):
+        return value
     if isinstance(value, list | tuple):
         return [json_safe(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(key): json_safe(item) for key, item in value.items()}
     return value
 
 
-def _event(trace: Trace, jump: Jump, condition: float | None) -> dict[str, Any]:
+def _events(
+    trace: Trace, conditions: Sequence[float | None], hurried: bool
+) -> list[dict[str, Any]]:
+    return [
+        _event(trace, jump, condition, hurried)
+        for jump, condition in zip_longest(trace.jumps, conditions)
+    ]
+
+
+def _event(trace: Trace, jump: Jump, condition: float | None, hurried: bool) -> dict[str, Any]:
     names = trace.variables
     event: dict[str, Any] = {
         "t": jump.t,
@@ -160,7 +210,7 @@ def _event(trace: Trace, jump: Jump, condition: float | None) -> dict[str, Any]:
         },
         "fired": jump.fired,
         "path": jump.path,
-        "considered": jump.considered,
+        "considered": {} if hurried else jump.considered,
         "energy": jump.energy,
         "skipped": jump.skipped,
         "condition": condition,

@@ -13,6 +13,7 @@ from statechart.estimate import Cost
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.outputs import Result as Output
+from statechart.pieces import Pieces
 from statechart.trace import Trace
 
 __all__ = ["Asked", "Result"]
@@ -98,7 +99,7 @@ class Result:
 
         return conditions(self.observer, self.trace)
 
-    def report(self, *, explain: bool = False) -> dict[str, Any]:
+    def report(self, *, explain: bool = False, pieces: Pieces | None = None) -> dict[str, Any]:
         """Return the run as one plain object; see `statechart.report.report`."""
         from statechart.report import report
 
@@ -110,6 +111,7 @@ class Result:
             explain=explain,
             asked=None if self.asked is None else self.asked.report(self.error_estimate),
             conditions=() if self.asked is None else self.conditions,
+            pieces=pieces,
         )
 
     def save(self, folder: Path | str) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from statechart import interrupts
 from statechart.advance import CompiledMode, advance, compile_mode
 from statechart.automaton import (
     CAPTURED,
@@ -105,7 +106,8 @@ class Simulator:
         self.engine.sizes = setup.sizes
         run = _Run(self, setup, until, max_jumps)
         try:
-            run.loop()
+            with interrupts.held():
+                run.loop()
         except KeyboardInterrupt:
             run.end(Outcome.INTERRUPTED, "interrupted by the user")
         except SimulationError as error:
@@ -252,6 +254,7 @@ class _Run:
 
     def _flow(self) -> tuple[str, ...]:
         """Flow to the next event; return what fired, or nothing at the end of the run."""
+        interrupts.check()
         flow = self.flow
         assert flow is not None
         left = self.clock.until(self.until)
@@ -263,7 +266,8 @@ class _Run:
             return ("zeno",) if remaining <= 0.0 else ()
         compiled = self.entered.get(flow.flow)
         if compiled is None:
-            compiled = self.simulator.compiled(flow.flow, self.setup)
+            with interrupts.let_through():
+                compiled = self.simulator.compiled(flow.flow, self.setup)
             self.entered[flow.flow] = compiled
         setup, start = self.setup, self.clock.high
         tolerances, special = setup.tolerances, flow.tolerances
@@ -285,6 +289,8 @@ class _Run:
         )
         self.boxes += reached.boxes
         self.steps += reached.steps
+        if self.simulator.progress:
+            self._show(0.0, 0)  # flows that end in their first steps say nothing themselves
         elapsed, terms = 0.0, flow.terms
         if path.count > 0:
             times, coefficients = path.arc()

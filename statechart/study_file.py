@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from statechart.errors import DeclarationError, StatechartError
-from statechart.files import write_atomic
+from statechart.files import made, write_atomic
 from statechart.study import Study
 
 __all__ = ["NAME", "load", "save"]
@@ -54,7 +54,7 @@ def save(folder: Path | str, study: Study) -> None:
     # Strict JSON: what is not finite is text.
     text = json.dumps(json.loads(study.model_dump_json()), indent=1, allow_nan=False) + "\n"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, text.encode())
+        with made(path.parent):
+            write_atomic(path, text.encode())
     except OSError as error:
         raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error

@@ -271,17 +271,18 @@ class Case:
         """Return the run of the most accurate engine up to `until`."""
         simulator = next(iter(self.subject.simulators.values()))
         limit = self.subject.model.settings.max_jumps
-        return simulator.run(self.parameters, until=until, max_jumps=limit, throw=False)
+        return _ended(simulator.run(self.parameters, until=until, max_jumps=limit, throw=False))
 
     def loosened(self, relative: float) -> Trace:
         """Return the run of the most accurate engine whose modes are chosen as at `relative`."""
         subject = self.subject
-        return subject.loosened(relative).run(
+        trace = subject.loosened(relative).run(
             self.parameters,
             until=subject.end(self.parameters),
             max_jumps=subject.model.settings.max_jumps,
             throw=False,
         )
+        return _ended(trace)
 
     def _run(self, name: str, parameters: Mapping[str, float]) -> Trace | None:
         subject = self.subject
@@ -289,6 +290,8 @@ class Case:
         trace = subject.simulators[name].run(
             parameters, until=subject.end(parameters), max_jumps=limit, throw=False
         )
+        if trace.outcome is Outcome.INTERRUPTED:  # the user ends all of them
+            raise KeyboardInterrupt
         if trace.outcome is not Outcome.UNSUPPORTED:
             return trace
         # Taylor series do not exist for every formula.

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
-import shutil
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from statechart.errors import StatechartError
-from statechart.files import write_atomic
+from statechart.files import aside, write_atomic
 from statechart.observe import Observer
+from statechart.pieces import Pieces
+from statechart.report import dumps
 from statechart.sampling import Samples
-from statechart.trace import Trace
+from statechart.trace import Outcome, Trace
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,9 +31,15 @@ _TAKEN = frozenset({"t", "j", "mode", "sample", "event"}) | frozenset(
     {"byte", "char", "short", "ushort", "int", "uint", "int64", "uint64", "float", "real"}
     | {"double", "bool", "string"}
 )
+_KEPT = "run.json"
+_FILES = (_KEPT, "trace.nc", "events.csv", "samples.csv", "figure.svg", "figure.png")
+_ADVICE = "name a place that is writable and has room, nothing was written"
+# Rows in every step of the integrator; and about how many are evaluated and written in half a
+# second.
+_ROWS, _HURRIED = 8, 50_000
 
 
-def samples_table(observer: Observer, trace: Trace, *, per_step: int = 8) -> pd.DataFrame:
+def samples_table(observer: Observer, trace: Trace, *, per_step: int = _ROWS) -> pd.DataFrame:
     """Return a run as a table: t, j, mode, then every variable and observable.
 
     Parameters
@@ -95,7 +101,7 @@ def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def to_xarray(observer: Observer, trace: Trace, *, per_step: int = 8) -> xr.Dataset:
+def to_xarray(observer: Observer, trace: Trace, *, per_step: int = _ROWS) -> xr.Dataset:
     """Return a run as a data set that NetCDF can hold.
 
     Parameters
@@ -165,12 +171,17 @@ def save(observer: Observer, trace: Trace, path: Path | str) -> None:
 
 
 def write_run(
-    folder: Path | str, observer: Observer, trace: Trace, report: Mapping[str, Any]
+    folder: Path | str,
+    observer: Observer,
+    trace: Trace,
+    report: Mapping[str, Any],
+    pieces: Pieces | None = None,
 ) -> tuple[str, ...]:
     """Write a run to a folder: run.json, events.csv, samples.csv, trace.nc and its figure.
 
-    All is written aside first. A new folder then appears at once and complete; in one that
-    exists, files of these names are replaced one by one and others are left alone.
+    All is written aside first. A new folder then appears at once; in one that exists, files of
+    these names are replaced one by one and others are left alone. What cannot be written does not
+    keep the rest from it.
 
     Parameters
     ----------
@@ -182,6 +193,8 @@ def write_run(
         The run.
     report : mapping
         From `statechart.report.report`.
+    pieces : Pieces, optional
+        Takes what could not be written, and why, instead of an error, where some could.
 
     Returns
     -------
@@ -196,37 +209,51 @@ def write_run(
     from statechart.figure import figure, render
 
     folder = Path(folder).resolve()
+    done = pieces or Pieces()
+    # Of a run that was interrupted, the first is written in any case.
+    contents: dict[str, Callable[[], bytes]] = {
+        "run.json": lambda: dumps(report).encode(),
+        "trace.nc": lambda: _netcdf(to_xarray(observer, trace, per_step=_per_step(trace))),
+        "events.csv": lambda: _csv(events_table(observer, trace)),
+        "samples.csv": lambda: _csv(samples_table(observer, trace, per_step=_per_step(trace))),
+    }
     with _explained(folder):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "there is a file of this name")
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        # Inside a folder that exists: its parent may be read-only, or on another disk.
-        place = folder if folder.exists() else folder.parent
-        aside = Path(tempfile.mkdtemp(dir=place, prefix=f".{folder.name}."))
-        try:
-            text = json.dumps(report, indent=2, allow_nan=False) + "\n"
-            write_atomic(aside / "run.json", text.encode())
-            for name, table in (
-                ("events.csv", events_table(observer, trace)),
-                ("samples.csv", samples_table(observer, trace)),
-            ):
-                write_atomic(aside / name, table.to_csv(index=False).encode())
-            write_atomic(aside / "trace.nc", _netcdf(to_xarray(observer, trace)))
-            drawing = figure(observer, trace)
-            for kind in ("svg", "png"):
-                write_atomic(aside / f"figure.{kind}", render(drawing, kind))
-            names = tuple(sorted(os.listdir(aside)))
-            if place == folder:
-                for name in names:
-                    os.replace(aside / name, folder / name)
-            else:
-                umask = os.umask(0)
-                os.umask(umask)
-                os.chmod(aside, 0o777 & ~umask)
-                os.replace(aside, folder)
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
+        with aside(folder, _FILES) as place:
+
+            def write(name: str, content: Callable[[], bytes]) -> None:
+                write_atomic(place / name, content())
+
+            for name, content in contents.items():
+                act = done.keep if name == _KEPT else done.attempt
+                act(name, partial(write, name, content), None)
+            drawing = done.attempt("figure", partial(figure, observer, trace), None)
+            if drawing is not None:
+                for kind in ("svg", "png"):
+                    drawn = partial(render, drawing, kind)
+                    done.attempt(f"figure.{kind}", partial(write, f"figure.{kind}", drawn), None)
+            names = tuple(sorted(os.listdir(place)))
+            if not names:
+                raise StatechartError(f"cannot write {folder}: {done.text()}; {_ADVICE}")
+    if pieces is None and done.failed:
+        raise StatechartError(
+            f"{folder} has only {', '.join(names)}; could not be written: {done.text()}"
+        )
     return names
+
+
+def _csv(table: pd.DataFrame) -> bytes:
+    text: str = table.to_csv(index=False)
+    return text.encode()
+
+
+def _per_step(trace: Trace) -> int:
+    """Return how many rows a step has: of a run that was interrupted, in a hurry, few."""
+    if trace.outcome is not Outcome.INTERRUPTED:
+        return _ROWS
+    steps = sum(len(arc.times) - 1 for arc in trace.arcs)
+    return max(1, min(_ROWS, _HURRIED // max(steps, 1)))
 
 
 def _netcdf(data: xr.Dataset) -> bytes:
@@ -252,6 +279,5 @@ def _explained(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise StatechartError(
-            f"cannot write {path}: {error.strerror or error}; "
-            "name a place that is writable and has room, nothing was written"
+            f"cannot write {path}: {error.strerror or error}; {_ADVICE}"
         ) from error

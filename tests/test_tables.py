@@ -1,12 +1,14 @@
 import csv
+import fcntl
 import io
 import json
 import math
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,12 +16,13 @@ import xarray as xr
 
 from contacts.kind import automaton
 from contacts.scene import Scene
-from statechart import tables
+from statechart import files, study_file, tables
 from statechart.document import load
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
 from statechart.observe import Observer
-from statechart.report import report
+from statechart.pieces import Pieces
+from statechart.report import dumps, report
 from statechart.simulate import Simulator
 from statechart.tables import events_table, samples_table, save, to_xarray, write_run
 from statechart.trace import Trace
@@ -139,21 +142,97 @@ def test_a_file_in_the_way_is_an_error_and_is_kept(
 
 
 @pytest.mark.parametrize("exists", [False, True])
-def test_a_full_disk_leaves_nothing_half_written(
+def test_on_a_full_disk_what_fits_is_written_and_the_rest_is_named(
     observer: Observer, trace: Trace, tmp_path: Path, exists: bool
 ) -> None:
     made = report(observer, trace)
     folder = tmp_path / "run"
     if exists:
         folder.mkdir()
-        (folder / "run.json").write_text("old")
-    # Room for run.json, not for the samples.
-    with (
-        disk_full_after(len(json.dumps(made, indent=2)) + 100),
-        pytest.raises(StatechartError, match=r"cannot write .*run: "),
-    ):
+        for name in ("run.json", "trace.nc", "notes.txt"):
+            (folder / name).write_text("old")
+    # Room for run.json and events.csv, not for the samples.
+    with disk_full_after(len(dumps(made)) + 100), pytest.raises(StatechartError) as caught:
         write_run(folder, observer, trace, made)
-    assert os.listdir(tmp_path) == (["run"] if exists else [])
-    if exists:
-        assert os.listdir(folder) == ["run.json"]
-        assert (folder / "run.json").read_text() == "old"
+    assert str(caught.value) == (
+        f"{folder} has only events.csv, run.json; could not be written: trace.nc, samples.csv, "
+        "figure.svg, figure.png (File too large)"
+    )
+    assert os.listdir(tmp_path) == ["run"]
+    # What is left of another run would be taken for this one's.
+    notes = ["notes.txt"] if exists else []
+    assert sorted(os.listdir(folder)) == ["events.csv", *notes, "run.json"]
+    assert json.loads((folder / "run.json").read_text()) == made
+
+
+def test_where_nothing_can_be_written_nothing_is_left_parents_included(
+    observer: Observer, trace: Trace, tmp_path: Path
+) -> None:
+    pieces = Pieces()
+    with disk_full_after(10), pytest.raises(StatechartError, match=r"deep/run: .*nothing was wri"):
+        write_run(tmp_path / "new" / "deep" / "run", observer, trace, {"model": "m"}, pieces)
+    with disk_full_after(1), pytest.raises(StatechartError, match="too large"):
+        study_file.save(tmp_path / "new" / "deep", SimpleNamespace(model_dump_json=lambda: "[1]"))
+    assert os.listdir(tmp_path) == []
+
+
+def test_what_a_killed_process_left_is_removed_by_the_next(
+    observer: Observer, trace: Trace, tmp_path: Path
+) -> None:
+    left, own, busy, others = (
+        tmp_path / name
+        for name in (".run.abcd_123", ".run.settings", ".run.zzzzzzzz", ".ran.abcd_123")
+    )
+    for place in (left, own, busy, others):
+        place.mkdir()
+        (place / "run.json").write_text("half")
+    (left / ".trace.nc.0a1b2c3d.part").write_text("half")
+    (own / "vimrc").write_text("a user's")
+    (tmp_path / ".trace.nc.0a1b2c3d.part").write_text("half")
+    with locked(busy):
+        write_run(tmp_path / "run", observer, trace, {})
+        save(observer, trace, tmp_path / "trace.nc")
+    kept = {busy.name, own.name, others.name}
+    assert set(os.listdir(tmp_path)) == kept | {"run", "trace.nc"}
+    write_run(tmp_path / "run", observer, trace, {})
+    assert set(os.listdir(tmp_path)) == kept - {busy.name} | {"run", "trace.nc"}
+
+
+def test_what_a_killed_process_left_in_an_existing_folder_is_removed(tmp_path: Path) -> None:
+    (tmp_path / f".{tmp_path.name}.abcd_123").mkdir()
+    with files.aside(tmp_path, ["a"]) as place:
+        (place / "a").write_text("whole")
+    assert os.listdir(tmp_path) == ["a"]
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder as a process does that writes in it."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def test_of_work_that_fails_in_part_the_rest_is_done(
+    observer: Observer, trace: Trace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(error: BaseException) -> Callable[..., None]:
+        def work(*arguments: object, **options: object) -> None:
+            raise error
+
+        return work
+
+    monkeypatch.setattr("statechart.report.margins", failing(MemoryError()))
+    monkeypatch.setattr("statechart.tables.to_xarray", failing(ValueError("a bug")))
+    # The user is told by the signal's own words, and everything after it is left out, too.
+    monkeypatch.setattr("statechart.figure.figure", failing(KeyboardInterrupt()))
+    pieces = Pieces()
+    made = report(observer, trace, pieces=pieces)
+    names = write_run(tmp_path / "run", observer, trace, made, pieces)
+    assert names == ("events.csv", "run.json", "samples.csv")
+    assert pieces.text() == "margins (out of memory), trace.nc (a bug), figure (interrupted)"
+    assert {"what": "margins", "why": "out of memory"} in made["left_out"]
+    assert made["outputs"]

@@ -1,0 +1,134 @@
+"""Signals that end the work: soon, and with what was computed kept.
+
+SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt where they arrive. In the middle of a loop that
+makes a trace that would leave it half-written, and inside compiled code it becomes another error;
+there they are `held` back, and the loop looks for them between its steps by `check`. What compiles
+takes long and has nothing to lose: it lets them through again, by `let_through`.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+__all__ = ["arrived", "check", "forget", "held", "let_through", "limited", "listen"]
+
+_SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+# Where a signal raises KeyboardInterrupt: everywhere, only where it is let through, nowhere.
+_OPEN, _HELD, _FIRM = range(3)
+
+
+class _State:
+    """Signals that arrived, those of them that a check has told of, and what is held back."""
+
+    count = told = 0
+    first = 0.0
+    hold = _OPEN
+
+
+_now = _State()
+
+
+def listen() -> None:
+    """Let all three signals end this process as SIGINT does; those that are ignored stay so."""
+    for number in _SIGNALS:
+        # A process that is to outlive its terminal (nohup) ignores SIGHUP.
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _note)
+    forget()
+
+
+def forget() -> None:
+    """Begin anew: no signal has arrived."""
+    _now.count = _now.told = 0
+
+
+def arrived() -> int:
+    """Return how many signals to end have arrived."""
+    return _now.count
+
+
+def check() -> None:
+    """Raise KeyboardInterrupt if a signal to end has arrived."""
+    if _now.count:
+        _now.told = _now.count
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def held(*, firmly: bool = False) -> Iterator[None]:
+    """Only note signals, for `check` to find.
+
+    In a process that does not `listen` that holds for SIGINT, and for the main thread.
+
+    Parameters
+    ----------
+    firmly : bool
+        Let none through either.
+    """
+    outer = _now.hold
+    lent = (
+        threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
+    if lent:
+        forget()
+        signal.signal(signal.SIGINT, _note)
+    _now.hold = max(outer, _FIRM if firmly else _HELD)
+    try:
+        yield
+    finally:
+        _now.hold = outer
+        if lent:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            untold = _now.count > _now.told
+            forget()
+            if untold:
+                signal.raise_signal(signal.SIGINT)
+
+
+@contextmanager
+def let_through() -> Iterator[None]:
+    """Let signals raise KeyboardInterrupt at once, inside `held`."""
+    outer = _now.hold
+    if outer == _FIRM:
+        yield
+        return
+    _now.hold = _OPEN
+    try:
+        if _now.count > _now.told:
+            check()
+        yield
+    finally:
+        _now.hold = outer
+
+
+@contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """Raise KeyboardInterrupt so long after the first signal, as a further signal does."""
+    if not (arrived() and hasattr(signal, "setitimer")):
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, _note)
+    # A timer of zero seconds is none.
+    signal.setitimer(signal.ITIMER_REAL, max(_now.first + seconds - time.monotonic(), 1e-3))
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def _note(number: int, frame: FrameType | None) -> None:
+    _now.count += 1
+    if _now.count == 1:
+        _now.first = time.monotonic()
+    if _now.hold == _OPEN:
+        _now.told = _now.count
+        raise KeyboardInterrupt

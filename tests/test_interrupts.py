@@ -1,0 +1,272 @@
+"""Signals that end a run, and streams that cannot be written: what the user sees, what is kept."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from contacts.stepped_scene import SteppedScene
+from statechart import interrupts
+from statechart.cli import main
+from statechart.compiled import kernel
+from statechart.errors import StatechartError
+from statechart.pieces import Pieces
+from statechart.run import Runner, run
+
+pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
+
+
+def strike() -> None:
+    signal.raise_signal(signal.SIGINT)
+
+
+def striking(work: Callable[..., object], at: int) -> Callable[..., object]:
+    """Return what a signal arrives in the middle of, at its so manieth call."""
+    calls = []
+
+    def struck(*arguments: object, **options: object) -> object:
+        calls.append(1)
+        if len(calls) == at:
+            strike()
+        return work(*arguments, **options)
+
+    return struck
+
+
+def test_a_signal_waits_until_it_is_looked_for() -> None:
+    with interrupts.held():
+        strike()
+        assert interrupts.arrived() == 1
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+    assert interrupts.arrived() == 0
+
+
+def test_a_signal_that_nobody_looked_for_is_delivered_after_all() -> None:
+    done = []
+
+    def work() -> None:
+        with interrupts.held():
+            strike()
+            done.append(1)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done
+    with pytest.raises(KeyboardInterrupt):
+        strike()
+
+
+def test_what_takes_long_lets_signals_through_unless_they_are_held_firmly() -> None:
+    with interrupts.held():
+        with pytest.raises(KeyboardInterrupt), interrupts.let_through():
+            strike()
+        with interrupts.let_through():
+            pass  # that one has been told of
+        with interrupts.held(firmly=True), interrupts.let_through():
+            strike()
+        with pytest.raises(KeyboardInterrupt), interrupts.let_through():
+            raise AssertionError("the signal before was not told of")
+
+
+def test_kernels_are_compiled_where_signals_are_let_through() -> None:
+    @kernel
+    def doubled(x: float) -> float:
+        return 2.0 * x
+
+    with interrupts.held():
+        strike()
+        with pytest.raises(KeyboardInterrupt):
+            doubled(1.0)
+        assert doubled(1.0) == 2.0
+
+
+def test_after_a_signal_time_is_limited() -> None:
+    def work() -> None:
+        with interrupts.limited(0.0), interrupts.let_through():
+            signal.pause()
+
+    with interrupts.limited(0.0):
+        pass  # without one it is not
+    with interrupts.held():
+        strike()
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+        with pytest.raises(KeyboardInterrupt):
+            work()
+        assert interrupts.arrived() == 2
+
+
+def test_pieces_after_a_signal_are_left_out_but_for_those_that_are_kept() -> None:
+    pieces = Pieces()
+    with interrupts.held():
+        assert pieces.attempt("a", lambda: 1, 0) == 1
+        assert pieces.attempt("b", lambda: strike() or 1, 0) == 0
+        assert pieces.attempt("c", lambda: 1, 0) == 0
+        assert pieces.keep("d", lambda: strike() or 1, 0) == 1
+        assert pieces.attempt("e", lambda: 1 / 0, 0.0) == 0.0
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+    assert pieces.text() == "b, c, e (interrupted)"
+
+
+@pytest.mark.parametrize("at", [2, 9])
+def test_a_signal_in_the_middle_of_a_jump_leaves_the_trace_whole(
+    monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    runner = Runner("bouncing_ball_chart")
+    laws = type(runner.automaton.laws)
+    monkeypatch.setattr(laws, "jump", striking(laws.jump, at))
+    trace = runner.run().trace
+    assert trace.outcome.name == "INTERRUPTED"
+    assert trace.jumps
+    assert trace.t_end == trace.jumps[-1].t == pytest.approx(trace.arcs[-1].duration
+        + trace.arcs[-1].start.high, abs=1e-15)  # fmt: skip
+    assert (trace.final == trace.jumps[-1].after).all()
+    whole = run("bouncing_ball_chart").trace
+    assert [jump.t for jump in trace.jumps] == [j.t for j in whole.jumps[: len(trace.jumps)]]
+
+
+def test_a_signal_ends_time_stepping_between_its_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    runner = Runner("stick_slip_block", engine="impulse", step=1e-3)
+    monkeypatch.setattr(SteppedScene, "steps", striking(SteppedScene.steps, 3))
+    trace = runner.run(until=1e6).trace
+    assert trace.outcome.name == "INTERRUPTED"
+    assert 0.0 < trace.t_end < 10.0
+    assert trace.arcs[-1].start.high + trace.arcs[-1].duration == pytest.approx(trace.t_end)
+
+
+class Process:
+    """The command line as a process of its own."""
+
+    def __init__(self, folder: Path, *arguments: str, options: tuple[str, ...] = ()) -> None:
+        command = [sys.executable, *options, "-m", "statechart.cli", *arguments]
+        self._process = subprocess.Popen(
+            command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+
+    def signalled(self, number: int, line: str) -> tuple[int, str, str]:
+        """Send a signal after a line of stderr that has `line`; return code, stdout, stderr."""
+        stderr = self._process.stderr
+        assert stderr is not None
+        assert any(line in said for said in stderr)
+        self._process.send_signal(number)
+        out, err = self._process.communicate(timeout=120)
+        return self._process.returncode, out, err
+
+
+@pytest.mark.parametrize(
+    ("number", "options"),
+    [(signal.SIGTERM, ()), (signal.SIGHUP, ("--engine", "impulse", "--step", "1e-3"))],
+    ids=["SIGTERM, events", "SIGHUP, steps"],
+)
+def test_a_signal_ends_a_run_that_is_reported_and_saved(
+    tmp_path: Path, number: int, options: tuple[str, ...]
+) -> None:
+    process = Process(
+        tmp_path, "run", "stick_slip_block", "--until", "1e9", "--output", "out", *options
+    )
+    code, out, err = process.signalled(number, "t = ")
+    assert code == 1
+    assert out.startswith("stick_slip_block: INTERRUPTED\n")
+    assert err.splitlines()[-1].startswith("left out: considered, margins")
+    report = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert report["outcome"] == "INTERRUPTED"
+    assert report["events"]
+    assert os.listdir(tmp_path) == ["out"]
+    assert not [name for name in os.listdir(tmp_path / "out") if name.startswith(".")]
+
+
+def test_a_signal_while_libraries_are_imported_is_one_word(tmp_path: Path) -> None:
+    process = Process(tmp_path, "validate", "dice", options=("-X", "importtime"))
+    code, out, err = process.signalled(signal.SIGINT, "numpy")
+    said = [line for line in err.splitlines() if not line.startswith("import time:")]
+    assert (code, out, said) == (1, "", ["interrupted"])
+
+
+@pytest.mark.parametrize(
+    ("redirected", "words"),
+    [
+        (">&-", "it is closed"),
+        (">/dev/full", "No space left on device"),
+    ],
+)
+def test_results_that_cannot_be_printed_are_one_sentence(
+    tmp_path: Path, redirected: str, words: str
+) -> None:
+    command = f"{sys.executable} -m statechart.cli schema chart {redirected}"
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (1, f"cannot write to stdout: {words}\n")
+
+
+def test_without_stderr_results_are_printed_alone(tmp_path: Path) -> None:
+    command = f"{sys.executable} -m statechart.cli schema chart 2>&- | head -c 2"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("{\n", "")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (MemoryError(), "out of memory"),
+        (RecursionError(), "Python's recursion limit"),
+        (ImportError("libx.so: cannot map"), "a library cannot be loaded: libx.so: cannot map"),
+    ],
+)
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_what_the_process_lacks_is_one_sentence(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    error: Exception,
+    words: str,
+    wrapped: bool,
+) -> None:
+    def lacking(arguments: object) -> int:
+        if wrapped:
+            raise SystemError("a result with an exception set") from error
+        raise error
+
+    if wrapped and isinstance(error, ImportError):
+        return
+    monkeypatch.delenv("STATECHART_DEBUG", raising=False)
+    monkeypatch.setattr("statechart.cli_verbs.schema", lacking)
+    assert main(["schema"]) == 1
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert said.err.startswith(words)
+
+
+def test_a_run_that_cannot_be_saved_is_printed_all_the_same(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def full(*arguments: object) -> None:
+        raise StatechartError("cannot write out: No space left on device; nothing was written")
+
+    monkeypatch.setattr("statechart.tables.write_run", full)
+    code = main(["run", "bouncing_ball_chart", "--output", str(tmp_path / "out")])
+    said = capsys.readouterr()
+    assert code == 1
+    assert said.out.startswith("bouncing_ball_chart: HORIZON")
+    assert said.err == "cannot write out: No space left on device; nothing was written\n"
+
+
+@pytest.mark.parametrize("verb", ["run", "trade"])
+def test_an_empty_name_is_no_folder(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    verb: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([verb, "bouncing_ball_chart", "--output", ""]) == 2
+    assert "--output: the name is empty" in capsys.readouterr().err
+    assert os.listdir(tmp_path) == []
