@@ -1,0 +1,40 @@
+"""What is kept of times and gaps down to their last bits."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import pytest
+
+from statechart.document import read_text
+from statechart.run import run
+from statechart.trace import Clock
+
+DROP = """\
+kind: scene
+name: drop
+parameters: {h: 1e-9}
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {x: 1, y: 1 + h}}}
+surfaces: {shelf: {height: 1}}
+contacts: {tip: {point: {body: ball}, surface: shelf, friction: 0.5, restitution: 0}}
+stop: {time: 0.01}
+"""
+
+
+def test_times_of_many_flows_add_up_to_the_last_bit() -> None:
+    clock = Clock()
+    for _ in range(10_000):
+        clock = clock.later(0.1)
+    assert clock.high == float(10_000 * Fraction(0.1))
+    assert abs(clock.low) <= 0.5 * math.ulp(clock.high)
+
+
+def test_a_ball_a_billionth_above_a_shelf_falls_on_it() -> None:
+    result = run(read_text(DROP))
+    (touchdown,) = result.trace.jumps
+    # The height itself is known to the rounding of what it is measured from.
+    fallen = (1.0 + 1e-9) - 1.0
+    assert touchdown.cause == "touchdown"
+    assert touchdown.t == pytest.approx(math.sqrt(2.0 * fallen / 9.81), rel=1e-4)
