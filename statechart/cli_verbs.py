@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import os
 import sys
@@ -61,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
         progress=True,
     )
     _check_folder(arguments.output)
+    if arguments.output is not None:
+        import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, throw=False)
     # From here on nothing is lost: what fails is left out, and what is left out is said.
     with interrupts.held(), interrupts.limited(_PATIENCE):
@@ -75,22 +78,28 @@ def _tell(
 ) -> bool:
     """Save and print a run; return whether all of it could be."""
     pieces, failure = Pieces(), ""
-    # What was saved must be able to answer why, too; of many events that takes long.
-    saved = arguments.output is not None and not interrupts.arrived()
-    report = result.report(explain=arguments.explain or saved, pieces=pieces)
-    if arguments.alternatives:
-        none: list[dict[str, Any]] = []
-        report["alternatives"] = pieces.attempt(
-            "alternatives", lambda: _alternatives(runner, result, parameters, arguments), none
-        )
-    _warn(result.warnings)
+
+    @functools.cache
+    def made() -> dict[str, Any]:
+        # What was saved must be able to answer why, too.
+        explain = arguments.explain or arguments.output is not None
+        report = result.report(explain=explain, pieces=pieces)
+        if arguments.alternatives:
+            none: list[dict[str, Any]] = []
+            report["alternatives"] = pieces.attempt(
+                "alternatives", lambda: _alternatives(runner, result, parameters, arguments), none
+            )
+        return report
+
     if arguments.output is not None:
         from statechart.tables import write_run
 
         try:
-            write_run(arguments.output, result.observer, result.trace, report, pieces)
+            write_run(arguments.output, result.observer, result.trace, made, pieces)
         except StatechartError as error:
             failure = str(error)
+    report = made()
+    _warn(result.warnings)
     if arguments.json:
         from statechart.report import dumps
 

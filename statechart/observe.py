@@ -108,7 +108,7 @@ class Observer:
         trace: Trace,
         formulas: Sequence[str] | None = None,
         *,
-        per_step: int = 8,
+        per_step: float = 8,
         times: ArrayLike | None = None,
     ) -> Samples:
         """Evaluate along a run.
@@ -119,7 +119,7 @@ class Observer:
             The run.
         formulas : sequence of str, optional
             What to evaluate; `names` by default.
-        per_step : int
+        per_step : float
             Intervals in every step of the integrator; both ends of an arc are sampled, so a jump
             shows as two rows of one time.
         times : (m,) array, optional

@@ -3,56 +3,91 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TypeVar
 
 from statechart import interrupts
 
-__all__ = ["Pieces"]
+__all__ = ["SOME", "Pieces"]
 
 T = TypeVar("T")
+
+SOME = 4_000
+"""Events, or rows of samples, in a short form: they take some tenths of a second."""
+
+_INTERRUPTED = "interrupted"
 
 
 class Pieces:
     """What is done of a piece of work.
 
-    A signal to end that comes now ends the piece at hand and leaves out those that follow, except
-    those that are `kept`.
+    A signal to end that comes now ends the piece at hand and leaves out those that follow; of those
+    to `keep` it leaves a short form.
 
     Attributes
     ----------
     failed : dict of str to str
         What could not be done, and why.
+
+    Parameters
+    ----------
+    strict : bool
+        Let errors and signals end all of it instead.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, strict: bool = False) -> None:
         self.failed: dict[str, str] = {}
+        self._strict = strict
         self._signals = interrupts.arrived()
+
+    @property
+    def hurried(self) -> bool:
+        """Whether a signal to end has arrived, so that there is no time for what takes long."""
+        return not self._strict and interrupts.arrived() > 0
 
     def attempt(self, name: str, work: Callable[[], T], otherwise: T) -> T:
         """Do a piece of work; where it fails, note why and return `otherwise`."""
+        if self._strict:
+            return work()
         try:
             if self._over():
                 raise KeyboardInterrupt
             with interrupts.let_through():
                 return work()
         except KeyboardInterrupt:
-            self.failed[name] = "interrupted"
+            self.failed[name] = _INTERRUPTED
         except Exception as error:
             if os.environ.get("STATECHART_DEBUG") == "1":
                 raise
             # In compiled code a signal becomes another error.
-            self.failed[name] = "interrupted" if self._over() else reason(error)
+            self.failed[name] = _INTERRUPTED if self._over() else reason(error)
         return otherwise
 
-    def keep(self, name: str, work: Callable[[], T], otherwise: T) -> T:
-        """Do a piece of work as `attempt` does, whatever signals come."""
+    def keep(self, name: str, work: Callable[[bool], T], otherwise: T) -> T:
+        """Do ``work(False)``; after a signal to end its short form, ``work(True)``, to its end."""
+        if not self.hurried:
+            done = self.attempt(name, partial(work, False), otherwise)
+            if self.failed.get(name) != _INTERRUPTED:
+                return done
+            del self.failed[name]
         self._signals, before = interrupts.arrived(), self._signals
         try:
             with interrupts.held(firmly=True):
-                return self.attempt(name, work, otherwise)
+                return self.attempt(name, partial(work, True), otherwise)
         finally:
             self._signals = before
+
+    def some(self, what: str, items: Sequence[T]) -> tuple[T, ...]:
+        """Return at most `SOME` items, evenly chosen; say so where there are more."""
+        chosen = tuple(items[:: max(1, -(-len(items) // SOME))])
+        if len(chosen) < len(items):
+            self.leave(f"{len(items) - len(chosen)} of {len(items)} {what}")
+        return chosen
+
+    def leave(self, *names: str) -> None:
+        """Note what there is no time for."""
+        self.failed |= dict.fromkeys(names, _INTERRUPTED)
 
     def text(self) -> str:
         """Return what could not be done, and why, such as ``a, b (disk full), c (interrupted)``."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
@@ -17,7 +17,7 @@ from statechart.observe import Observer
 from statechart.outputs import outputs
 from statechart.pieces import Pieces
 from statechart.simulate import Simulator
-from statechart.trace import Jump, Key, Outcome, Trace
+from statechart.trace import Jump, Key, Trace
 
 __all__ = ["dumps", "json_safe", "margins", "report"]
 
@@ -70,25 +70,31 @@ def report(
         `timings`, `parameters`, `tolerances`.
     """
     automaton = observer.automaton
-    attempt = _all_or_nothing if pieces is None else pieces.attempt
+    done = Pieces(strict=True) if pieces is None else pieces
+    found_outputs: dict[str, Any] = done.attempt("outputs", lambda: outputs(observer, trace), {})
+    found_margins: dict[str, float] = {}
+    explained: Sequence[dict[str, float]] = ()
     # Of many events it takes long to say why they were what they were.
-    hurried = pieces is not None and trace.outcome is Outcome.INTERRUPTED
-    if pieces is not None and hurried:
-        pieces.failed |= dict.fromkeys(("considered", "margins"), "interrupted")
-    events: list[dict[str, Any]] = attempt(
-        "events", lambda: _events(trace, conditions, hurried), []
-    )
-    found_outputs: dict[str, Any] = attempt("outputs", lambda: outputs(observer, trace), {})
-    found_margins: dict[str, float] = (
-        {} if hurried else attempt("margins", lambda: margins(observer, trace), {})
-    )
-    if explain and not hurried:
-        explained = attempt("margins of events", lambda: observer.margins(trace, trace.jumps), [])
-        for event, values in zip(events, explained, strict=False):
-            event["margins"] = values
+    if done.hurried:
+        done.leave("margins")
+    else:
+        found_margins = done.attempt("margins", lambda: margins(observer, trace), {})
+    if explain and not done.hurried:
+        explained = done.attempt(
+            "margins of events", lambda: observer.margins(trace, trace.jumps), []
+        )
+
+    def made(short: bool) -> list[dict[str, Any]]:
+        found: Sequence[tuple[Any, Any, Any]]
+        found = list(zip_longest(trace.jumps, conditions, explained))
+        if short:
+            done.leave("considered")
+            found = done.some("events", found)
+        return [_event(trace, *of, hurried=short) for of in found]
+
+    events: list[dict[str, Any]] = done.keep("events", made, [])
     without = left_out(automaton, trace)
-    if pieces is not None:
-        without += [{"what": what, "why": why} for what, why in pieces.failed.items()]
+    without += [{"what": what, "why": why} for what, why in done.failed.items()]
     result = {
         "model": trace.name,
         "outcome": trace.outcome.name,
@@ -112,7 +118,7 @@ def report(
             {"mode": dict(zip(trace.regions, key, strict=True)), "regions": names}
             for key, names in trace.indeterminate.items()
         ],
-        "events": events,
+        "events": [],
         "final": dict(zip(trace.variables, trace.final.tolist(), strict=True)),
         "outputs": found_outputs,
         "margins": found_margins,
@@ -123,7 +129,7 @@ def report(
         "tolerances": trace.tolerances,
     }
     safe: dict[str, Any] = json_safe(result)
-    return safe
+    return safe | {"events": events}
 
 
 def margins(observer: Observer, trace: Trace) -> dict[str, float]:
@@ -148,10 +154,6 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
             # Once undefined, always undefined: NaN compares false.
             least[margin.name] = before if before <= value or before != before else value
     return dict(sorted(least.items()))
-
-
-def _all_or_nothing(name: str, work: Callable[[], Any], otherwise: Any) -> Any:
-    return work()
 
 
 def dumps(report: Mapping[str, Any]) -> str:
@@ -184,16 +186,14 @@ def json_safe(value: Any) -> Any:
     return value
 
 
-def _events(
-    trace: Trace, conditions: Sequence[float | None], hurried: bool
-) -> list[dict[str, Any]]:
-    return [
-        _event(trace, jump, condition, hurried)
-        for jump, condition in zip_longest(trace.jumps, conditions)
-    ]
-
-
-def _event(trace: Trace, jump: Jump, condition: float | None, hurried: bool) -> dict[str, Any]:
+def _event(
+    trace: Trace,
+    jump: Jump,
+    condition: float | None,
+    explained: Mapping[str, float] | None,
+    *,
+    hurried: bool,
+) -> dict[str, Any]:
     names = trace.variables
     event: dict[str, Any] = {
         "t": jump.t,
@@ -215,7 +215,10 @@ def _event(trace: Trace, jump: Jump, condition: float | None, hurried: bool) -> 
         "skipped": jump.skipped,
         "condition": condition,
     }
-    return event
+    if explained is not None:
+        event["margins"] = explained
+    safe: dict[str, Any] = json_safe(event)
+    return safe
 
 
 def _states(trace: Trace, key: Key) -> dict[str, str]:

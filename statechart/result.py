@@ -118,4 +118,4 @@ class Result:
         """Write tables, data set and figure; see `statechart.tables.write_run`."""
         from statechart.tables import write_run
 
-        return write_run(folder, self.observer, self.trace, self.report(explain=True))
+        return write_run(folder, self.observer, self.trace, lambda: self.report(explain=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -108,10 +109,12 @@ def _refined(arc: Arc, left: float, right: float, evaluate: Evaluate, sign: floa
     return best
 
 
-def subdivided(arc: Arc, per_step: int) -> Array:
+def subdivided(arc: Arc, per_step: float) -> Array:
     """Return local times: `per_step` intervals in every step, both ends of the arc included."""
-    ends = arc.times
-    inner = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(per_step) / per_step)
+    every = max(1, math.ceil(1.0 / per_step))
+    ends = np.append(arc.times[:-1:every], arc.times[-1])
+    count = math.ceil(per_step)
+    inner = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(count) / count)
     return np.append(inner.ravel(), ends[-1])
 
 

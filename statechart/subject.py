@@ -290,11 +290,16 @@ class Case:
         trace = subject.simulators[name].run(
             parameters, until=subject.end(parameters), max_jumps=limit, throw=False
         )
-        if trace.outcome is Outcome.INTERRUPTED:  # the user ends all of them
-            raise KeyboardInterrupt
         if trace.outcome is not Outcome.UNSUPPORTED:
-            return trace
+            return _ended(trace)
         # Taylor series do not exist for every formula.
         subject.missing[name] = trace.message
         del subject.simulators[name]
         return None
+
+
+def _ended(trace: Trace) -> Trace:
+    """Return a run, unless the user interrupted it: that ends all of them."""
+    if trace.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
+    return trace

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +17,10 @@ import numpy as np
 from statechart.errors import StatechartError
 from statechart.files import aside, write_atomic
 from statechart.observe import Observer
-from statechart.pieces import Pieces
+from statechart.pieces import SOME, Pieces
 from statechart.report import dumps
 from statechart.sampling import Samples
-from statechart.trace import Outcome, Trace
+from statechart.trace import Trace
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,15 +33,12 @@ _TAKEN = frozenset({"t", "j", "mode", "sample", "event"}) | frozenset(
     {"byte", "char", "short", "ushort", "int", "uint", "int64", "uint64", "float", "real"}
     | {"double", "bool", "string"}
 )
-_KEPT = "run.json"
-_FILES = (_KEPT, "trace.nc", "events.csv", "samples.csv", "figure.svg", "figure.png")
+_FILES = ("run.json", "trace.nc", "events.csv", "samples.csv", "figure.svg", "figure.png")
 _ADVICE = "name a place that is writable and has room, nothing was written"
-# Rows in every step of the integrator; and about how many are evaluated and written in half a
-# second.
-_ROWS, _HURRIED = 8, 50_000
+_ROWS = 8  # in every step of the integrator
 
 
-def samples_table(observer: Observer, trace: Trace, *, per_step: int = _ROWS) -> pd.DataFrame:
+def samples_table(observer: Observer, trace: Trace, *, per_step: float = _ROWS) -> pd.DataFrame:
     """Return a run as a table: t, j, mode, then every variable and observable.
 
     Parameters
@@ -48,9 +47,9 @@ def samples_table(observer: Observer, trace: Trace, *, per_step: int = _ROWS) ->
         Of the simulator that made the run.
     trace : Trace
         The run.
-    per_step : int
+    per_step : float
         Rows in every step of the integrator; both ends of an arc have one, so a jump shows as
-        two rows of one time.
+        two rows of one time. Below one: 0.1 is a row every ten steps.
     """
     import pandas as pd
 
@@ -101,7 +100,7 @@ def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def to_xarray(observer: Observer, trace: Trace, *, per_step: int = _ROWS) -> xr.Dataset:
+def to_xarray(observer: Observer, trace: Trace, *, per_step: float = _ROWS) -> xr.Dataset:
     """Return a run as a data set that NetCDF can hold.
 
     Parameters
@@ -110,7 +109,7 @@ def to_xarray(observer: Observer, trace: Trace, *, per_step: int = _ROWS) -> xr.
         Of the simulator that made the run.
     trace : Trace
         The run.
-    per_step : int
+    per_step : float
         As in `samples_table`.
 
     Returns
@@ -174,10 +173,10 @@ def write_run(
     folder: Path | str,
     observer: Observer,
     trace: Trace,
-    report: Mapping[str, Any],
+    report: Callable[[], Mapping[str, Any]],
     pieces: Pieces | None = None,
 ) -> tuple[str, ...]:
-    """Write a run to a folder: run.json, events.csv, samples.csv, trace.nc and its figure.
+    """Write a run to a folder: trace.nc, run.json, events.csv, samples.csv and its figure.
 
     All is written aside first. A new folder then appears at once; in one that exists, files of
     these names are replaced one by one and others are left alone. What cannot be written does not
@@ -191,8 +190,8 @@ def write_run(
         Of the simulator that made the run.
     trace : Trace
         The run.
-    report : mapping
-        From `statechart.report.report`.
+    report : callable
+        Makes it, as `statechart.report.report` does, after the trajectory is safe.
     pieces : Pieces, optional
         Takes what could not be written, and why, instead of an error, where some could.
 
@@ -210,29 +209,38 @@ def write_run(
 
     folder = Path(folder).resolve()
     done = pieces or Pieces()
-    # Of a run that was interrupted, the first is written in any case.
-    contents: dict[str, Callable[[], bytes]] = {
-        "run.json": lambda: dumps(report).encode(),
-        "trace.nc": lambda: _netcdf(to_xarray(observer, trace, per_step=_per_step(trace))),
-        "events.csv": lambda: _csv(events_table(observer, trace)),
-        "samples.csv": lambda: _csv(samples_table(observer, trace, per_step=_per_step(trace))),
-    }
+
+    def data(short: bool) -> bytes:
+        run, per_step = _shape(trace, done, short)
+        return _netcdf(to_xarray(observer, run, per_step=per_step))
+
+    def samples(short: bool) -> bytes:
+        run, per_step = _shape(trace, done, short)
+        return _csv(samples_table(observer, run, per_step=per_step))
+
+    def events(short: bool) -> bytes:
+        return _csv(events_table(observer, _shape(trace, done, short)[0]))
+
     with _explained(folder):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "there is a file of this name")
         with aside(folder, _FILES) as place:
 
-            def write(name: str, content: Callable[[], bytes]) -> None:
-                write_atomic(place / name, content())
+            def write(name: str, content: Callable[[bool], bytes], short: bool = False) -> None:
+                write_atomic(place / name, content(short))
 
-            for name, content in contents.items():
-                act = done.keep if name == _KEPT else done.attempt
-                act(name, partial(write, name, content), None)
+            # First what cannot be had again; then the report, which says what is left out of it.
+            done.keep("trace.nc", partial(write, "trace.nc", data), None)
+            made = report()
+            done.keep("run.json", partial(write, "run.json", lambda _: dumps(made).encode()), None)
+            for name, table in (("events.csv", events), ("samples.csv", samples)):
+                done.attempt(name, partial(write, name, table, done.hurried), None)
             drawing = done.attempt("figure", partial(figure, observer, trace), None)
             if drawing is not None:
                 for kind in ("svg", "png"):
-                    drawn = partial(render, drawing, kind)
-                    done.attempt(f"figure.{kind}", partial(write, f"figure.{kind}", drawn), None)
+                    path = place / f"figure.{kind}"
+                    draw = partial(render, drawing, kind)
+                    done.attempt(path.name, lambda: write_atomic(path, draw()), None)  # noqa: B023
             names = tuple(sorted(os.listdir(place)))
             if not names:
                 raise StatechartError(f"cannot write {folder}: {done.text()}; {_ADVICE}")
@@ -248,12 +256,16 @@ def _csv(table: pd.DataFrame) -> bytes:
     return text.encode()
 
 
-def _per_step(trace: Trace) -> int:
-    """Return how many rows a step has: of a run that was interrupted, in a hurry, few."""
-    if trace.outcome is not Outcome.INTERRUPTED:
-        return _ROWS
-    steps = sum(len(arc.times) - 1 for arc in trace.arcs)
-    return max(1, min(_ROWS, _HURRIED // max(steps, 1)))
+def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:
+    """Return a run and how many rows a step of it has; in short, some of its flows and events."""
+    if not short:
+        return trace, _ROWS
+    arcs, jumps = pieces.some("flows", trace.arcs), pieces.some("events", trace.jumps)
+    steps = sum(len(arc.times) - 1 for arc in arcs)
+    per_step = min(_ROWS, SOME / max(steps, 1))
+    if per_step < 1.0:
+        pieces.leave(f"all states but one of {math.ceil(1.0 / per_step)}")
+    return replace(trace, arcs=arcs, jumps=jumps), per_step
 
 
 def _netcdf(data: xr.Dataset) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -11,14 +12,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import xarray as xr
 
 from contacts.stepped_scene import SteppedScene
 from statechart import interrupts
 from statechart.cli import main
 from statechart.compiled import kernel
 from statechart.errors import StatechartError
-from statechart.pieces import Pieces
+from statechart.pieces import SOME, Pieces
 from statechart.run import Runner, run
+from statechart.tables import write_run
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 
@@ -110,11 +113,50 @@ def test_pieces_after_a_signal_are_left_out_but_for_those_that_are_kept() -> Non
         assert pieces.attempt("a", lambda: 1, 0) == 1
         assert pieces.attempt("b", lambda: strike() or 1, 0) == 0
         assert pieces.attempt("c", lambda: 1, 0) == 0
-        assert pieces.keep("d", lambda: strike() or 1, 0) == 1
+        assert pieces.keep("d", lambda short: strike() or 1, 0) == 1
         assert pieces.attempt("e", lambda: 1 / 0, 0.0) == 0.0
         with pytest.raises(KeyboardInterrupt):
             interrupts.check()
     assert pieces.text() == "b, c, e (interrupted)"
+
+
+def test_what_is_kept_has_a_short_form_that_no_signal_ends() -> None:
+    pieces = Pieces()
+    with interrupts.held():
+        assert pieces.keep("a", lambda short: short or strike(), False) is True
+        assert pieces.keep("b", lambda short: strike() or short, False) is True
+        assert pieces.some("numbers", range(2 * SOME + 1)) == tuple(range(0, 2 * SOME + 1, 3))
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+    assert pieces.some("names", ["a", "b"]) == ("a", "b")
+    left = 2 * SOME + 1 - len(range(0, 2 * SOME + 1, 3))
+    assert pieces.text() == f"{left} of {2 * SOME + 1} numbers (interrupted)"
+
+
+def test_a_run_of_many_flows_is_saved_in_short_after_a_signal(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    result = run("bouncing_ball_chart")
+    jumps = result.trace.jumps
+    assert len(jumps) > 10
+    monkeypatch.setattr("statechart.pieces.SOME", 10)
+    monkeypatch.setattr("statechart.tables.SOME", 10)
+    with interrupts.held():
+        strike()
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+        pieces = Pieces()
+        write_run(
+            tmp_path, result.observer, result.trace, lambda: result.report(pieces=pieces), pieces
+        )
+    report = json.loads((tmp_path / "run.json").read_text())
+    assert report["outputs"] == result.report()["outputs"]
+    shown = [event["t"] for event in report["events"]]
+    assert shown == [jump.t for jump in jumps[:: math.ceil(len(jumps) / 10)]]
+    with xr.open_dataset(tmp_path / "trace.nc") as data:
+        assert data["event_t"].values.tolist() == shown
+    whats = [left["what"] for left in report["left_out"]]
+    assert f"{len(jumps) - len(shown)} of {len(jumps)} events" in whats
 
 
 @pytest.mark.parametrize("at", [2, 9])
@@ -176,10 +218,15 @@ def test_a_signal_ends_a_run_that_is_reported_and_saved(
     code, out, err = process.signalled(number, "t = ")
     assert code == 1
     assert out.startswith("stick_slip_block: INTERRUPTED\n")
-    assert err.splitlines()[-1].startswith("left out: considered, margins")
+    assert err.splitlines()[-1].startswith("left out: ")
+    assert "margins" in err.splitlines()[-1]
     report = json.loads((tmp_path / "out" / "run.json").read_text())
     assert report["outcome"] == "INTERRUPTED"
     assert report["events"]
+    with xr.open_dataset(tmp_path / "out" / "trace.nc") as data:
+        assert data.sizes["event"] == len(report["events"])
+        assert data["t"][0] == 0.0
+        assert data["t"].max() > 0.9 * report["t_end"]
     assert os.listdir(tmp_path) == ["out"]
     assert not [name for name in os.listdir(tmp_path / "out") if name.startswith(".")]
 

@@ -73,7 +73,7 @@ def test_events_table_has_a_row_per_jump(observer: Observer, trace: Trace) -> No
 
 
 def test_csv_keeps_full_precision(observer: Observer, trace: Trace, tmp_path: Path) -> None:
-    write_run(tmp_path / "run", observer, trace, report(observer, trace))
+    write_run(tmp_path / "run", observer, trace, lambda: report(observer, trace))
     with (tmp_path / "run" / "samples.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     table = samples_table(observer, trace)
@@ -110,7 +110,7 @@ def test_names_that_the_format_keeps_for_itself_get_an_underscore() -> None:
 def test_a_run_is_written_whole(observer: Observer, trace: Trace, tmp_path: Path) -> None:
     made = report(observer, trace)
     folder = tmp_path / "new" / "run"
-    assert set(write_run(folder, observer, trace, made)) == FILES
+    assert set(write_run(folder, observer, trace, lambda: made)) == FILES
     assert set(os.listdir(folder)) == FILES
     assert os.listdir(folder.parent) == ["run"]
     assert json.loads((folder / "run.json").read_text()) == made
@@ -122,7 +122,7 @@ def test_an_existing_folder_keeps_its_other_files(
 ) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "run.json").write_text("old")
-    write_run(tmp_path, observer, trace, report(observer, trace))
+    write_run(tmp_path, observer, trace, lambda: report(observer, trace))
     assert set(os.listdir(tmp_path)) == FILES | {"notes.txt"}
     assert json.loads((tmp_path / "run.json").read_text())["model"] == "toppling_stick"
 
@@ -132,9 +132,9 @@ def test_a_file_in_the_way_is_an_error_and_is_kept(
 ) -> None:
     (tmp_path / "run").write_text("mine")
     with pytest.raises(StatechartError, match="there is a file of this name"):
-        write_run(tmp_path / "run", observer, trace, {})
+        write_run(tmp_path / "run", observer, trace, dict)
     with pytest.raises(StatechartError, match="cannot write"):
-        write_run(tmp_path / "run" / "below", observer, trace, {})
+        write_run(tmp_path / "run" / "below", observer, trace, dict)
     with pytest.raises(StatechartError, match="cannot write"):
         save(observer, trace, tmp_path / "missing" / "trace.nc")
     assert os.listdir(tmp_path) == ["run"]
@@ -153,7 +153,7 @@ def test_on_a_full_disk_what_fits_is_written_and_the_rest_is_named(
             (folder / name).write_text("old")
     # Room for run.json and events.csv, not for the samples.
     with disk_full_after(len(dumps(made)) + 100), pytest.raises(StatechartError) as caught:
-        write_run(folder, observer, trace, made)
+        write_run(folder, observer, trace, lambda: made)
     assert str(caught.value) == (
         f"{folder} has only events.csv, run.json; could not be written: trace.nc, samples.csv, "
         "figure.svg, figure.png (File too large)"
@@ -170,7 +170,9 @@ def test_where_nothing_can_be_written_nothing_is_left_parents_included(
 ) -> None:
     pieces = Pieces()
     with disk_full_after(10), pytest.raises(StatechartError, match=r"deep/run: .*nothing was wri"):
-        write_run(tmp_path / "new" / "deep" / "run", observer, trace, {"model": "m"}, pieces)
+        write_run(
+            tmp_path / "new" / "deep" / "run", observer, trace, lambda: {"model": "m"}, pieces
+        )
     with disk_full_after(1), pytest.raises(StatechartError, match="too large"):
         study_file.save(tmp_path / "new" / "deep", SimpleNamespace(model_dump_json=lambda: "[1]"))
     assert os.listdir(tmp_path) == []
@@ -190,11 +192,11 @@ def test_what_a_killed_process_left_is_removed_by_the_next(
     (own / "vimrc").write_text("a user's")
     (tmp_path / ".trace.nc.0a1b2c3d.part").write_text("half")
     with locked(busy):
-        write_run(tmp_path / "run", observer, trace, {})
+        write_run(tmp_path / "run", observer, trace, dict)
         save(observer, trace, tmp_path / "trace.nc")
     kept = {busy.name, own.name, others.name}
     assert set(os.listdir(tmp_path)) == kept | {"run", "trace.nc"}
-    write_run(tmp_path / "run", observer, trace, {})
+    write_run(tmp_path / "run", observer, trace, dict)
     assert set(os.listdir(tmp_path)) == kept - {busy.name} | {"run", "trace.nc"}
 
 
@@ -230,9 +232,12 @@ def test_of_work_that_fails_in_part_the_rest_is_done(
     # The user is told by the signal's own words, and everything after it is left out, too.
     monkeypatch.setattr("statechart.figure.figure", failing(KeyboardInterrupt()))
     pieces = Pieces()
-    made = report(observer, trace, pieces=pieces)
-    names = write_run(tmp_path / "run", observer, trace, made, pieces)
+    names = write_run(
+        tmp_path / "run", observer, trace, lambda: report(observer, trace, pieces=pieces), pieces
+    )
     assert names == ("events.csv", "run.json", "samples.csv")
-    assert pieces.text() == "margins (out of memory), trace.nc (a bug), figure (interrupted)"
+    assert pieces.text() == "trace.nc (a bug), margins (out of memory), figure (interrupted)"
+    made = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert {"what": "trace.nc", "why": "a bug"} in made["left_out"]
     assert {"what": "margins", "why": "out of memory"} in made["left_out"]
     assert made["outputs"]

@@ -1,0 +1,91 @@
+"""The streams of the process `statechart`: what cannot be written to them is one sentence."""
+
+from __future__ import annotations
+
+import errno
+import io
+import logging
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import TextIO
+
+from statechart.errors import StatechartError
+
+__all__ = ["be_quiet", "take_streams"]
+
+
+def take_streams() -> None:
+    """Put streams that say what is wrong in the place of stdout and stderr."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            # Else the next file that is opened would be written what is printed.
+            os.open(os.devnull, os.O_RDWR)
+    sys.stdout, sys.stderr = _Out(sys.stdout), _Err(sys.stderr)
+
+
+def be_quiet() -> None:
+    """Let no library write warnings or logs to stderr: what users must know is in the report."""
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+    logging.disable(logging.CRITICAL)
+
+
+class _Out(io.TextIOBase):
+    """Stdout; where it cannot be written, that is an error of ours, once."""
+
+    def __init__(self, stream: TextIO | None) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        stream = self._stream
+        with self._explained():
+            if stream is None:
+                raise OSError(errno.EBADF, "it is closed")
+            return stream.write(text)
+        raise AssertionError
+
+    def flush(self) -> None:
+        if self._stream is not None:
+            with self._explained():
+                self._stream.flush()
+
+    def fileno(self) -> int:
+        return 1
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return "utf-8" if self._stream is None else self._stream.encoding
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        try:
+            yield
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            # What is still in its buffer would fail once more as the process ends.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            raise StatechartError(f"cannot write to stdout: {error.strerror or error}") from None
+
+
+class _Err(io.TextIOBase):
+    """Stderr; where it cannot be written, nothing is said."""
+
+    def __init__(self, stream: TextIO | None) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            if self._stream is not None:
+                self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            if self._stream is not None:
+                self._stream.flush()
