@@ -24,7 +24,7 @@ from contacts.candidates import (
     openness,
     same_motion,
 )
-from contacts.modes import OFF
+from contacts.modes import OFF, OPEN
 from contacts.scales import Scales
 from contacts.sharing import OWN, Share
 from contacts.snapshot import PerContact, Snapshot
@@ -168,8 +168,13 @@ def choose(
         ]
         if not opened:
             raise AmbiguousMode(f"several modes agree with the state and move it apart: {labels}")
-        # Painleve's indeterminate case: contact could also hold, at a force without cause.
-        taken = min(opened, key=openness)
+        # Painleve's indeterminate case: contact could also hold, at a force without cause, and a
+        # mode agrees without it whatever else lifts off.
+        bearing = [_bearing(c) for c in opened]
+        free = [
+            c for c, own in zip(opened, bearing, strict=True) if not any(b < own for b in bearing)
+        ]
+        taken = min(free, key=openness)
         warning = f"indeterminate: {labels} all agree with the state; {_label(laws, taken)} taken"
     # What a mode left open closes besides must not move away.
     if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
@@ -196,8 +201,20 @@ def _advice(
             "let go, the point would accelerate into the surface (McGeer's paradox); "
             "list slide among the modes, with a friction"
         )
-    if any(not isinstance(c, Candidate) and c[1] == SINGULAR for c in tried):
+    unlisted = False
+    for law, shut in zip(laws, closed, strict=True):
+        kinds = {state.rstrip("+-") for state in law.states}
+        wanted = ("free", "slide", "pin") if law.cone_t > 0.0 else ("free", "slide")
+        lacks = [kind for kind in wanted if kind not in kinds]
+        if shut and lacks and law.name not in rough:
+            unlisted = True
+            yield f"{law.name} does not list {', '.join(lacks)} among its modes: add what it needs"
+    if not unlisted and any(not isinstance(c, Candidate) and c[1] == SINGULAR for c in tried):
         yield "what no contact holds has no mass or inertia of its own: give it some"
+
+
+def _bearing(candidate: Candidate) -> frozenset[int]:
+    return frozenset(i for i, state in enumerate(candidate.states) if state not in OPEN)
 
 
 def _opens(taken: Candidate, other: Candidate | Undetermined, closed: Sequence[bool]) -> bool:

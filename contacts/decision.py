@@ -17,7 +17,7 @@ from contacts.snapshot import PerContact, Snapshot
 from contacts.usual_kernels import ENDLESS
 from statechart.errors import NoConsistentMode
 
-__all__ = ["decide", "explained"]
+__all__ = ["check_listed", "decide", "explained"]
 
 
 def decide(
@@ -30,6 +30,7 @@ def decide(
     NoConsistentMode, AmbiguousMode
         With every candidate and its reason, and the paradoxes met.
     """
+    check_listed(setup, snapshot, touching)
     still = 2.0 * setup.tolerances["speed"]
     try:
         choice = choose(snapshot, setup.contacts, touching, setup.scales, setup.tie, still)
@@ -49,6 +50,29 @@ def decide(
         warning = "; ".join([choice.warning, *map(str, found.values())])
         choice = choice._replace(warning=warning)
     return choice
+
+
+def check_listed(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]) -> None:
+    """Refuse a state that a contact does not list, whatever the forces: open, or slipping.
+
+    Raises
+    ------
+    NoConsistentMode
+    """
+    close, still = setup.tolerances["gap"], 2.0 * setup.tolerances["speed"]
+    for law, contact, shut in zip(setup.contacts, snapshot.contacts, touching, strict=True):
+        if "free" in law.states or (contact.gap <= close and not shut and contact.gap_rate < 0.0):
+            continue
+        if not shut:
+            moves, lacks = f"leaves its surface at {contact.gap_rate:.3g}", "free"
+        elif law.states == ("pin",) and abs(contact.slip) > still:
+            moves, lacks = f"slips at {contact.slip:.3g}", "slide"
+        else:
+            continue
+        raise NoConsistentMode(
+            f"contact {law.name!r} {moves}, and {lacks} is not among its modes; "
+            "add it, or end the run before"
+        )
 
 
 def explained(

@@ -23,7 +23,7 @@ from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import NoConsistentMode
 from statechart.trace import Key
 
-__all__ = ["Jam", "closed_state", "jammed", "unbounded", "without_collision"]
+__all__ = ["Jam", "closed_state", "jammed", "listed", "unbounded", "without_collision"]
 
 # Of the response to a normal force alone: where p falls below, a force is 1e6 times what holds the
 # contact closed without friction.
@@ -62,9 +62,22 @@ class Jam:
 def closed_state(law: ContactLaw, contact: PerContact, still_below: float) -> str:
     """Return the state in which an impact without rebound leaves a contact."""
     sliding = [name for name in law.states if name.startswith("slide")]
+    if not sliding and "pin" not in law.states:
+        return "free"
     if "pin" in law.states and (abs(contact.slip) <= still_below or not sliding):
         return "pin"
     return sliding[0] if len(sliding) == 1 or contact.slip > 0.0 else sliding[-1]
+
+
+def listed(
+    key: Key, laws: Sequence[ContactLaw], contacts: Sequence[PerContact], still_below: float
+) -> Key:
+    """Return the mode with contacts closed that may not be free, as long as they still strike."""
+    return tuple(
+        closed_state(law, contact, still_below) if name == "free" and name not in law.states
+        else name
+        for name, law, contact in zip(key, laws, contacts, strict=True)
+    )  # fmt: skip
 
 
 def jammed(

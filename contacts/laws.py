@@ -16,15 +16,16 @@ from contacts.bounces import rests_of_bounces, stands_for_bounces
 from contacts.classify import Choice, Considered, ContactLaw
 from contacts.closing import check_joints
 from contacts.dead_points import dead_point
-from contacts.decision import decide, explained
+from contacts.decision import check_listed, decide, explained
 from contacts.gates import Gates, hidden
-from contacts.jams import Jam, closed_state, unbounded, without_collision
+from contacts.jams import Jam, closed_state, listed, unbounded, without_collision
 from contacts.mechanics import Mechanics
 from contacts.modes import OFF, OPEN
 from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.simultaneous import Impacts, impacts
 from contacts.snapshot import Snapshot, SnapshotTape
+from contacts.starting import check_start
 from contacts.usual import usual_mode
 from statechart.automaton import CAPTURED, UNBOUNDED, Flow, Margin, Setup, plain, uncaptured
 from statechart.constraints import Constraints
@@ -116,22 +117,10 @@ class SceneLaws:
             for name, why, contact in zip(self._names, failing, snapshot.contacts, strict=True)
         )
         snapshot = hidden(snapshot, off)
+        near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
         for law, contact in zip(setup.contacts, snapshot.contacts, strict=True):
-            if contact.gap < -depth:
-                gated = f", or write modes: {{{law.name}: off}}" if OFF in law.states else ""
-                raise DeclarationProblem(
-                    f"contact {law.name!r} starts inside its surface, {-contact.gap:.6g} deep",
-                    advice=f"move the body out of the surface{gated}",
-                    loc=("contacts", law.name),
-                )
-            if contact.gap > setup.tolerances["gap"] and "free" not in law.states:
-                raise DeclarationProblem(
-                    f"contact {law.name!r} starts {contact.gap:.6g} off its surface, "
-                    "and free is not among its modes",
-                    loc=("contacts", law.name, "modes"),
-                )
-        closed = [c.gap <= setup.tolerances["gap"] for c in snapshot.contacts]
-        slow = setup.tolerances["speed"]
+            check_start(law, contact[:3], depth, near, slow)
+        closed = [c.gap <= near for c in snapshot.contacts]
         touching = [
             shut and abs(c.gap_rate) <= slow
             for shut, c in zip(closed, snapshot.contacts, strict=True)
@@ -146,14 +135,16 @@ class SceneLaws:
             snapshot = hidden(self._tape.at(setup.values, state, 0.0), off)
         choice = decide(setup, snapshot, touching, self._paradox)
         if isinstance(choice, Jam):
-            return self._flow(setup, choice.sliding, settled=False), state
+            starts = listed(choice.sliding, setup.contacts, snapshot.contacts, 2.0 * slow)
+            return self._flow(setup, starts, choice.sliding, settled=False), state
         self._check_declared(choice, snapshot, touching, failing)
         taken = choice.taken
         settled = not any(
             shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
         )
+        starts = listed(taken.states, setup.contacts, snapshot.contacts, 2.0 * slow)
         return self._flow(
-            setup, taken.states, taken.flow, None, choice.warning, settled, choice.notes
+            setup, starts, taken.flow, None, choice.warning, settled, choice.notes
         ), state
 
     def jump(
@@ -374,6 +365,7 @@ class SceneLaws:
         notes: tuple[str, ...] = ()
         # A sequence of impacts may leave an approach behind: then it is asked again.
         settled = not any(shut and rate < -slow for shut, rate in zip(closed, rates, strict=True))
+        check_listed(setup, following, touching)
         if any(touching):
             choice = decide(setup, following, touching, self._paradox)
             if isinstance(choice, Jam):
@@ -395,6 +387,7 @@ class SceneLaws:
             if ended != target:
                 target = moving = ended
                 settled = False
+        target = listed(target, laws, following.contacts, 2.0 * slow)
         before, left = snapshot.energy, self._energy(setup, after, clock.high)
         rest = max(rests.values(), default=None)
         jump = Jump(

@@ -101,7 +101,7 @@ def paradoxes(
             snapshot.mass, snapshot.forces, np.zeros((0, size)), np.zeros((size, 0)), np.zeros(0)
         )
         b = math.nan if free is None else float(contact.jacobian[0] @ free[0]) + contact.bias_n
-        if p > 0.0 and not b < 0.0:
+        if p >= 0.0 and not b < 0.0:
             continue
         across = sign * _response(snapshot, contact, 0.0, 1.0)
         steep = law.cone_n == 0.0

@@ -255,12 +255,6 @@ class Contact(Part):
                 loc=("restitution",),
                 key=True,
             )
-        if self.enabled and "free" not in self.kinds:
-            raise DeclarationProblem(
-                "a contact that can be off comes back as free",
-                advice="list free among the modes",
-                loc=("modes",),
-            )
         if self.frictionless and "pin" in self.kinds and "slide" in self.kinds:
             raise DeclarationProblem(
                 "a frictionless contact has no pin",

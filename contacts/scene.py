@@ -270,6 +270,12 @@ class Scene(Declaration):
             self._formulas(surface.displacement, parameters | {TIME}, *at, "displacement")
         for name, contact in self.contacts.items():
             at = ("contacts", name)
+            if self.gate(name) and "free" not in contact.kinds:
+                raise DeclarationProblem(
+                    "a contact that can be off comes back as free",
+                    advice="list free among the modes",
+                    loc=(*at, "modes"),
+                )
             self._formulas(contact.point.at, parameters, *at, "point", "at")
             for key in ("friction", "restitution"):
                 text = getattr(contact, key)

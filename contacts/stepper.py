@@ -18,10 +18,11 @@ from contacts.modes import OFF
 from contacts.recognise import STATES
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.snapshot import SnapshotTape
+from contacts.starting import check_start
 from contacts.stepped_control import StepControl, SteppedTapes
 from contacts.stepped_scene import SteppedScene
 from statechart.automaton import Margin, Region
-from statechart.errors import DeclarationProblem, SimulationError
+from statechart.errors import SimulationError
 from statechart.parameters import Parameters
 from statechart.tape import compile_tape
 from statechart.trace import Key, Trace
@@ -162,24 +163,13 @@ class SceneStepper:
         off = np.zeros(len(setup.contacts), dtype=np.bool_)
         measured = tape.contacts(setup.values, setup.initial)
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
-            gap, _, _, condition = row
+            gap, *_, condition = row
             gated = OFF in law.states
             off[i] = gated and (
                 condition < 0.0 or (gap < -near and self._scene.modes.get(law.name) == OFF)
             )
-            if gap < -near and not off[i]:
-                also = f", or write modes: {{{law.name}: off}}" if gated else ""
-                raise DeclarationProblem(
-                    f"contact {law.name!r} starts inside its surface, {-gap:.6g} deep",
-                    advice=f"move the body out of the surface{also}",
-                    loc=("contacts", law.name),
-                )
-            if gap > near and "free" not in law.states:
-                raise DeclarationProblem(
-                    f"contact {law.name!r} starts {gap:.6g} off its surface, "
-                    "and free is not among its modes",
-                    loc=("contacts", law.name, "modes"),
-                )
+            if not off[i]:
+                check_start(law, row[:3], near, near, setup.tolerances["speed"])
         trial = SteppedScene(tape, setup, off)
         h = _TRIAL * setup.scales.length / setup.scales.speed
         first = trial.steps(0.0, h, setup.initial, 1)

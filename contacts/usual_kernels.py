@@ -82,12 +82,12 @@ def usual(
         lasting = kept[c] != FREE
         if not (gap >= 0.0 or (lasting and gap >= -near)) or (shut and rate < -slow):
             return False
-        if not shut and not allowed[c, FREE]:
-            return False
         off = gap > near or abs(rate) > creep
         if lasting and (off or (kept[c] == PIN and abs(slip) > creep)):
             return False
         closed[c], still[c] = shut and rate <= slow, abs(slip) <= 2.0 * slow
+        if not closed[c] and not allowed[c, FREE]:
+            return False
         if closed[c] and off and not under_way:
             return False
         counts[c] = 0
