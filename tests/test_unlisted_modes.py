@@ -53,7 +53,7 @@ def test_a_start_into_the_surface_strikes_it_though_the_point_is_never_free() ->
     block = Simulator(automaton(scene(("slide", "pin"), None, "incline: a")), SciPy(1e-12))
     a, mu = 0.3, 0.5
     trace = block.run({"a": a, "v": 1.0, "mu": mu}, until=0.5)
-    assert trace.modes == (("slide+",), ("slide+",), ("pin",))[-len(trace.modes) :]
+    assert "free" not in {mode for (mode,) in trace.modes}
     strike, stick = trace.jumps
     slip = math.cos(a) - mu * math.sin(a)
     assert strike.cause == "touchdown"
