@@ -140,8 +140,8 @@ def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, pa
     constraints = {"n": contact.normal_acceleration, "t": contact.tangential_acceleration}
     kept = tuple(constraints[row] for row in rows)
     if zone == "own":
-        laws = tuple(e for e in own.equations if e not in constraints.values())
-        return State((*kept, *laws), own.margins)
+        rest = (e for e in own.equations if e not in constraints.values())
+        return State((*kept, *rest), own.margins)
     name, n, t = contact.name, contact.cone_n, contact.cone_t
     places = [int(place) for place in coordinates.split(",")]
     y = {place: sp.Symbol(f"y{place}", real=True) for place in places}
@@ -152,17 +152,22 @@ def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, pa
     along = n * w + t * u
     across = n * u - t * w
     margins = tuple(m for m in own.margins if m.kind == "speed")
-    force = (w, u)
+    # What the contact bears, by unknowns of its own.
+    bears: tuple[sp.Expr, sp.Expr] = contact.V, contact.H
+    laws: dict[sp.Symbol, sp.Expr] = {contact.V: contact.V - w, contact.H: contact.H - u}
     if zone == "inside":
         margins = own.margins
     elif zone == "apex":
-        force = (sp.S.Zero, sp.S.Zero)
+        bears, laws = (sp.S.Zero, sp.S.Zero), {f: f for f in (contact.V, contact.H)}
         margins += (Margin(f"{name}.spared", -along, "force"),)
         if pinned:
             margins += (Margin(f"{name}.spared -", t * u - n * w, "force"),)
     else:
-        force = (n * along, t * along)
-        margins += (Margin(f"{name}.V", n * contact.V + t * contact.H, "force"),)
+        amount = sp.Symbol(f"edge_{contact.V}", real=True)
+        bears = (n * amount, t * amount)
+        laws = {amount: amount - along}
+        laws |= {f: f - part for f, part in zip((contact.V, contact.H), bears, strict=True)}
+        margins += (Margin(f"{name}.V", amount, "force"),)
         if pinned:
             away = across if zone == "upper" else -across
             margins += (Margin(f"{name}.on edge", away, "force"),)
@@ -170,34 +175,23 @@ def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, pa
     carriers = {f: sp.Symbol(f"{f}_{contact.V}", real=True) for f in bearing}
     edge = carriers.get("e", sp.S.Zero)
     by = (carriers.get("n", n * edge), carriers.get("t", t * edge))
-    left = (contact.V - by[0], contact.H - by[1])
+    left = (bears[0] - by[0], bears[1] - by[1])
     balances = {
         y[i]: sp.Add(*(row[i] * force for row, force in zip(contact.jacobian, left, strict=True)))
         for i in places
     }
-    held = [int(joint) for joint in joints.split(",") if joint]
-    reactions = [sp.Symbol(f"x{joint}", real=True) for joint in held]
-    for joint, reaction in zip(held, reactions, strict=True):
-        for i in places:
-            balances[y[i]] += contact.joints[joint][i] * reaction
-    laws = (
-        contact.V - force[0],
-        contact.H - force[1],
-        *(sp.Add(*(contact.joints[joint][i] * y[i] for i in places)) for joint in held),
-    )
     carried: dict[sp.Symbol, sp.Expr] = {contact.V: by[0], contact.H: by[1]}
-    for joint, reaction in zip(held, reactions, strict=True):
+    for joint in (int(joint) for joint in joints.split(",") if joint):
         # What the joint bears where the contacts share, and where the carriers bear it all.
-        bears = contact.joint_forces[joint]
-        carriers[str(bears)] = carried[bears] = sp.Symbol(f"alone_{bears}", real=True)
-        laws += (bears - carried[bears] - reaction,)
-    loads = Loads(
-        carried,
-        tuple(carriers.values()),
-        laws,
-        (*y.values(), *reactions),
-        balances,
-    )
+        force, row = contact.joint_forces[joint], contact.joints[joint]
+        reaction = sp.Symbol(f"x{joint}", real=True)
+        carriers[str(force)] = carried[force] = sp.Symbol(f"alone_{force}", real=True)
+        laws[force] = force - carried[force] - reaction
+        parted = balances[reaction] = sp.Add(*(row[i] * y[i] for i in places))
+        for i in places:
+            # A spring in the joint, which it holds at rest: pivots need no joint to be nonzero.
+            balances[y[i]] += row[i] * (reaction + parted)
+    loads = Loads(carried, tuple(carriers.values()), laws, balances)
     return State(kept, margins, loads=loads)
 
 

@@ -134,7 +134,12 @@ def share(
     rows, joints = _rows(code, jacobians), np.zeros(0, dtype=np.int64)
     if snapshot.held is not None:
         joints = np.nonzero(~snapshot.held.joints.redundant)[0]
-        coordinates = _displaced(snapshot.held.basis, flat[np.isin(owners, shared)], reach)
+        seen = mode_columns(code[shared], snapshot.whole.jacobians[shared], cones[shared])
+        held = snapshot.held.joints.jacobian[joints]
+        together = np.array([*(column for several in seen for column in several), *held])
+        _, order, _ = independent(np.ascontiguousarray(together.T))
+        # What joints allow has the rank `reach`: the sum is no matter of rounding.
+        coordinates = np.sort(order[: reach + len(joints)])
     return Share(
         given,
         tuple(zones),
@@ -144,17 +149,6 @@ def share(
         tuple(joints.tolist()),
         violation,
     )
-
-
-def _displaced(basis: Array, columns: Array, reach: int) -> NDArray[np.int64]:
-    """Return the scene's coordinates without those that need no displacement.
-
-    Of the displacements that the joints allow, those remain that the contacts' `columns` (of rank
-    `reach`) tell apart.
-    """
-    hidden = basis @ unseen(columns, reach)
-    count, order, _ = independent(hidden)
-    return np.sort(order[count:])
 
 
 def _outside(mode: int, cone: Array, force: Array) -> float:

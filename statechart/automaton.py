@@ -109,18 +109,15 @@ class Loads:
         Unknown of the automaton -> what stands for it in the equations of motion.
     carriers : tuple of Symbol
         The unknowns of that.
-    equations : tuple of Expr
-        Each = 0, linear in what is carried and in `unknowns`.
-    unknowns : tuple of Symbol
-        Further ones, which states share.
+    laws : mapping
+        Unknown -> its equation (= 0), linear in what is carried and in further unknowns.
     balances : mapping
-        Unknown -> what this state adds to a sum over all states that is zero.
+        Unknown, which states share -> what this one adds to a sum over them that is zero.
     """
 
     carried: Mapping[sp.Symbol, sp.Expr]
     carriers: tuple[sp.Symbol, ...]
-    equations: tuple[sp.Expr, ...]
-    unknowns: tuple[sp.Symbol, ...]
+    laws: Mapping[sp.Symbol, sp.Expr]
     balances: Mapping[sp.Symbol, sp.Expr]
 
 

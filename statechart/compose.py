@@ -86,15 +86,18 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
         used = set().union(*(e.free_symbols for e in equations)) if equations else set()
         equations += [unknown for unknown in automaton.unknowns if unknown not in used]
     margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
-    # In the places of what they carry, as far as they stand for it alone.
-    alone = [carried.get(unknown, unknown) for unknown in automaton.unknowns]
-    unknowns = list(dict.fromkeys(by for by in alone if by.is_Symbol))
-    unknowns += [c for load in loads for c in load.carriers if c not in unknowns]
+    # In the places of what they carry: beside the equations that belong to it.
+    carriers = [c for load in loads for c in load.carriers]
+    unknowns: dict[sp.Symbol, None] = {}
+    for unknown in automaton.unknowns:
+        by = carried.get(unknown)
+        own = [unknown] if by is None else [c for c in carriers if by.has(c)]
+        unknowns |= dict.fromkeys(own)
     return Mode(
         key,
         (
             *controls,
-            *solve_linear(equations, unknowns, len(automaton.equations)),
+            *solve_linear(equations, tuple(unknowns), len(automaton.equations)),
             *_shared(loads, substitution),
         ),
         tuple(rate.xreplace(substitution) for rate in automaton.rates),
@@ -130,22 +133,21 @@ def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> 
 def _shared(
     loads: Sequence[Loads], substitution: Mapping[sp.Symbol, sp.Expr]
 ) -> tuple[Definition, ...]:
-    """Solve for what the motion leaves open.
+    """Solve for what the motion leaves open: forces, displacements, what joints are relieved of.
 
-    Displacements are eliminated first, by contacts whose forces they are: at a contact of large
-    friction that is on its edge, normal equations square a stiffness of 1/mu^2 that is no part of
-    the forces.
+    Every unknown has its equation, and the matrix of the pairs is definite but for signs: their
+    pivots do not vanish whatever the state is. Displacements are eliminated first, by contacts
+    whose forces they are: at a contact of large friction that is on its edge, normal equations
+    square a stiffness of 1/mu^2 that is no part of the forces.
     """
+    laws = {unknown: law for load in loads for unknown, law in load.laws.items()}
     sums: dict[sp.Symbol, list[sp.Expr]] = {}
     for load in loads:
         for unknown, term in load.balances.items():
             sums.setdefault(unknown, []).append(term)
-    equations = [*(e for load in loads for e in load.equations)]
-    equations += [sp.Add(*terms) for terms in sums.values()]
-    unknowns = [unknown for load in loads for unknown in load.carried]
-    open_ones = dict.fromkeys(unknown for load in loads for unknown in load.unknowns)
-    unknowns += open_ones
-    return solve_linear([e.xreplace(substitution) for e in equations], unknowns, before=open_ones)
+    laws |= {unknown: sp.Add(*terms) for unknown, terms in sums.items()}
+    equations = [law.xreplace(substitution) for law in laws.values()]
+    return solve_linear(equations, tuple(laws), len(laws), before=sums)
 
 
 def product_modes(automaton: Automaton) -> Iterable[Key]:

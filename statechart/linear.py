@@ -61,10 +61,10 @@ def solve_linear(
     unknowns : sequence of Symbol
         What to solve for.
     paired : int
-        So many equations and unknowns, the first ones, belong together one by one: those of
-        motion with their accelerations, those of constraints with their forces. Large systems are
-        solved by pivots that are then positive whatever the state is: masses seen along a motion
-        that is left, compliances seen by a force.
+        Equations and unknowns belong together one by one: those of motion with their
+        accelerations, those of constraints with their forces. Where pivots are no numbers, large
+        systems are solved by these, the first `paired` before others: they are positive whatever
+        the state is, masses seen along a motion that is left, compliances seen by a force.
     before : collection of Symbol
         Unknowns to eliminate before others, where pivots are numbers.
 
@@ -80,22 +80,56 @@ def solve_linear(
         If the structure of the equations leaves an unknown free.
     """
     place = {unknown: i for i, unknown in enumerate(unknowns)}
-    rows: list[Equation] = [(*_row(e, place), i) for i, e in enumerate(equations)]
-    mirrored: tuple[int, sp.Symbol] | None = None
+    given: list[Equation] = [(*_row(e, place), i) for i, e in enumerate(equations)]
+    first, rows, last = _reduced(given, unknowns, before)
+    if paired and max((len(c) for c in _components(rows)), default=0) > 2 * _CRAMER_LIMIT:
+        first, rows, last = _reduced(given, unknowns, before, _mirrors(given, unknowns, paired))
+    block = _blocks(rows, place, (paired, len(unknowns)) if paired else ())
+    solved = {u for u, _ in (*first, *block, *last)}
+    missing = [u for u in unknowns if u not in solved]
+    if missing:
+        raise Singular(missing)
+    return (*first, *block, *reversed(last))
 
+
+def _reduced(
+    rows: list[Equation],
+    unknowns: Sequence[sp.Symbol],
+    before: Collection[sp.Symbol],
+    mirrors: Collection[int] | None = None,
+) -> tuple[list[Definition], list[Equation], list[Definition]]:
+    """Eliminate by pivots that are numbers, or alone in their row or column.
+
+    Parameters
+    ----------
+    mirrors : collection of int, optional
+        Pairs that are symmetric: no number of another equation is a pivot, so that what is left is
+        definite where it was.
+
+    Returns
+    -------
+    first, rows, last
+        Unknowns known at once, the equations left, and the unknowns eliminated, to be evaluated in
+        the opposite order.
+    """
+    place = {unknown: i for i, unknown in enumerate(unknowns)}
     first: list[Definition] = []
     last: list[Definition] = []
     sizes: dict[sp.Expr, float] = {}
+    swapped: set[int] = set()
     while True:
         rows = [equation for equation in rows if equation[0]]
-        pivot = _pivot(rows, sizes, mirrored, before)
+        pivot = _pivot(rows, place, sizes, swapped, before, mirrors)
         if pivot is None:
-            break
+            return first, rows, last
         index, unknown, where = pivot
         row, right, origin = rows.pop(index)
-        # A constraint solved for an acceleration: that one's equation is solved for the force.
-        swapped = where == "number" and max(origin, place[unknown]) < paired
-        mirrored = (place[unknown], unknowns[origin]) if swapped else None
+        if origin != place[unknown]:
+            # A constraint solved for an acceleration: that one's equation is for the force now.
+            partner = place[unknown]
+            rows = [(e, b, origin if i == partner else i) for e, b, i in rows]
+            swapped.add(origin)
+        row = dict(row)
         coefficient = row.pop(unknown)
         others = sum((-c * u for u, c in row.items()), start=right)
         value = others if coefficient == 1 else others / coefficient
@@ -109,12 +143,22 @@ def solve_linear(
             last.append((unknown, value))
             if where == "number":
                 rows = [_eliminate(e, unknown, row, right, coefficient) for e in rows]
-    block = _blocks(rows, place, paired)
-    solved = {u for u, _ in (*first, *block, *last)}
-    missing = [u for u in unknowns if u not in solved]
-    if missing:
-        raise Singular(missing)
-    return (*first, *block, *reversed(last))
+
+
+def _mirrors(rows: list[Equation], unknowns: Sequence[sp.Symbol], paired: int) -> set[int]:
+    """Return the pairs whose equation and unknown mirror each other, but for signs.
+
+    Only beside the first `paired`: what else there is (laws of friction) mirrors nothing.
+    """
+    found = set()
+    for row, _, k in rows:
+        pairs = (
+            (row.get(unknowns[j], sp.S.Zero), rows[j][0].get(unknowns[k], sp.S.Zero))
+            for j in range(paired)
+        )
+        if all(one == other or one == -other for one, other in pairs):
+            found.add(k)
+    return found
 
 
 def _row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.Expr]:
@@ -141,14 +185,17 @@ def _row(equation: sp.Expr, unknowns: Mapping[sp.Symbol, int]) -> tuple[Row, sp.
 
 def _pivot(
     rows: list[Equation],
+    place: Mapping[sp.Symbol, int],
     sizes: dict[sp.Expr, float],
-    wanted: tuple[int, sp.Symbol] | None,
+    wanted: Collection[int],
     before: Collection[sp.Symbol],
+    mirrors: Collection[int] | None,
 ) -> tuple[int, sp.Symbol, str] | None:
     """Choose the cheapest pivot that divides by a factor of the determinant only.
 
-    `sizes` keeps those of the coefficients seen so far: 0 where they are not numbers; `wanted` is
-    the equation and the unknown that come before others of their kind, `before` such unknowns.
+    `sizes` keeps those of the coefficients seen so far: 0 where they are not numbers; `wanted` are
+    the pairs that come before others of their kind, `before` such unknowns; `mirrors`: see
+    `_reduced`.
     """
 
     def size(coefficient: sp.Expr) -> float:
@@ -169,10 +216,13 @@ def _pivot(
         for unknown, coefficient in row.items():
             if count[unknown] == 1:
                 return index, unknown, "column"
+            partner = place[unknown]
+            if mirrors is not None and origin != partner and not {origin, partner} <= {*mirrors}:
+                continue
             if size(coefficient) >= max(_SMALLEST, 0.1 * largest):
                 # Markowitz: the fill that the elimination can make.
                 fill = (len(row) - 1) * (count[unknown] - 1)
-                fill = -1 if (origin, unknown) == wanted else fill
+                fill = -1 if origin == partner and origin in wanted else fill
                 cost = unknown not in before, fill
                 if best is None or cost < best[0]:
                     best = (cost, index, unknown, "number")
@@ -209,25 +259,31 @@ def _eliminate(
     return result, name(right - factor * by_right), origin
 
 
-def _blocks(rows: list[Equation], place: Mapping[sp.Symbol, int], paired: int) -> list[Definition]:
-    """Solve what is left, one connected component at a time."""
-    edges = [(index, unknown) for index, (row, _, _) in enumerate(rows) for unknown in row]
-    vertices = [*range(len(rows)), *dict.fromkeys(unknown for _, unknown in edges)]
+def _blocks(
+    rows: list[Equation], place: Mapping[sp.Symbol, int], pairs: tuple[int, ...]
+) -> list[Definition]:
+    """Solve what is left, one connected component at a time; large ones by `pairs` first."""
     definitions: list[Definition] = []
-    for component in connected_components((vertices, edges)):
+    for component in _components(rows):
         indices = sorted(i for i in component if isinstance(i, int))
         unknowns = sorted((u for u in component if not isinstance(u, int)), key=str)
         if len(indices) != len(unknowns):
             raise Singular(unknowns)
-        if len(unknowns) > _CRAMER_LIMIT and paired:
-            named, rest, later = _by_pairs([rows[i] for i in indices], unknowns, place, paired)
-            # Contacts that slide are left, with their edges of the cone.
-            definitions += [*named, *_blocks(rest, place, 0), *reversed(later)]
+        if len(unknowns) > _CRAMER_LIMIT and pairs:
+            named, rest, later = _by_pairs([rows[i] for i in indices], unknowns, place, pairs[0])
+            definitions += [*named, *_blocks(rest, place, pairs[1:]), *reversed(later)]
             continue
         matrix = sp.Matrix([[rows[i][0].get(u, 0) for u in unknowns] for i in indices])
         right = sp.Matrix([rows[i][1] for i in indices])
         definitions += _cramer(matrix, right, unknowns)
     return definitions
+
+
+def _components(rows: list[Equation]) -> list[list[int | sp.Symbol]]:
+    """Return the places of equations and the unknowns that belong together."""
+    edges = [(index, unknown) for index, (row, _, _) in enumerate(rows) for unknown in row]
+    vertices = [*range(len(rows)), *dict.fromkeys(unknown for _, unknown in edges)]
+    return connected_components((vertices, edges))
 
 
 def _by_pairs(
