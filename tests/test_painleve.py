@@ -135,3 +135,32 @@ def test_a_chart_shows_jams_only_where_friction_can_press_a_point_in() -> None:
         contacts={"c": Contact(point=Point(body="p"), surface="floor", friction=1, restitution=0)},
     )
     assert "jam" not in {edge.cause for edge in automaton(particle).regions[0].edges}
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("count", [2, 3])
+def test_rods_apart_from_each_other_lift_off_as_each_does_alone(name: str, count: int) -> None:
+    alone = rod()
+    (body,), (end,) = alone.bodies.values(), alone.contacts.values()
+    several = {
+        "bodies": {
+            f"rod{i}": body.model_copy(update={"start": {**body.start, "x": f"sin(phi) + {5 * i}"}})
+            for i in range(count)
+        },
+        "contacts": {
+            f"end{i}": end.model_copy(update={"point": Point(body=f"rod{i}", at=(0, -1))})
+            for i in range(count)
+        },
+    }
+    case = next(case for case in TABLE if case["classification"] == "indeterminate")
+    one = SIMULATORS[name].run(start(case), until=0.1)
+    scene = automaton(alone.model_copy(update=several))
+    trace = Simulator(scene, engine(name)).run(start(case), until=0.1)
+    assert trace.start_mode == ("free",) * count
+    assert "indeterminate" in "".join(trace.warnings)
+    ends = dict(zip(trace.variables, trace.final, strict=True))
+    for variable, value in zip(one.variables, one.final, strict=True):
+        for i in range(count):
+            shift = 5.0 * i if variable == "rod.x" else 0.0
+            again = ends[variable.replace("rod", f"rod{i}")]
+            assert again == pytest.approx(value + shift, abs=1e-9)
