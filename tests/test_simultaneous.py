@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -16,6 +17,8 @@ from contacts.exact import exact_impulses
 from contacts.impact import impact
 from contacts.simultaneous import Impacts, impacts
 from contacts.snapshot import PerContact, Snapshot
+from statechart.document import read_text
+from statechart.run import Runner
 
 CHOICES = ("plastic", "capped", "sequential")
 
@@ -544,3 +547,38 @@ def test_contacts_at_one_place_are_given_no_impulses_that_only_rounding_explains
             result = impacts(snapshot, laws, [True, True], choice)
             assert np.abs(result.velocity - snapshot.velocity).max() < 1.0
             assert result.energy_after <= result.energy_before * (1 + 1e-12)
+
+
+RISING = """\
+kind: scene
+name: rising
+parameters: {phi: 0.5, u: 0.6, mu: 0.6, e: 0.9}
+gravity: 0
+bodies:
+  rod: {mass: 1, inertia: 1/3, start: {x: sin(phi), y: cos(phi) + 0.1, angle: -phi, dx: u, dy: -1}}
+surfaces: {floor: {height: 0}}
+contacts:
+  tip: {point: {body: rod, at: [0, -1]}, surface: floor, friction: mu, restitution: e, impact: LAW}
+simultaneous: sequential
+stop: {time: 0.2}
+"""
+AGAIN = "  also: {point: {body: rod, at: [0, -1]}, surface: floor, friction: mu, restitution: e}\n"
+
+
+@pytest.mark.parametrize("law", ["newton", "stronge"])
+@pytest.mark.parametrize("contacts", [1, 2])
+def test_that_an_impact_law_raised_the_energy_is_told_wherever_it_did(
+    law: str, contacts: int
+) -> None:
+    text = RISING.replace("LAW", law)
+    if contacts == 2:
+        text = text.replace("simultaneous", AGAIN + "simultaneous")
+    runner = Runner(read_text(text), engine="scipy")
+    raised = 0
+    for phi, u in itertools.product((-0.8, -0.4, 0.3, 0.5, 0.7), (-0.3, 0.3, 0.6)):
+        trace = runner.run({"phi": phi, "u": u}).trace
+        before, after = trace.jumps[0].energy or (0.0, 0.0)
+        told = f"the impact law '{law}' raised the energy" in "".join(trace.warnings)
+        assert told is (after > before * (1.0 + 1e-9))
+        raised += told
+    assert raised == (4 if law == "newton" else 0)
