@@ -59,7 +59,9 @@ class Considered(Mapping[str, str]):
 
     @cached_property
     def _words(self) -> Mapping[str, str]:
-        return self._make()
+        words = self._make()
+        del self._make  # and what it holds
+        return words
 
     def __getitem__(self, label: str) -> str:
         return self._words[label]

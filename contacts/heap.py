@@ -21,7 +21,7 @@ from contacts.kernels import FREE
 from contacts.mechanics import Mechanics
 from contacts.numbers import check_finite, check_physical
 from contacts.recognise import Chunk
-from contacts.scales import Scales
+from contacts.scales import Scales, check_range
 from contacts.scene import Scene
 from contacts.setup import SceneSetup, scene_parameters
 from contacts.shapes import check_shapes
@@ -268,7 +268,14 @@ class HeapStepper:
         if not np.isfinite(initial).all():
             check_finite(scene, known)
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
+        names = list(scene.bodies)
+        for i, number in enumerate(initial.tolist()):
+            check_range(number, "its start", ("bodies", names[i // 3 % len(names)]))
         bodies = SteppedHeap(scene, self._owners, known)
+        for name, size in zip(names, bodies.numbers.sizes.tolist(), strict=True):
+            check_range(size, "its size", ("bodies", name, "shape"))
+        for number in bodies.numbers.gravity.tolist():
+            check_range(number, "", ("gravity",))
         length = float(
             np.abs(initial.reshape(2, -1, 3)[0, :, :2]).max() + bodies.numbers.sizes.max()
         )

@@ -29,12 +29,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.recognise import Chunk, Recorder
+from contacts.recognise import TERMS, Chunk, Recorder
 from contacts.setup import SceneSetup
 from statechart import interrupts
 from statechart.errors import SimulationError, StepTooLarge
 from statechart.tape import Tape
-from statechart.trace import Arc, Jump, Key, Outcome, Trace
+from statechart.trace import Arc, Jump, Key, Outcome, Trace, check_size
 
 __all__ = ["DEEPEST", "Stepping", "run"]
 
@@ -45,6 +45,8 @@ _CHUNK = 512
 DEEPEST = 0.1
 """Deeper than this part of the scene in one step: the step does not see its surfaces."""
 
+# More steps no float can count, and no trace can hold.
+_COUNTED = 2.0**53
 # A stop condition is located within its step to this part of it.
 _BISECTIONS = 60
 
@@ -186,7 +188,7 @@ class _Run:
         self.recorder, self.control, self.step, self.until = recorder, control, step, until
         self.max_jumps, self.show = max_jumps, show
         self.state = setup.initial
-        self.time, self.taken, self.fastest = 0.0, 0, 0.0
+        self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
 
     def end(self, outcome: Outcome, message: str) -> None:
@@ -203,7 +205,7 @@ class _Run:
         if self.control is not None:
             unknown = np.full(self.stepping.stops.n_variables - len(self.state), np.nan)
             self.control.turn(self.recorder, (), self.state, unknown, self.step)
-        whole = math.floor(self.until / self.step * (1.0 + 4e-16))
+        whole = math.floor(min(self.until / self.step * (1.0 + 4e-16), _COUNTED))
         rest = self.until - whole * self.step
         if rest <= 1e-9 * self.step:
             counts = [(whole, self.step)]
@@ -255,6 +257,8 @@ class _Run:
         if len(self.recorder.jumps) >= self.max_jumps:
             self.end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
             return True
+        self.size += TERMS * chunk.states[1:].nbytes + chunk.solved.nbytes
+        check_size(self.size, len(self.recorder.jumps), self.time)
         return False
 
     def _too_large(self, chunk: Chunk) -> tuple[int, StepTooLarge] | None:

@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 from contacts.kernels import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.trace import Arc, Clock, Jump, Key
 
-__all__ = ["STATES", "Chunk", "Recorder"]
+__all__ = ["STATES", "TERMS", "Chunk", "Recorder"]
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.int64]
+
+TERMS = 3
+"""Terms of the polynomial of a step."""
 
 STATES = {
     FREE: "free",
@@ -194,7 +197,7 @@ class Recorder:
         """Append steps of one mode as one arc, or to the last arc."""
         h, n = chunk.h, chunk.states.shape[1] // 2
         left, right = chunk.states[first:last], chunk.states[first + 1 : last + 1]
-        coefficients = np.zeros((last - first, 2 * n, 3))
+        coefficients = np.zeros((last - first, 2 * n, TERMS))
         coefficients[:, :, 0] = left
         coefficients[:, :n, 1] = h * left[:, n:]
         coefficients[:, n:, 1] = right[:, n:] - left[:, n:]
@@ -210,7 +213,7 @@ class Recorder:
         # Of the velocities as they were and will be, so that the ends of the step are exact.
         halves = []
         for state, sign in ((left, 1.0), (right, -1.0)):
-            half = np.zeros((1, 2 * n, 3))
+            half = np.zeros((1, 2 * n, TERMS))
             near = state[n:] + sign * 0.25 * h * acceleration[0]
             other = state[:n] + sign * 0.5 * h * near
             fast = state[n:] + sign * 0.5 * h * acceleration[0]

@@ -17,7 +17,7 @@ from statechart.errors import DeclarationProblem
 from statechart.formula import parse
 from statechart.tape import compile_tape
 
-__all__ = ["ScaleTape", "Scales"]
+__all__ = ["ScaleTape", "Scales", "check_range"]
 
 Array = NDArray[np.float64]
 
@@ -44,6 +44,16 @@ class Scales:
     acceleration: float
     force: float
     sizes: Array
+
+
+def check_range(number: float, what: str, loc: tuple[str, ...]) -> None:
+    """Raise `DeclarationProblem` where the square of a length, a speed or the like is no float."""
+    if abs(number) > _MOST:
+        raise DeclarationProblem(
+            f"{what} must be at most {_MOST:g}, not {number:g}".lstrip(),
+            advice="take larger units",
+            loc=loc,
+        )
 
 
 class ScaleTape:
@@ -128,8 +138,13 @@ class ScaleTape:
                     advice="look for a logarithm, a root or a quotient without a value there",
                     loc=owner,
                 )
+            check_range(numbers[place], "its place at the start", owner)
+            speed = numbers[len(self._owners) + place]
+            check_range(speed, "its speed at the start", owner)
         if not np.isfinite(numbers[self._begins[5] : self._begins[5 + self._gravity]]).all():
             raise DeclarationProblem("must be finite", loc=("gravity",))
+        for number in numbers[self._begins[5] : self._begins[5 + self._gravity]]:
+            check_range(number, "", ("gravity",))
         largest_sizes(numbers, self._begins, sizes)
         largest = sizes.tolist()
         length, speed, push, mass, duration = largest[:5]

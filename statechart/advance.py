@@ -14,7 +14,7 @@ from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.enclosure import Crossing, Search, Verdict, search
 from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Watch
-from statechart.errors import NonFinite, SimulationError, StepFailure, Undecided
+from statechart.errors import NonFinite, SimulationError, StepFailure, TooLong, Undecided
 from statechart.kernels.polynomials import cut_steps, sample_states
 from statechart.series import size_at
 from statechart.tape import Tape, compile_tape
@@ -33,6 +33,8 @@ _BLIND = 1e3
 _STAYS = 0.75
 # Of the way to where a step left its constraints unseen.
 _NEARER = 0.5
+# So many steps tell how many the rest takes; of more than this, days at a microsecond each.
+_LOOKED_AT, _TOO_MANY = 4096, 1e12
 # Errors of dense output, in tolerances of the engine.
 _NOISE = 100.0
 _LOCATED = (Verdict.CROSSING, Verdict.GRAZE)
@@ -159,7 +161,7 @@ def advance(
     reached, boxes, total = 0.0, 0, 0
     count, begin = _FIRST_CHUNK, Begin.NEW
     end = min(horizon, duration)
-    seen = math.inf
+    seen, mark = math.inf, (0, 0.0)
     failure: SimulationError | KeyboardInterrupt | None = None
     try:
         while reached < duration:
@@ -238,6 +240,9 @@ def advance(
                 state = ended if path.count > 0 else initial
                 return Advance(state, crossing, graze, boxes, total)
             kept, state, reached, seen = last, following, local, math.inf
+            if kept - mark[0] >= _LOOKED_AT:
+                _check_pace(kept - mark[0], reached - mark[1], duration - reached)
+                mark = kept, reached
             if on_steps is not None:
                 on_steps(reached, total)
             if made.finished:
@@ -253,6 +258,16 @@ def advance(
         failure = error
     path.count = kept
     return Advance(state, None, False, boxes, total, failure)
+
+
+def _check_pace(steps: int, took: float, left: float) -> None:
+    """Raise `TooLong` where the rest of a flow takes more steps than can be made."""
+    pace = took / steps
+    if pace * _TOO_MANY < left:
+        raise TooLong(
+            f"{steps} steps took {took:.3g}, and {left:.3g} is left; end the run earlier, or write "
+            "what varies so fast by its mean"
+        )
 
 
 def _constrained(watch: Watch, state: Array, local: float) -> tuple[Array, float]:

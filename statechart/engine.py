@@ -13,8 +13,9 @@ from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.constraints import Constraints
 from statechart.enclosure import Search
-from statechart.errors import StepFailure
+from statechart.errors import StepFailure, TooLong
 from statechart.tape import Tape, compile_tape
+from statechart.trace import LARGEST
 
 __all__ = ["LONGEST_CHUNK", "NEAR", "Begin", "Engine", "Path", "Steps", "Watch", "rates_tape"]
 
@@ -52,6 +53,8 @@ class Path:
 
         Raises
         ------
+        TooLong
+            If the steps made fill what memory a trace may take.
         StepFailure
             If there is no memory for them.
         """
@@ -62,6 +65,11 @@ class Path:
         if self.count > 0:
             terms = max(terms, width)
         capacity = capacity if needed <= capacity else max(2 * capacity, needed, _ROOM)
+        if 8 * self.count * variables * terms > LARGEST:
+            raise TooLong(
+                f"{self.count} steps in one mode take {LARGEST >> 20} MB, as much as a trace may; "
+                "end the run earlier, or look for what makes the steps so short"
+            )
         try:
             times, coefficients = np.zeros(capacity + 1), np.zeros((capacity, variables, terms))
         except MemoryError:

@@ -18,6 +18,7 @@
         Zeno                  jumps accumulate, and nothing declared says what follows
         StepTooLarge          a fixed time step does not see the model
         UnsolvedImpulses      the impulses of a time step could not be found
+        TooLong               the rest of a run takes more steps or memory than there is
         Unsupported           the model has what the engine lacks
 
 `DeclarationProblem` stands outside the tree: it is what a validator of a pydantic model raises to
@@ -48,6 +49,7 @@ __all__ = [
     "StatechartError",
     "StepFailure",
     "StepTooLarge",
+    "TooLong",
     "Undecided",
     "UnsolvedImpulses",
     "Unsupported",
@@ -297,6 +299,12 @@ class UnsolvedImpulses(SimulationError):
     """The impulses of a time step could not be found."""
 
     outcome = "UNSOLVED_IMPULSES"
+
+
+class TooLong(SimulationError):
+    """The rest of a run takes more steps or memory than there is."""
+
+    outcome = "TOO_LONG"
 
 
 class Unsupported(SimulationError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import operator
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
@@ -179,10 +180,18 @@ def json_safe(value: Any) -> Any:
         return value if math.isfinite(value) else repr(float(value))
     if isinstance(value, str | int):
         return value
+    # What is safe already is returned itself: copies of many events would fill the memory.
     if isinstance(value, list | tuple):
-        return [json_safe(item) for item in value]
+        items = [json_safe(item) for item in value]
+        same = type(value) is list and all(map(operator.is_, items, value))
+        return value if same else items
     if isinstance(value, Mapping):
-        return {str(key): json_safe(item) for key, item in value.items()}
+        safe = {str(key): json_safe(item) for key, item in value.items()}
+        same = type(value) is dict and all(
+            key is mine and item is value[key]
+            for key, (mine, item) in zip(value, safe.items(), strict=False)
+        )
+        return value if same else safe
     return value
 
 

@@ -29,7 +29,7 @@ from statechart.compose import Mode, build_mode, captured
 from statechart.engine import Engine, Path, Watch
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure
 from statechart.series import size_at
-from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace
+from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace, check_size
 from statechart.zeno import Accumulation, between
 
 __all__ = ["Progress", "Simulator", "error_of"]
@@ -207,6 +207,7 @@ class _Run:
     evidence: dict[str, str] = field(default_factory=dict)
     boxes: int = 0
     steps: int = 0
+    size: int = 0
     entered: dict[Key, CompiledMode] = field(default_factory=dict)
     stalled: tuple[float, float, tuple[str, ...]] | None = None
     stalls: int = 0
@@ -298,6 +299,7 @@ class _Run:
             self.arcs.append(
                 Arc(flow.mode, flow.flow, self.clock, len(self.jumps), times, coefficients)
             )
+            self.size += times.nbytes + coefficients.nbytes
         self.clock = self.clock.later(elapsed)
         if elapsed > 0.0:
             # A mode may flow on from where a margin fell, without a jump.
@@ -312,6 +314,7 @@ class _Run:
             return (UNBOUNDED,)
         if reached.failure is not None:
             raise reached.failure
+        check_size(self.size, len(self.jumps), self.clock.high)
         if reached.crossing is None:
             return ("zeno",) if duration == remaining else ()
         margin = compiled.mode.margins[reached.crossing.guard]

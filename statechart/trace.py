@@ -10,7 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Arc", "Clock", "Jump", "Key", "Outcome", "Trace"]
+from statechart.errors import TooLong
+
+__all__ = ["LARGEST", "Arc", "Clock", "Jump", "Key", "Outcome", "Trace", "check_size"]
+
+LARGEST = 2**28
+"""A trace may take so many bytes: with what is made of it, well below a gigabyte."""
+# A jump and its arc take so many beside what they hold in arrays.
+_JUMP = 2048
 
 Key = tuple[str, ...]
 """A product mode: the state of every region, in the automaton's order."""
@@ -27,6 +34,9 @@ class Outcome(Enum):
     AMBIGUOUS_MODE = "Several modes agree with the state and move it differently: see the margins."
     EVENT_LOOP = "Too many jumps at one instant: the modes listed follow one another for ever."
     TOO_MANY_JUMPS = "More jumps than settings.max_jumps: raise it, or shorten the run."
+    TOO_LONG = (
+        "The run is longer than it can be computed or kept: shorten it, or take longer steps."
+    )
     STEP_FAILURE = "The integrator could not go on with the accuracy asked for."
     NON_FINITE = "A variable or a guard became infinite or undefined."
     UNDECIDED = "A guard could not be decided within its budget of boxes."
@@ -66,6 +76,21 @@ class Clock(NamedTuple):
     def until(self, end: float) -> float:
         """Return the time left until `end`."""
         return (end - self.high) - self.low
+
+
+def check_size(size: int, jumps: int, time: float) -> None:
+    """Raise `TooLong` where a trace of `size` bytes in arrays, and of so many jumps, is too large.
+
+    Parameters
+    ----------
+    time : float
+        How far it goes.
+    """
+    if size + _JUMP * jumps > LARGEST:
+        raise TooLong(
+            f"the trace up to t = {time:.17g} takes {LARGEST >> 20} MB, as much as it may; end the "
+            "run there, or look for what makes its steps so short or its jumps so many"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,8 @@ METHODS = ("RK45", "DOP853", "Radau", "LSODA")
 
 # A thousand roundings: with the factor below, a variable at rest is known to one.
 _ROUNDING = 1e3 * float(np.finfo(float).eps)
+# What is smaller has errors below what a float can hold.
+_SMALLEST = 1e-280
 # solve_ivp refuses a relative tolerance below this.
 _LEAST = 100 * float(np.finfo(float).eps)
 
@@ -105,7 +107,7 @@ class SciPy(Engine):
             # Without scales of its own a variable at zero is measured by the others.
             rate = np.abs(rates(0.0, state))
             largest = max(float(magnitude.max(initial=0.0)), float(rate.max(initial=0.0)))
-            least = np.full(len(state), largest or 1.0)
+            least = np.full(len(state), max(largest, _SMALLEST) if largest > 0.0 else 1.0)
         else:
             # In the model's own units, and as small as the motion now is (late, low bounces), but
             # not below what rounding makes of a state at rest.

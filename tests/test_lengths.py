@@ -1,0 +1,112 @@
+"""Runs that cannot be computed or kept end in time, with a sentence; extreme numbers too."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from statechart import advance, engine, trace
+from statechart.document import read_text
+from statechart.errors import DeclarationError
+from statechart.run import Runner, run
+from statechart.trace import Outcome
+
+CHART = """\
+kind: chart
+name: flow
+parameters: {{x0: 1, w: 1}}
+variables: {{x: x0}}
+regions: {{r: {{initial: s, states: {{s: {{flows: {{x: '{x}'}}}}}}, transitions: []}}}}
+stop: {{time: 2}}
+"""
+BALL = """\
+kind: scene
+name: ball
+gravity: g
+parameters: {x0: 0, y0: 1, v: 0, g: 9.81, m: 1}
+bodies: {b: {mass: m, start: {x: x0, y: y0, dx: v}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0.3, restitution: 0.5}}
+stop: {time: 2}
+"""
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (trace, engine):
+        monkeypatch.setattr(module, "LARGEST", 2**20)
+
+
+@pytest.mark.parametrize("method", ["RK45", "DOP853", "Radau", "LSODA"])
+@pytest.mark.parametrize("x0", [5e-324, 1e-310, 1e-300, 1e-200])
+def test_starts_near_the_least_float_are_integrated(method: str, x0: float) -> None:
+    made = run(
+        read_text(CHART.format(x="x")), engine="scipy", method=method, parameters={"x0": x0}
+    ).trace
+    assert made.outcome is Outcome.HORIZON
+    assert made.final[0] == pytest.approx(math.exp(2) * x0, rel=1e-2, abs=1e-290)
+
+
+@pytest.mark.parametrize("name", ["taylor", "scipy"])
+@pytest.mark.parametrize("height", [5e-324, 1e-310, 1e-300, 1e-200, 1e-99])
+def test_a_ball_dropped_from_next_to_nothing_comes_to_rest(name: str, height: float) -> None:
+    made = run(read_text(BALL), engine=name, parameters={"y0": height}).trace
+    assert made.outcome is Outcome.HORIZON
+    assert abs(made.final[1]) <= max(height, 1e-20)
+    assert made.final_mode == ("pin",)
+
+
+@pytest.mark.parametrize("name", ["x0", "y0", "v", "g"])
+@pytest.mark.parametrize("value", [1e101, 1e200, 1e308])
+@pytest.mark.parametrize("settings", [{"engine": "scipy"}, {"engine": "impulse", "step": 1e-3}])
+def test_numbers_whose_squares_are_no_floats_are_refused(
+    name: str, value: float, settings: dict[str, object]
+) -> None:
+    with pytest.raises(DeclarationError, match="take larger units"):
+        run(read_text(BALL), parameters={name: value}, **settings)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("mass", [1e-100, 1e100, 1e300])
+def test_the_mass_of_a_ball_does_not_matter(mass: float) -> None:
+    made = run(read_text(BALL), parameters={"m": mass}).trace
+    assert made.outcome is Outcome.HORIZON
+    assert made.final == pytest.approx(run(read_text(BALL)).trace.final, abs=1e-12)
+
+
+@pytest.mark.usefixtures("small")
+@pytest.mark.parametrize(
+    ("model", "until", "settings"),
+    [
+        ("stick_slip_block", 1e9, {"engine": "taylor"}),
+        ("stick_slip_block", 1e300, {"engine": "taylor"}),
+        ("woodpecker", 1e308, {}),
+        ("woodpecker", 100.0, {}),
+    ],
+)
+def test_a_trace_that_grows_too_large_ends_the_run(
+    model: str, until: float, settings: dict[str, str]
+) -> None:
+    made = Runner(model, **settings).run(until=until, throw=False).trace  # type: ignore[arg-type]
+    assert made.outcome is Outcome.TOO_LONG
+    assert "end the run" in made.message
+    assert 0.0 < made.t_end < until
+    size = sum(arc.coefficients.nbytes for arc in made.arcs)
+    assert size < 2 * 2**20
+
+
+@pytest.mark.parametrize("name", ["taylor", "scipy"])
+def test_so_does_one_mode_of_too_many_steps(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "LARGEST", 2**15)
+    made = run(read_text(CHART.format(x="cos(w*time)")), engine=name, until=1e7, throw=False).trace
+    assert made.outcome is Outcome.TOO_LONG
+    assert 0.0 < made.t_end < 1e7
+
+
+@pytest.mark.parametrize("w", [1e100, 1e300])
+def test_steps_far_too_short_for_the_run_end_it(w: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(advance, "_LOOKED_AT", 200)
+    text = read_text(CHART.format(x="cos(w*time)"))
+    made = run(text, engine="scipy", parameters={"w": w}, throw=False).trace
+    assert made.outcome is Outcome.TOO_LONG
+    assert "200 steps took" in made.message
