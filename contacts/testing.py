@@ -19,11 +19,11 @@ from contacts.modes import OFF, OPEN
 from contacts.scene import Scene
 from contacts.setup import SceneSetup, cones, scene_parameters
 from contacts.symmetry import mirrored, rescaled
+from contacts.violations import cone_edges
 from statechart.automaton import uncaptured
 from statechart.comparison import Reading, assert_same, identical
-from statechart.formula import parse
 from statechart.testing import Case, Property, Subject, dense
-from statechart.trace import Arc, Jump, Key, Trace
+from statechart.trace import Arc, Jump, Trace
 
 __all__ = [
     "assert_cone",
@@ -66,7 +66,7 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that V >= 0 and |H| <= mu V wherever a contact is closed."""
     for arc, times, forces in _forces(scene, subject, trace):
-        edges = _edges(scene, trace, arc.mode)
+        edges = cone_edges(scene, trace, arc.mode)
         for k, (name, state) in enumerate(_states(scene, arc)):
             if state in OPEN:
                 continue
@@ -90,7 +90,7 @@ def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
     found = [(jump, _whole(subject, trace, jump)) for jump in trace.jumps]
     largest = largest_of(impulses for _, impulses in found)
     for jump, impulses in found:
-        edges = _edges(scene, trace, jump.source)
+        edges = cone_edges(scene, trace, jump.source)
         for name, impulse in impulses.items():
             assert_in_cone(impulse, edges[name], largest, f"of {name} at t = {jump.t:.17g}")
 
@@ -365,30 +365,6 @@ def _forces(scene: Scene, subject: Subject, trace: Trace) -> Iterator[tuple[Arc,
 def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
     """Yield every contact with its mode."""
     return zip(scene.contacts, uncaptured(arc.flow), strict=False)  # controllers follow
-
-
-def _edges(scene: Scene, trace: Trace, mode: Key) -> dict[str, tuple[float, float]]:
-    """Return the cone's unit edge (1, mu) / hypot(1, mu) of every contact in a mode."""
-    values = {name: trace.parameters[name] for name in scene.parameters}
-    states = dict(zip(trace.regions, mode, strict=True))
-    result = {}
-    for name, contact in scene.contacts.items():
-        # Without friction declared the contact does not slide, whatever that takes.
-        mu = math.inf
-        if contact.friction is not None:
-            used = parse(contact.friction).names.intersection(scene.controls)
-            set_ = {
-                control: text
-                for region in scene.regions
-                for control, text in scene.controlled.values(region, states[region]).items()
-                if control in used
-            }
-            known = {c: parse(text).value(values) for c, text in set_.items()}
-            mu = parse(contact.friction).value({**values, **known})
-        result[name] = (
-            (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu))
-        )
-    return result
 
 
 def _rounding(trace: Trace, arc: Arc, tau: Array) -> float:

@@ -9,11 +9,12 @@ import numpy as np
 from contacts.modes import OFF
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
+from statechart.fields import FormulaText
 from statechart.formula import parse
 from statechart.observe import Observer
-from statechart.trace import Trace
+from statechart.trace import Key, Trace
 
-__all__ = ["violations"]
+__all__ = ["cone_edges", "violations"]
 
 # Of a run of many steps fewer points of each are looked at.
 _MANY = 5000
@@ -46,22 +47,44 @@ def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, floa
     steps = sum(len(arc.coefficients) for arc in trace.arcs)
     names = [f"{name}.{what}" for name in scene.contacts for what in ("gap", "V", "H")]
     samples = observer.sample(trace, names, per_step=8 if steps < _MANY else 1)
+    cones = [cone_edges(scene, trace, mode) for mode in samples.modes]
     deepest = outside = 0.0
-    for place, (name, contact) in enumerate(scene.contacts.items()):
+    for place, name in enumerate(scene.contacts):
         gap, normal, tangential = (samples.columns[f"{name}.{what}"] for what in ("gap", "V", "H"))
         closed = np.array([key[place] not in ("free", OFF) for key in samples.modes])[samples.mode]
         off = np.array([key[place] == OFF for key in samples.modes])[samples.mode]
         deepest = max(deepest, _largest(-gap[~off]), _largest(np.abs(gap[closed])))
-        mu = math.inf if contact.friction is None else parse(contact.friction).value(values)
-        n, t = (
-            (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu))
-        )
+        # Of every mode; what a controller sets may differ.
+        n, t = np.array([edges[name] for edges in cones])[samples.mode[closed]].T
         V, H = normal[closed], tangential[closed]
         outside = max(outside, _largest(n * np.abs(H) - t * V), _largest(-V))
     return {
         "constraint": deepest / setup.scales.length,
         "cone": outside / setup.scales.force,
     }
+
+
+def cone_edges(scene: Scene, trace: Trace, mode: Key) -> dict[str, tuple[float, float]]:
+    """Return the cone's unit edge (1, mu) / hypot(1, mu) of every contact in a mode."""
+    values = {name: trace.parameters[name] for name in scene.parameters}
+    states = dict(zip(trace.regions, mode, strict=True))
+    controls = dict(scene.controlled.declared)
+    for region in scene.regions:
+        controls |= scene.controlled.values(region, states[region])
+
+    def value(text: FormulaText) -> float:
+        formula = parse(text)
+        used = formula.names.intersection(controls)
+        return formula.value({**values, **{name: value(controls[name]) for name in used}})
+
+    result = {}
+    for name, contact in scene.contacts.items():
+        # Without friction declared the contact does not slide, whatever that takes.
+        mu = math.inf if contact.friction is None else value(contact.friction)
+        result[name] = (
+            (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu))
+        )
+    return result
 
 
 def _largest(values: np.ndarray) -> float:

@@ -12,6 +12,7 @@ from runs import ENGINES, engine, outputs, run
 
 from contacts.scene import Scene
 from contacts.testing import properties
+from contacts.violations import violations
 from statechart.automaton import Automaton
 from statechart.document import dump, interpret, read_text, validate
 from statechart.errors import DeclarationError, EventLoop
@@ -20,6 +21,7 @@ from statechart.figure import figure
 from statechart.kinds import kind
 from statechart.observe import Observer
 from statechart.outputs import Outputs
+from statechart.run import Runner
 from statechart.simulate import Simulator
 from statechart.testing import Subject, generic
 from statechart.trace import Trace
@@ -667,3 +669,27 @@ def test_the_hopper_lands_and_leaves_as_its_closed_form_says(
     for key, values in expected.items():
         assert found[key] == pytest.approx(values, abs=1e-9)
     assert trace.certified
+
+
+def test_violations_of_friction_that_a_controller_sets_are_measured_by_its_state() -> None:
+    text = """\
+kind: scene
+name: rain
+gravity: 9.81
+parameters: {dry: 0.5}
+bodies: {b: {mass: 1, start: {dx: 1}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, modes: [slide, pin], friction: mu}}
+controls: {mu: dry}
+regions:
+  weather:
+    initial: dry
+    states: {dry: {}, wet: {sets: {mu: dry/5}}}
+    transitions: [{name: rain, from: dry, to: wet, guard: time >= 0.05}]
+stop: {time: 2}
+"""
+    runner = Runner(read_text(text))
+    result = runner.run()
+    found = violations(runner.model, result.observer, result.trace)  # type: ignore[arg-type]
+    assert found == pytest.approx({"constraint": 0.0, "cone": 0.0}, abs=1e-12)
+    assert result.trace.final[0] == pytest.approx(0.3342089959225, rel=1e-11)
