@@ -106,7 +106,7 @@ class ContactLaw(NamedTuple):
     restitution : float
         Coefficient, 0 where the contact is never free.
     impact : str
-        stronge, newton or poisson.
+        stronge, newton, poisson or moreau.
     """
 
     name: str

@@ -1,6 +1,6 @@
 """Impulses at several contacts at once, as a complementarity problem.
 
-Moreau's form: a contact that bears an impulse keeps its speed of separation, ``v_n+ = -e v_n-``;
+Moreau's law: a contact that bears an impulse keeps its speed of separation, ``v_n+ = -e v_n-``;
 friction opposes what slip remains, and lies in its cone. With e = 0 the energy never grows; else
 it may.
 """

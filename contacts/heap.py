@@ -20,11 +20,13 @@ from contacts.impulse import Stepping
 from contacts.kernels import FREE
 from contacts.mechanics import Mechanics
 from contacts.numbers import check_finite, check_physical
+from contacts.other_laws import replaced
 from contacts.recognise import Chunk
 from contacts.scales import Scales, check_range
 from contacts.scene import Scene
 from contacts.setup import SceneSetup, scene_parameters
 from contacts.shapes import check_shapes
+from contacts.step_kernels import smoothed
 from contacts.stepped_scene import softened_remark, widened
 from statechart.automaton import (
     Automaton,
@@ -60,6 +62,10 @@ CAUSES = ("touchdown", "impact", "liftoff", "slip", "stick")
 _RELATIVE = 1e-9
 # Bodies may overlap at the start by this part of the scene.
 _START_DEPTH = 1e-6
+# A step that is chosen here takes bodies this part of the smallest one's size at the scene's speed,
+# and lasts this part of the time in which it falls by half its size: 3e-4 s to 2e-3 s for the
+# shipped heaps, which are written for 1e-3 s.
+_CROSSED, _FALLEN = 0.1, 0.02
 # Contacts that there is place for at first.
 _PER_BODY = 24
 # Unknowns of a step solved outside its kernel.
@@ -110,6 +116,7 @@ def heap(scene: Scene) -> Automaton:
         observables=observables,
         laws=_ImpulseOnly(stepper),
         stepper=stepper,
+        own_step=lambda: stepper().own_step(),
     )
 
 
@@ -211,7 +218,26 @@ class HeapStepper:
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""
-        return ("free",) * len(self._scene.bodies), self.setup(overrides).warnings
+        setup = self.setup(overrides)
+        return ("free",) * len(self._scene.bodies), (*setup.warnings, *self._lacks(setup))
+
+    def _lacks(self, setup: SceneSetup) -> list[str]:
+        """Return what differs from the declaration."""
+        values = dict(zip(self._stepping.parameter_names, setup.values.tolist(), strict=True))
+        return [f"{what}: {why}" for what, why in replaced(self._scene, values).items()]
+
+    def own_step(self) -> float:
+        """Return a step by the scales: of declared parameters, rounded to a digit.
+
+        In it nothing moves far beside the smallest body, at the scene's speed or falling.
+        """
+        setup, bodies = self._begin({})
+        size = float(bodies.numbers.sizes.min())
+        step = _CROSSED * size / setup.scales.speed
+        gravity = math.hypot(*bodies.numbers.gravity)
+        if gravity > 0.0:
+            step = min(step, _FALLEN * math.sqrt(size / gravity))
+        return float(f"{step:.0e}")
 
     def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
         """Return the numbers of a run.
@@ -254,6 +280,7 @@ class HeapStepper:
             until=until,
             max_jumps=max_jumps,
             show=show,
+            warnings=self._lacks(setup),
             failure=failure,
         )
 
@@ -322,12 +349,15 @@ class SteppedHeap:
 
     def __init__(self, scene: Scene, owners: Sequence[str], known: Mapping[str, float]) -> None:
         self.numbers = heap_numbers(scene, owners, known)
+        laws = self.numbers.materials
+        self._materials = np.column_stack([smoothed(laws[:, :2]), laws[:, 2]])
         self._names = tuple(scene.bodies)
         count = len(self._names)
         self._keys = np.zeros((_PER_BODY * count, 2), dtype=np.int64)
         self._memory = np.zeros((_PER_BODY * count, MEMORY))
         self._remembered = 0
         self._softened = 0
+        self._plastic = scene.simultaneous == "plastic"
         self._counts = np.zeros(2, dtype=np.int64)
         self._least = np.full(count, np.inf)
 
@@ -360,7 +390,7 @@ class SteppedHeap:
         while done < count:
             taken, status, self._remembered, delassus, least, cones = step_heap(
                 of.vertices, of.firsts, of.radii, of.sizes, of.inverse,
-                of.gravity, of.surfaces, of.pairs, of.materials, h, now,
+                of.gravity, of.surfaces, of.pairs, self._materials, self._plastic, h, now,
                 self._keys, self._memory, self._remembered, given, softened,
                 states[done + 1 :], solved[done:], impulses[done:], codes[done:], struck[done:],
                 gaps[done:], approach[done:], closing[done:], self._counts,

@@ -88,6 +88,7 @@ def step_heap(
     surfaces: Array,
     pairs: Ints,
     materials: Array,
+    plastic: bool,
     h: float,
     state: Array,
     keys: Ints,
@@ -124,6 +125,8 @@ def step_heap(
         Which material bodies touch each other and surfaces with; -1: they do not.
     materials : (m, 3)
         Edge of the cone (2), restitution.
+    plastic : bool
+        Whether what is hit together does not rebound.
     h : float
     state : (6 b,)
         All coordinates, all rates; changed in place, as are the following.
@@ -293,6 +296,11 @@ def step_heap(
             size = len(members)
             if size == 0:
                 continue
+            if plastic and size > 1:
+                for a in range(size):
+                    if rebounds[members[a]]:
+                        rebounds[members[a]] = False
+                        wanted[members[a], 0] = 0.0
             soften = softened and k == 0
             if soften:
                 wanted[members, 0] = np.maximum(wanted[members, 0], 0.0)
@@ -322,9 +330,10 @@ def step_heap(
                             )
                 for u in range(UNKNOWNS):
                     guess[UNKNOWNS * a + u] = guesses[i, u]
+            together = np.zeros(size, np.int64)
             good, z, basis_found, chosen, least = solve_impacts(
-                delassus, start, unforced, wanted[members], ours, rebounds[members], guess,
-                given if k == 0 else given[:0], soften,
+                delassus, together, start, unforced, wanted[members], ours, rebounds[members],
+                guess, given if k == 0 else given[:0], soften,
             )  # fmt: skip
             if not good:
                 # All but degenerate: the sweeps need no basis.
@@ -356,7 +365,7 @@ def step_heap(
                 if steady[i, d] != 0.0:
                     push(bodies, rows, inverse, forced, i, d, steady[i, d])
             pressed = pushes[i, 0] > 0.0
-            lasts = pressed and not (hit[i] and elastic[i] > 0.0)
+            lasts = pressed and not rebounds[i]
             keys[i, 0], keys[i, 1] = new_keys[i, 0], new_keys[i, 1]
             memory[i, 0] = new_memory[i, 0]
             memory[i, 1] = 1.0 if lasts else 0.0

@@ -4,7 +4,8 @@ The impulse grows along the edge of the friction cone while the point slips, alo
 direction while it sticks; velocities are affine along each piece, so every piece is closed form
 and the path has at most a few. Restitution is Stronge's (energetic: the work of the normal
 impulse in restitution is e^2 of that in compression; energy never grows), Poisson's (impulse) or
-Newton's (velocity). Routh 1905; Stronge, Proc. R. Soc. A 431 (1990); Wang and Mason 1992.
+Newton's (velocity). Moreau's law has no path; one that is asked for (a jam) ends as Newton's.
+Routh 1905; Stronge, Proc. R. Soc. A 431 (1990); Wang and Mason 1992.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.classify import ContactLaw
+from contacts.parts import MOREAU
 from contacts.snapshot import PerContact, Snapshot, solve_kkt
 from statechart.errors import NoConsistentMode
 
@@ -114,7 +116,7 @@ def impact(
             to_end = math.inf
         elif compressing:
             to_end = max(-u_n / piece.u_n, 0.0) if piece.u_n > 0.0 else math.inf
-        elif law.impact == "newton":
+        elif law.impact in ("newton", MOREAU):
             to_end = (-restitution * approach - u_n) / piece.u_n if piece.u_n > 0 else math.inf
         elif law.impact == "poisson":
             left = (1.0 + restitution) * compressed - normal

@@ -8,7 +8,7 @@ constant forces is exact and its energy constant)::
     q+ = q_m + h/2 v+
 
 with impulses P in the cones of friction. A contact that has reached its surface and approaches
-obeys Newton's law, ``0 <= P_n``, ``v_n+ + e v_n >= 0``. One that lasts, or that approaches no
+obeys Moreau's law, ``0 <= P_n``, ``v_n+ + e v_n >= 0``. One that lasts, or that approaches no
 faster than two steps of free fall, keeps what gap it has landed at: ``v_n+ + gap/h + h/2 b >= 0``,
 where b is the acceleration that the motion itself gives its gap, so that it neither sinks nor
 chatters as its body turns. Friction opposes the slip at the end of the step and never moves what

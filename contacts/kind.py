@@ -140,11 +140,13 @@ def _violations(scene: BaseModel, observer: Observer, trace: Trace) -> Mapping[s
     return violations(scene, observer, trace)
 
 
-def _omitted(scene: BaseModel) -> Mapping[str, str]:
-    """Return what the scene does without, and why."""
+def _omitted(scene: BaseModel, trace: Trace) -> Mapping[str, str]:
+    """Return what a run of the scene does without, and why."""
+    from contacts.other_laws import replaced
+
     if not isinstance(scene, Scene):
         raise TypeError(f"a Scene was expected, not {type(scene).__name__}")
-    found = {}
+    found = {} if trace.step is None else replaced(scene, trace.parameters)
     for name, body in scene.bodies.items():
         if body.position is None and body.inertia is None:
             found[f"the angle of {name}"] = "it has no inertia declared: a particle"

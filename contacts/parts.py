@@ -15,11 +15,13 @@ from statechart.fields import FiniteText, FormulaText, RelationText
 from statechart.formula import parse
 
 __all__ = [
+    "MOREAU",
     "Body",
     "Contact",
     "Coordinate",
     "Force",
     "Gravity",
+    "ImpactLaw",
     "Joint",
     "Pair",
     "Path",
@@ -42,6 +44,12 @@ Gravity = Annotated[
     Discriminator(_components),
 ]
 """An acceleration downwards, or its two components."""
+
+ImpactLaw = Literal["stronge", "newton", "poisson", "moreau"]
+"""The law of an impact at one contact."""
+
+MOREAU: ImpactLaw = "moreau"
+"""The one that solves for the velocities after the impact, as time stepping does."""
 
 Simultaneous = Literal["plastic", "capped", "sequential"]
 """What coupled contacts do that are hit at once."""
@@ -211,9 +219,10 @@ class Contact(Part):
     restitution: FormulaText | None = Field(
         default=None, description="0 (plastic) to 1 (elastic); needed with free."
     )
-    impact: Literal["stronge", "newton", "poisson"] = Field(
+    impact: ImpactLaw = Field(
         default="stronge",
-        description="What restitution means: of energy, of velocity, of impulse.",
+        description="What restitution means: of energy (stronge), velocity (newton) or impulse "
+        "(poisson) on the path of the impact; of velocity, for the velocities after it (moreau).",
     )
     enabled: Annotated[
         tuple[RelationText, ...],

@@ -4,6 +4,7 @@ A step in which nothing strikes is one polynomial: positions of the second degre
 first, which is what the midpoint rule's positions and velocities at its ends amount to. One with
 impacts has them in its middle, with the lasting forces on both sides. A mode that begins without
 an impact begins with its step; sticking begins with the step after the one that ended the slip.
+A step that holds an impulse has no force: what is shown is that of the nearest step of the mode.
 """
 
 from __future__ import annotations
@@ -274,7 +275,7 @@ class Recorder:
                 len(self.jumps),
                 np.concatenate(ends),
                 np.concatenate([piece[1] for piece in pieces]),
-                np.concatenate([piece[2] for piece in pieces]),
+                _defined(np.concatenate([piece[2] for piece in pieces])),
             )
         )
         self._began = self.clock
@@ -327,3 +328,21 @@ class Recorder:
         if after == PIN:
             return "stick"
         return "slip" if before == PIN else "reverse"
+
+
+def _defined(rows: Array) -> Array:
+    """Put in the place of what is not a number what the nearest row has, the later of two."""
+    unknown = np.isnan(rows)
+    if not unknown.any():
+        return rows
+    result = rows.copy()
+    for column in np.flatnonzero(unknown.any(axis=0)).tolist():
+        known = np.flatnonzero(~unknown[:, column])
+        if not len(known):
+            continue
+        blank = np.flatnonzero(unknown[:, column])
+        after = np.minimum(np.searchsorted(known, blank), len(known) - 1)
+        before = np.maximum(after - 1, 0)
+        later = np.abs(known[after] - blank) <= np.abs(known[before] - blank)
+        result[blank, column] = rows[np.where(later, known[after], known[before]), column]
+    return result

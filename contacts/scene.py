@@ -58,7 +58,7 @@ class Scene(Declaration):
     )
     simultaneous: Simultaneous = Field(
         default="capped",
-        description="What contacts do that are hit together: plastic, Newton's law as far as the "
+        description="What contacts do that are hit together: plastic, Moreau's law as far as the "
         "energy allows (capped), or one after another by their own laws (sequential).",
     )
     paradox: Resolution = Field(

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from contacts.kernels import FREE, OFF, PIN, SLIDE
 from contacts.step_equations import CONTACT, JOINT, back, factored
 from contacts.step_forces import borne_mode, jammed, resting, shared_forces
-from contacts.step_kernels import UNKNOWNS, solve_impacts, steady_impulses
+from contacts.step_kernels import (
+    UNKNOWNS,
+    coupled_contacts,
+    into_cone,
+    relieve,
+    solve_impacts,
+    steady_impulses,
+)
 from statechart.compiled import kernel
 from statechart.kernels.tapes import tape_values
 
@@ -29,6 +36,12 @@ DONE, HARD, BAD_INERTIA, NOT_FINITE = range(4)
 # Impulses of contacts that approach slower than what so many steps without contact would make of
 # rest are those of a contact that lasts.
 _SLOW = 2.0
+# A contact that lands slower than this part of what a step without contact would make of rest
+# brings no momentum that forces would tell.
+_LATE = 1e-9
+# So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
+# its level in the landing's; and the one after that, which ends what the next began.
+_SETTLING = 3
 
 
 @kernel
@@ -40,6 +53,7 @@ def step_scene(
     parameters: Array,
     cones: Array,
     restitution: Array,
+    plastic: bool,
     held: NDArray[np.int64],
     slips: NDArray[np.int64],
     joints: int,
@@ -49,6 +63,7 @@ def step_scene(
     state: Array,
     level: Array,
     closed: NDArray[np.bool_],
+    fresh: NDArray[np.int64],
     off: NDArray[np.bool_],
     light: NDArray[np.bool_],
     bases: NDArray[np.bool_],
@@ -77,6 +92,8 @@ def step_scene(
         Jacobian (n,) and what `JOINT` lists, and what controllers set (u,).
     parameters : (p,)
     cones : (c, 2), restitution : (c,)
+    plastic : bool
+        Whether contacts that are hit together do not rebound.
     held : (c,) array of int
         How many components of a contact's velocity are constrained whatever the impulse: 0, 1
         (normal), 2 (both).
@@ -89,11 +106,13 @@ def step_scene(
     start, h : float
         Time of the state, and step.
     state : (2 n,)
-        Changed in place, as are the following five.
+        Changed in place, as are the following six.
     level : (c,)
         Gap at which a contact that lasts is kept: what its landing has left, never above 0.
     closed : (c,)
         Whether it lasts.
+    fresh : (c,) array of int
+        Of how many steps, this one included, impulses are not those of forces alone.
     off : (c,)
         Whether its condition keeps it off.
     light : (1,)
@@ -107,8 +126,9 @@ def step_scene(
     states : (k, 2 n), solved : (k, n + joints + 2 c + u)
     impulses : (k, c, 2), codes, struck, shared, gaps : (k, c)
         To be filled: state after each step; accelerations, forces of joints and of contacts that
-        last, what controllers set; impulses of instants; modes; where something struck; whose
-        forces the motion does not determine; gaps at the midpoints.
+        last (not a number where the step holds an impact as well), what controllers set; impulses
+        of instants; modes; where something struck; whose forces the motion does not determine;
+        gaps at the midpoints.
     approach, closing : (k,)
         Fastest approach of an impact; largest gap, of either sign, that the step closes.
     """
@@ -186,6 +206,7 @@ def step_scene(
         for i in range(size):
             total[i] = change[i]
         lasting = change.copy()
+        blurred = False
         for i in range(c):
             codes[k, i] = OFF if off[i] else FREE
             struck[k, i] = shared[k, i] = False
@@ -210,6 +231,13 @@ def step_scene(
                         for j in range(n):
                             value += numbers[row + d * n + j] * columns[b, j]
                         delassus[2 * a + d, b] = value
+            groups = coupled_contacts(delassus)
+            rebounds = hit[which] & (restitution[which] > 0.0)
+            if plastic:
+                for a in range(m):
+                    if rebounds[a] and (groups == groups[a]).sum() > 1:
+                        rebounds[a] = False
+                        wanted[which[a], 0] = 0.0
             ours, start_at = cones[which], before[which]
             least = free[which] + wanted[which]
             guess = np.zeros(UNKNOWNS * m, np.bool_)
@@ -221,9 +249,8 @@ def step_scene(
                     if ours[a, 1] > 0.0:
                         guess[UNKNOWNS * a + (1 if least[a, 1] < 0.0 else 2)] = True
                         guess[UNKNOWNS * a + 3] = True
-            rebounds = hit[which] & (restitution[which] > 0.0)
             good, z, basis, pushes, least = solve_impacts(
-                delassus, start_at, free[which], wanted[which], ours, rebounds, guess,
+                delassus, groups, start_at, free[which], wanted[which], ours, rebounds, guess,
                 given if k == 0 else given[:0], softened and k == 0,
             )  # fmt: skip
             if not good:
@@ -236,7 +263,20 @@ def step_scene(
                 if slips[i] > 0 and (bases[i, 3] or not closed[i]):
                     sudden[a] = sudden[a] or jammed(corner, least[a], start_at[a, 1], ours[a])
             steady, slides = steady_impulses(delassus, least, ours, z, pushes, sudden)
+            relieve(groups, ours, z, pushes, sudden, steady, slides)
             modes = np.full(m, FREE)
+            # Whose impulses of this step are not those of forces alone.
+            mixed = np.zeros(m, np.bool_)
+            for a in range(m):
+                i = which[a]
+                late = _LATE * abs(free[i, 0] - before[i, 0])
+                bias = 0.5 * h * numbers[first + per * i + 2 * n]
+                arrives = before[i, 0] < -late or abs(wanted[i, 0] - bias) > late
+                if pushes[a, 0] > 0.0 and (sudden[a] or (not closed[i] and arrives)):
+                    fresh[which[groups == groups[a]]] = _SETTLING
+            for a in range(m):
+                if fresh[which[a]] > 0:
+                    mixed |= groups == groups[a]
             for a in range(m):
                 i = which[a]
                 for u in range(UNKNOWNS):
@@ -244,8 +284,9 @@ def step_scene(
                 slip = least[a, 1]
                 for b in range(2 * m):
                     slip += delassus[2 * a + 1, b] * pushes[b // 2, b % 2]
+                if (sudden & (groups == groups[a])).any():
+                    impulses[k, i] = into_cone(pushes[a] - steady[a], ours[a])
                 for d in range(2):
-                    impulses[k, i, d] = pushes[a, d] - steady[a, d]
                     for j in range(size):
                         total[j] += columns[2 * a + d, j] * pushes[a, d]
                         lasting[j] += columns[2 * a + d, j] * steady[a, d]
@@ -253,7 +294,7 @@ def step_scene(
                 if pressed and not hit[i] and not closed[i]:
                     closing[k] = max(closing[k], gaps[k, i] - level[i])
                 struck[k, i] = sudden[a] and pressed
-                closed[i] = pressed and not (hit[i] and restitution[i] > 0.0)
+                closed[i] = pressed and not rebounds[a]
                 directed = slips[i] == 2
                 if closed[i]:
                     sliding = z[UNKNOWNS * a + 3] > 0.0
@@ -281,8 +322,11 @@ def step_scene(
                         codes[k, i] = modes[a]
             for a in range(m):
                 for d in range(2):
-                    solved[k, borne + 2 * which[a] + d] = steady[a, d] / h
+                    force = math.nan if mixed[a] else steady[a, d] / h
+                    solved[k, borne + 2 * which[a] + d] = force
+            blurred = bool(mixed.any())
         for i in range(c):
+            fresh[i] = max(fresh[i] - 1, 0)
             if not active[i]:
                 closed[i] = False
         at = n
@@ -290,11 +334,11 @@ def step_scene(
             if held[i] > 0:
                 codes[k, i] = PIN if held[i] == 2 else SLIDE
                 for d in range(held[i]):
-                    solved[k, borne + 2 * i + d] = lasting[at] / h
+                    solved[k, borne + 2 * i + d] = math.nan if blurred else lasting[at] / h
                     impulses[k, i, d] = total[at] - lasting[at]
                     at += 1
         for i in range(joints):
-            solved[k, n + i] = lasting[at + i] / h
+            solved[k, n + i] = math.nan if blurred else lasting[at + i] / h
         for i in range(n):
             solved[k, i] = lasting[i] / h
             state[n + i] += total[i]

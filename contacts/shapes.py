@@ -57,7 +57,7 @@ class Collision(Part):
     bodies: Annotated[tuple[str, ...], Field(min_length=1)]
     surfaces: tuple[str, ...] = ()
     friction: FormulaText
-    restitution: FormulaText = Field(description="Newton's: of velocities.")
+    restitution: FormulaText = Field(description="Of velocities, in Moreau's law of impact.")
 
 
 def copies(scene: Scene, values: Mapping[str, float]) -> dict[str, int | None]:

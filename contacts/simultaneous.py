@@ -1,8 +1,9 @@
 """Impacts over all closed contacts at once: plastic, capped by the energy, or one after another.
 
-Contacts that share no coordinate do not feel each other; a contact alone has its own law
-(`contacts.impact`). Where several are coupled, there are two impulses (`contacts.collisions`): the
-plastic one never raises the energy; Newton's may. The largest share of the way from one to the
+Contacts that share no coordinate do not feel each other; a contact alone has its own law: a path
+(`contacts.impact`), or Moreau's. That one solves for the velocities after it, of all contacts at
+once. There are two impulses then (`contacts.collisions`): the plastic one never raises the energy;
+the one with restitution may. The largest share of the way from one to the
 other that keeps the energy keeps the cones (they are convex) and ``v_n+ >= 0`` (it is linear) as
 well.
 """
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from contacts.classify import ContactLaw
 from contacts.collisions import Collision, collisions, coupled
 from contacts.impact import Impact, impact
-from contacts.parts import Simultaneous
+from contacts.parts import MOREAU, Simultaneous
 from contacts.snapshot import PerContact, Snapshot
 from contacts.work import work_of
 from statechart.errors import NoConsistentMode
@@ -50,8 +51,8 @@ class Impacts:
     energy_before, energy_after : float
         Kinetic.
     share : float
-        Of the way from the plastic impulse to Newton's; the smallest where several groups of
-        contacts are hit, 1 where no group needs it.
+        Of the way from the plastic impulse to the one with restitution; the smallest where
+        several groups of contacts are hit, 1 where no group needs it.
     indeterminate : tuple of bool
         See `contacts.collisions.Collision`.
     warning : str
@@ -103,12 +104,13 @@ def impacts(
     for group in groups(snapshot, closed):
         if min(snapshot.contacts[i].gap_rate for i in group) >= 0.0:
             continue
-        if len(group) == 1:
+        if len(group) == 1 and laws[group[0]].impact != MOREAU:
             moved, given, steps, warning = _alone(snapshot, laws, group[0])
-        elif choice == "sequential":
+        elif choice == "sequential" and len(group) > 1:
             moved, given, steps, warning = _in_sequence(snapshot, laws, group)
         else:
-            moved, given, part, steps, warning, unknown = _at_once(snapshot, laws, group, choice)
+            rebound = choice == "capped" or len(group) == 1
+            moved, given, part, steps, warning, unknown = _at_once(snapshot, laws, group, rebound)
             share = min(share, part)
             for i in group:
                 indeterminate[i] = unknown[i]
@@ -153,7 +155,7 @@ def _alone(
     impulses = np.zeros((len(laws), 2))
     impulses[place] = result.normal, result.tangential
     change = result.velocity - snapshot.velocity
-    warning = _raised([law]) if _raises(contact, result, change) else ""
+    warning = _raised(law) if _raises(contact, result, change) else ""
     return change, impulses, [f"{law.name} {' '.join(result.path)}"], warning
 
 
@@ -167,7 +169,7 @@ def _raises(contact: PerContact, result: Impact, change: Array) -> bool:
 
 
 def _at_once(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int], choice: Simultaneous
+    snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int], rebound: bool
 ) -> tuple[Array, Array, float, list[str], str, tuple[bool, ...]]:
     """Return change, impulses, share, path, warning and indeterminate contacts."""
     closed = [i in group for i in range(len(laws))]
@@ -179,13 +181,13 @@ def _at_once(
     base, found = plastic[0], plastic
     rest, share, target = 1.0, 0.0, base
     warnings: list[str] = []
-    if choice == "capped" and any(elastic[i] > 0.0 for i in group):
+    if rebound and any(elastic[i] > 0.0 for i in group):
         found = collisions(snapshot, laws, closed, elastic)
         if found:
             target = found[0]
             rest, share = _shares(snapshot, group, base, target)
         else:
-            warnings.append(f"{names}: no impulse agrees with Newton's law; the plastic one taken")
+            warnings.append(f"{names}: no impulse agrees with Moreau's law; the plastic one taken")
     if len(plastic) > 1 or len(found) > 1:
         several = plastic if len(plastic) > 1 else found
         modes = " | ".join(", ".join(one.states[i] for i in group) for one in several)
@@ -196,7 +198,7 @@ def _at_once(
     path = [f"plastic {modes}"]
     if share > 0.0:
         modes = ", ".join(f"{laws[i].name}:{target.states[i]}" for i in group)
-        path.append(f"to {share:.6g} newton {modes}")
+        path.append(f"to {share:.6g} moreau {modes}")
     unknown = tuple(a or b for a, b in zip(base.indeterminate, target.indeterminate, strict=True))
     return change, impulses, share, path, "; ".join(warnings), unknown
 
@@ -246,7 +248,7 @@ def _in_sequence(
     path: list[str] = []
     now, first = snapshot, 0.0
     terms = np.abs(snapshot.velocity)
-    raised: list[ContactLaw] = []
+    told: list[str] = []
     while True:
         moving = [_moved(snapshot, now, i) for i in group]
         limits = [
@@ -261,7 +263,7 @@ def _in_sequence(
         if len(path) >= _LONGEST_SEQUENCE or approach < _SPENT * first:
             names = ", ".join(laws[i].name for i in group)
             rest = now._replace(contacts=tuple(_moved(snapshot, now, i) for i in range(len(laws))))
-            change, given, _, _, warning, _ = _at_once(rest, laws, group, "plastic")
+            change, given, _, _, warning, _ = _at_once(rest, laws, group, False)
             endless = (
                 f"{names}: the sequence of impacts does not end; after {len(path)} the approach "
                 f"is {approach:.3g}, and the rest is plastic"
@@ -270,19 +272,25 @@ def _in_sequence(
             path.append("plastic rest")
             return now.velocity + change - snapshot.velocity, impulses + given, path, warning
         i = group[k]
-        result = impact(now, moving[k], laws[i], laws[i].restitution)
-        change = result.velocity - now.velocity
-        raised += [laws[i]] if _raises(moving[k], result, change) else []
-        terms = np.maximum(terms, np.abs(result.velocity))
-        impulses[i] += result.normal, result.tangential
-        path.append(f"{laws[i].name} {' '.join(result.path)}")
-        now = now._replace(velocity=result.velocity)
-    return now.velocity - snapshot.velocity, impulses, path, _raised(raised)
+        if laws[i].impact == MOREAU:
+            alone = now._replace(contacts=tuple(_moved(snapshot, now, c) for c in range(len(laws))))
+            change, given, _, steps, warning, _ = _at_once(alone, laws, [i], True)
+            impulses += given
+            path += steps
+            told += [warning] if warning else []
+        else:
+            result = impact(now, moving[k], laws[i], laws[i].restitution)
+            change = result.velocity - now.velocity
+            told += [_raised(laws[i])] if _raises(moving[k], result, change) else []
+            impulses[i] += result.normal, result.tangential
+            path.append(f"{laws[i].name} {' '.join(result.path)}")
+        now = now._replace(velocity=now.velocity + change)
+        terms = np.maximum(terms, np.abs(now.velocity))
+    return now.velocity - snapshot.velocity, impulses, path, "; ".join(dict.fromkeys(told))
 
 
-def _raised(laws: Sequence[ContactLaw]) -> str:
-    names = dict.fromkeys(f"{law.name}: the impact law {law.impact!r}" for law in laws)
-    return "; ".join(f"{name} raised the energy" for name in names)
+def _raised(law: ContactLaw) -> str:
+    return f"{law.name}: the impact law {law.impact!r} raised the energy"
 
 
 def _moved(snapshot: Snapshot, now: Snapshot, i: int) -> PerContact:

@@ -19,9 +19,13 @@ __all__ = [
     "RESIDUAL",
     "UNKNOWNS",
     "capped",
+    "coupled_contacts",
     "impulses_of",
+    "into_cone",
     "moved_by",
     "problem",
+    "relieve",
+    "smoothed",
     "solve_contacts",
     "solve_impacts",
     "steady_impulses",
@@ -294,8 +298,27 @@ def _known(
 
 
 @kernel
+def coupled_contacts(delassus: Array) -> NDArray[np.int64]:
+    """Label the contacts (m,): those with one label feel each other's impulses."""
+    m = len(delassus) // 2
+    labels = np.arange(m)
+    for i in range(m):
+        for k in range(i):
+            if (
+                labels[i] != labels[k]
+                and (delassus[2 * i : 2 * i + 2, 2 * k : 2 * k + 2] != 0).any()
+            ):
+                old, new = labels[i], labels[k]
+                for a in range(m):
+                    if labels[a] == old:
+                        labels[a] = new
+    return labels
+
+
+@kernel
 def solve_impacts(
     delassus: Array,
+    groups: NDArray[np.int64],
     before: Array,
     free: Array,
     wanted: Array,
@@ -308,13 +331,15 @@ def solve_impacts(
     """Return (solved, z, basis, impulses, least velocities) of the contacts of a step.
 
     Where it is not solved, the velocities are those of the problem that was not. Restitution that
-    would add energy is reduced. Where contacts oppose each other there need be no impulses that
-    make all of them part as they should: `softened`, none is asked to part. Then rest is allowed,
-    and there are some (Anitescu and Potra 1997).
+    would add energy to a group of contacts is reduced in it. Where contacts oppose each other there
+    need be no impulses that make all of them part as they should: `softened`, none is asked to
+    part. Then rest is allowed, and there are some (Anitescu and Potra 1997).
 
     Parameters
     ----------
     delassus : (2 m, 2 m)
+    groups : (m,) array of int
+        Labels of `coupled_contacts`.
     before, free : (m, 2)
         Velocities before the step, and after it without impulses.
     wanted : (m, 2)
@@ -348,10 +373,15 @@ def solve_impacts(
         calm, plastic, _ = _known(delassus, soft, cones, guess, limit, given)
         if not calm:
             return False, z, basis, pushes, soft
-        rest = impulses_of(plastic)
-        pushes, _ = capped(
-            before, free, rest, pushes, moved_by(delassus, rest), moved_by(delassus, pushes)
-        )
+        rest, full = impulses_of(plastic), pushes.copy()
+        slower, faster = moved_by(delassus, rest), moved_by(delassus, full)
+        for label in range(len(cones)):
+            group = groups == label
+            if (rebounds & group).any():
+                own = np.nonzero(group)[0]
+                pushes[own], _ = capped(
+                    before[own], free[own], rest[own], full[own], slower[own], faster[own]
+                )
     return good, z, basis, pushes, least
 
 
@@ -364,6 +394,13 @@ def impulses_of(z: Array) -> Array:
         impulses[i, 0] = z[UNKNOWNS * i]
         impulses[i, 1] = z[UNKNOWNS * i + 1] - z[UNKNOWNS * i + 2]
     return impulses
+
+
+def smoothed(cones: Array) -> Array:
+    """Return edges of cones (m, 2), without friction that is rounding of the normal impulses."""
+    result = cones.copy()
+    result[cones[:, 1] <= _ROUNDING * cones[:, 0], 1] = 0.0
+    return result
 
 
 @kernel
@@ -422,6 +459,35 @@ def capped(
 
 
 @kernel
+def _part_left(push: Array, force: Array, cone: Array) -> float:
+    """Return the largest part of `force`, up to 1, without which `push` is still in its cone."""
+    part = 1.0
+    # Of what slides both are on the edge, but for rounding.
+    rounding = _ROUNDING * (np.abs(push).sum() + np.abs(force).sum())
+    for side in (-1.0, 1.0):
+        whole = max(cone[1] * push[0] + side * cone[0] * push[1], 0.0)
+        taken = cone[1] * force[0] + side * cone[0] * force[1]
+        if taken > whole + rounding:
+            part = min(part, whole / taken)
+    # Without friction both edges are one, and say nothing.
+    whole = max(push[0], 0.0)
+    if force[0] > whole + rounding:
+        part = min(part, whole / force[0])
+    return part
+
+
+@kernel
+def into_cone(impulse: Array, cone: Array) -> Array:
+    """Return an impulse that is in its cone but for rounding, without that."""
+    result = impulse.copy()
+    result[0] = max(impulse[0], 0.0)
+    if cone[0] > 0.0:
+        edge = cone[1] / cone[0] * result[0]
+        result[1] = min(max(impulse[1], -edge), edge)
+    return result
+
+
+@kernel
 def steady_impulses(
     delassus: Array, least: Array, cones: Array, z: Array, pushes: Array, sudden: Bools
 ) -> tuple[Array, Bools]:
@@ -445,6 +511,27 @@ def steady_impulses(
             steady[others] = impulses_of(alone)
             slides[others] = alone[3::UNKNOWNS] > 0.0
     return steady, slides
+
+
+@kernel
+def relieve(
+    groups: NDArray[np.int64],
+    cones: Array,
+    z: Array,
+    pushes: Array,
+    sudden: Bools,
+    steady: Array,
+    slides: Bools,
+) -> None:
+    """Take from forces (m, 2), in place, what leaves no impulse of the impacts in its cone.
+
+    An impact takes off a contact no more than what that bears; what feels none bears forces alone.
+    """
+    for a in range(len(cones)):
+        if not (sudden & (groups == groups[a])).any():
+            steady[a], slides[a] = pushes[a], z[UNKNOWNS * a + 3] > 0.0
+        elif not sudden[a]:
+            steady[a] *= _part_left(pushes[a], steady[a], cones[a])
 
 
 @kernel

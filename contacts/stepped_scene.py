@@ -17,7 +17,7 @@ from contacts.recognise import STATES, Chunk
 from contacts.scene_kernels import BAD_INERTIA, DONE, HARD, step_scene
 from contacts.setup import SceneSetup
 from contacts.step_equations import CONTACT
-from contacts.step_kernels import LOOSEST, UNKNOWNS, problem, step_residual
+from contacts.step_kernels import LOOSEST, UNKNOWNS, problem, smoothed, step_residual
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, UnsolvedImpulses
 from statechart.tape import Tape, compile_tape
 
@@ -88,6 +88,7 @@ class SteppedTape:
             dtype=np.int64,
         )
         self.size = len(mechanics.q)
+        self.plastic = mechanics.scene.simultaneous == "plastic"
 
     def contacts(self, values: Array, state: Array) -> Array:
         """Return gap, gap rate, slip and condition (c, 4) at the start."""
@@ -104,6 +105,7 @@ class _Memory:
 
     level: Array
     closed: NDArray[np.bool_]
+    fresh: NDArray[np.int64]
     off: NDArray[np.bool_]
     light: NDArray[np.bool_]
     bases: NDArray[np.bool_]
@@ -135,6 +137,7 @@ class SteppedScene:
         self._memory = _Memory(
             np.zeros(count),
             np.zeros(count, dtype=np.bool_),
+            np.zeros(count, dtype=np.int64),
             off.copy(),
             np.zeros(1, dtype=np.bool_),
             np.zeros((count, UNKNOWNS), dtype=np.bool_),
@@ -148,7 +151,8 @@ class SteppedScene:
     def switch(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Go on with other forces and coefficients."""
         self._source = source
-        self._cones = np.array([(law.cone_n, law.cone_t) for law in contacts]).reshape(-1, 2)
+        edges = [(law.cone_n, law.cone_t) for law in contacts]
+        self._cones = smoothed(np.array(edges).reshape(-1, 2))
         self._restitution = np.array([law.restitution for law in contacts])
         allowed = [{_CODES[state] for state in law.states} for law in contacts]
         self._undeclared = np.array(
@@ -210,9 +214,10 @@ class SteppedScene:
         while done < count:
             taken, status, delassus, least, cones = step_scene(
                 tape.code, tape.constants, tape.outputs, source.damped, self._values,
-                self._cones, self._restitution, source.held, source.slips, r, self._near,
-                start + done * h, h, now, memory.level, memory.closed, memory.off, memory.light,
-                memory.bases, given, softened, states[done + 1 :], solved[done:], impulses[done:],
+                self._cones, self._restitution, source.plastic, source.held, source.slips, r,
+                self._near, start + done * h, h, now, memory.level, memory.closed, memory.fresh,
+                memory.off, memory.light, memory.bases, given, softened, states[done + 1 :],
+                solved[done:], impulses[done:],
                 codes[done:], struck[done:], shared[done:], gaps[done:], approach[done:],
                 closing[done:],
             )  # fmt: skip
@@ -288,7 +293,8 @@ class SteppedScene:
         with np.errstate(divide="ignore", invalid="ignore"):
             inside = np.where(cone_n > 0.0, cone_t / cone_n * normal - tangential, np.inf)
         for k, values in enumerate((normal, inside)):
-            seen = np.where((codes != FREE) & (codes != OFF), values, np.inf).min(axis=0)
+            borne = (codes != FREE) & (codes != OFF) & ~np.isnan(values)
+            seen = np.where(borne, values, np.inf).min(axis=0)
             memory.least[:, k] = np.minimum(memory.least[:, k], seen)
 
 
@@ -297,7 +303,7 @@ def softened_remark(steps: int) -> tuple[str, ...]:
     if not steps:
         return ()
     return (
-        f"in {steps} steps no impulses were found that make all contacts part as Newton's law of "
+        f"in {steps} steps no impulses were found that make all contacts part as Moreau's law of "
         "impact asks: what was hit then did not rebound",
     )
 

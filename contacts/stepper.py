@@ -15,6 +15,7 @@ from contacts.impulse import Stepping
 from contacts.kernels import FREE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.mechanics import Mechanics
 from contacts.modes import OFF
+from contacts.other_laws import replaced
 from contacts.recognise import STATES
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.snapshot import SnapshotTape
@@ -187,20 +188,10 @@ class SceneStepper:
 
     def _lacks(self, setup: SceneSetup) -> list[str]:
         """Return what differs from the declaration."""
-        warnings = []
-        bouncing = [law.name for law in setup.contacts if law.restitution > 0.0]
-        if len(bouncing) > 1 and self._scene.simultaneous != "capped":
-            warnings.append(
-                f"simultaneous: {self._scene.simultaneous!r} is not what time stepping does: "
-                "contacts that are hit together all obey Newton's law at once, as with 'capped'"
-            )
+        values = dict(zip(self._stepping.parameter_names, setup.values.tolist(), strict=True))
+        warnings = [f"{what}: {why}" for what, why in replaced(self._scene, values).items()]
         for law in setup.contacts:
             kinds = self._scene.contacts[law.name].kinds
-            if law.restitution > 0.0 and law.cone_t > 0.0 and law.impact != "newton":
-                warnings.append(
-                    f"contact {law.name!r}: time stepping applies Newton's law of impact, "
-                    f"not {law.impact!r}"
-                )
             if law.cone_t > _STEEPEST * law.cone_n and "free" in kinds:
                 mu = math.inf if law.cone_n == 0.0 else law.cone_t / law.cone_n
                 warnings.append(

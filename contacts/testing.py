@@ -87,11 +87,10 @@ def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> N
 
 def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that impulses push, and stay in the cone of friction."""
-    found = [(jump, _whole(subject, trace, jump)) for jump in trace.jumps]
-    largest = largest_of(impulses for _, impulses in found)
-    for jump, impulses in found:
+    largest = largest_of(jump.impulse for jump in trace.jumps)
+    for jump in trace.jumps:
         edges = cone_edges(scene, trace, jump.source)
-        for name, impulse in impulses.items():
+        for name, impulse in jump.impulse.items():
             assert_in_cone(impulse, edges[name], largest, f"of {name} at t = {jump.t:.17g}")
 
 
@@ -111,29 +110,6 @@ def assert_in_cone(
     assert outside <= allowed, (
         f"the impulse {where} is outside the cone: {tangential:.6g}/{normal:.6g}"
     )
-
-
-def _whole(subject: Subject, trace: Trace, jump: Jump) -> Mapping[str, tuple[float, float]]:
-    """Return the impulses of a jump; of a step all of it, forces over the step included."""
-    if trace.step is None or not jump.impulse:
-        return jump.impulse
-    before = next(arc for arc in trace.arcs if arc.j == jump.j)
-    after = next(arc for arc in trace.arcs if arc.j == jump.j + 1)
-    step = 2.0 * float(after.times[1])
-    names = list(jump.impulse)
-    forces = [subject.automaton.observables[f"{name}.{f}"] for name in names for f in ("V", "H")]
-    end, start = before.times[-1:], after.times[:1]
-    both = np.array(
-        [subject.solved(trace, before, end, forces), subject.solved(trace, after, start, forces)]
-    ).reshape(2, -1, 2)
-    # Of a contact that is open on one side of the instant the other side tells.
-    larger = np.take_along_axis(both, np.abs(both).argmax(axis=0)[None], axis=0)[0]
-    return {
-        name: (normal + step * force[0], tangential + step * force[1])
-        for (name, (normal, tangential)), force in zip(
-            jump.impulse.items(), larger.tolist(), strict=True
-        )
-    }
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:

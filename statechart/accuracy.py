@@ -44,9 +44,9 @@ class Difference:
         ended for different reasons.
     times : float
         Of the times of the events that both have and of the end, relative to the end.
-    outputs : float
-        Of the outputs, relative to their sizes (see `statechart.outputs.Outputs.sizes`). Counts
-        are not compared, as a Zeno sequence has any number of jumps.
+    named : mapping of str to float
+        Of every output, relative to its size (see `statechart.outputs.Outputs.sizes`). Counts are
+        not compared, as a Zeno sequence has any number of jumps.
     diverged : float or None
         When they first took different modes or ended for different reasons; None if they did
         not.
@@ -54,8 +54,13 @@ class Difference:
 
     state: float
     times: float
-    outputs: float
+    named: Mapping[str, float]
     diverged: float | None
+
+    @property
+    def outputs(self) -> float:
+        """The largest of the outputs."""
+        return max(self.named.values(), default=0.0)
 
     @property
     def largest(self) -> float:
@@ -103,15 +108,20 @@ def compare(
     end = max(coarse.t_end, fine.t_end)
     times = [(coarse.t_end, fine.t_end)] if same_end else []
     times += [(one.t, other.t) for one, other in pairs]
-    outputs = (
-        _relative(a, b, max(abs(a), abs(b), size), nothing)
+    named = {
+        name: max(
+            (
+                _relative(a, b, max(abs(a), abs(b), size), nothing)
+                for a, b, size in _numbers(one, fine_outputs[name], sizes_of_outputs.get(name, 0.0))
+            ),
+            default=0.0,
+        )
         for name, one in coarse_outputs.items()
-        for a, b, size in _numbers(one, fine_outputs[name], sizes_of_outputs.get(name, 0.0))
-    )
+    }
     return Difference(
         state if same_end else math.inf,
         max((_relative(a, b, end, 0.0) for a, b in times), default=0.0),
-        max(outputs, default=0.0),
+        named,
         diverged,
     )
 

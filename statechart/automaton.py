@@ -396,6 +396,8 @@ class Automaton:
         only those before it. In every mode exactly one state sets each.
     stepper : callable or None
         Makes what steps the model through time without its modes, where its kind offers that.
+    own_step : callable or None
+        Where nothing but steps can run the model: returns how long they should be, by its scales.
     """
 
     name: str
@@ -415,6 +417,7 @@ class Automaton:
     idle: bool = False
     controls: tuple[sp.Symbol, ...] = ()
     stepper: Callable[[], TimeStepper] | None = None
+    own_step: Callable[[], float] | None = None
 
     @property
     def modes_total(self) -> int:

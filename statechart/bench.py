@@ -296,6 +296,7 @@ class Bench:
             state=found.state if found.state < math.inf else None,
             times=found.times if same else None,
             outputs=found.outputs if same and found.outputs < math.inf else None,
+            named={k: v for k, v in found.named.items() if v < math.inf},
             path=distance(reference.trace, run.trace) if found.state < math.inf else None,
             energy=energy,
             violations=dict(violated),

@@ -141,7 +141,9 @@ def assert_same(
     Undecidable
         If that cannot be told.
     """
-    tolerance = max(reference.tolerance, other.tolerance)
+    # Fixed steps have none.
+    known = [trace.tolerance for trace in (reference, other) if trace.step is None]
+    tolerance = max(known, default=0.0)
     try:
         _compare(reference, other, sensitivity, _ROUNDING, reading, until, loosened)
     except AssertionError:

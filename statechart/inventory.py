@@ -83,6 +83,7 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     omitted = kind(str(getattr(automaton.declaration, "kind", ""))).omitted
     if omitted is not None:
         found += [
-            {"what": what, "why": why} for what, why in omitted(automaton.declaration).items()
+            {"what": what, "why": why}
+            for what, why in omitted(automaton.declaration, trace).items()
         ]
     return found

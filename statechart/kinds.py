@@ -52,7 +52,7 @@ class Kind:
         From a model, an observer and a trace: by how much what must hold does not, each relative
         to the model's own scales (constraints, cones of friction).
     omitted : callable, optional
-        From a model: what it could have had and does not require, and why.
+        From a model and a trace: what the run did without, and why.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Kind:
         Callable[[Automaton, Setup, NDArray[np.float64], float], Feasibility | None] | None
     ) = None
     violations: Callable[[BaseModel, Observer, Trace], Mapping[str, float]] | None = None
-    omitted: Callable[[BaseModel], Mapping[str, str]] | None = None
+    omitted: Callable[[BaseModel, Trace], Mapping[str, str]] | None = None
 
 
 def kinds() -> Mapping[str, EntryPoint]:

@@ -297,7 +297,9 @@ class Observer:
             if active.needed and arc.solved is not None:
                 tape = self._tape(active.expressions, None, known=True)
                 coefficients = np.pad(coefficients, ((0, 0), (0, arc.solved.shape[1]), (0, 0)))
-                coefficients[:, len(trace.variables) :, 0] = arc.solved
+                # Where a force is not known, in a step with an impact between two others, it adds
+                # nothing.
+                coefficients[:, len(trace.variables) :, 0] = np.nan_to_num(arc.solved)
             elif active.needed:
                 modes = modes or self._modes(trace)
                 mode = modes(arc.flow)

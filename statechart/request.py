@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,8 @@ class Request:
     measured : float or None
         End of the runs that it was chosen by, where they were measured: what they say holds of a
         run to this end with the parameters of the model.
+    reason : str
+        Why an engine was taken that nobody asked for; else empty.
     """
 
     engine: str | None = None
@@ -43,6 +46,7 @@ class Request:
     first: float | None = None
     basis: str = "estimated: nothing was measured of this run"
     measured: float | None = None
+    reason: str = ""
 
     def settled(self, model: Declaration, automaton: Automaton) -> Request:
         """Return what is asked for with what the model's settings say in the place of None.
@@ -57,6 +61,8 @@ class Request:
         engine = self.engine or ("scipy" if self.method is not None else settings.engine)
         if engine == "impulse":
             return self._stepping(model, automaton)
+        if engine == "auto" and automaton.own_step is not None:
+            return self._only_steps(model, automaton, automaton.own_step)
         if self.step is not None:
             raise DeclarationError(
                 f"the engine {engine} chooses its own steps",
@@ -113,7 +119,22 @@ class Request:
             measured=study.until,
         )
 
-    def _stepping(self, model: Declaration, automaton: Automaton) -> Request:
+    def _only_steps(
+        self, model: Declaration, automaton: Automaton, own: Callable[[], float]
+    ) -> Request:
+        """Return what is asked where no engine but impulse can run the model."""
+        asked = self._stepping(model, automaton, own)
+        given = self.step is not None or model.settings.step is not None
+        by = "as given" if given else "by the scales of the scene"
+        return replace(
+            asked,
+            reason=f"engine impulse, in steps of {asked.step:g} ({by}): bodies that collide by "
+            "their shapes run on no other",
+        )
+
+    def _stepping(
+        self, model: Declaration, automaton: Automaton, own: Callable[[], float] | None = None
+    ) -> Request:
         """Return what is asked of the engine impulse."""
         for what, given in (
             ("method", self.method), ("tolerance", self.tolerance), ("accuracy", self.accuracy),
@@ -131,6 +152,8 @@ class Request:
                 advice="take the engine taylor or scipy",
             )
         step = model.settings.step if self.step is None else self.step
+        if step is None and own is not None:
+            step = own()
         if step is None:
             raise DeclarationError(
                 "the engine impulse needs a step",

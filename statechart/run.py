@@ -112,10 +112,11 @@ class Runner:
             "progress": progress,
         }
         asked = Request(engine, method, tolerance, accuracy, step, budget)
-        asked = asked.settled(model, self.automaton).learned(study, model)
+        with located(self.document, {}):
+            asked = asked.settled(model, self.automaton).learned(study, model)
         self._request = asked
         self.accuracy, self.budget, self.step = asked.accuracy, asked.budget, asked.step
-        self._reason = ""
+        self._reason = asked.reason
         self._allowance = None if asked.budget is None else Allowance(asked.budget)
         if self.step is None:
             self._engine, self._reason = self._choose(asked.tolerance)

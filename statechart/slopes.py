@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from statechart.study import Point, Study
 
-__all__ = ["SLOPES", "Slope", "fitted", "slopes", "unfitted"]
+__all__ = ["SLOPES", "Slope", "fitted", "slopes", "unfitted", "unsettled"]
+
+Array = NDArray[np.float64]
 
 Quantity = Literal["error", "steps"]
 
@@ -38,6 +41,9 @@ _SATURATED, _RESOLVED = 1e-1, 20.0
 # which an event cuts short, are no matter of the tolerance.
 _STEPS_PER_FLOW = 10.0
 _LEAST_POINTS = 3
+# An output converges with the step if its error falls with at least this power of it: theory says
+# 1, and a quarter is beyond what chance makes of three points or more.
+_CONVERGING = 0.25
 # The tolerance decides errors and steps where the finest run takes so many times the steps of the
 # coarsest. Flights along parabolas and bodies at rest take steps that no tolerance decides: at six
 # times they are no more than a sixth of all.
@@ -84,14 +90,44 @@ def slopes(study: Study) -> tuple[Slope, ...]:
             x, y = np.log(np.array(points)).T
             # The median slope of all pairs (Theil, 1950; Sen, 1968): where errors of steps and
             # events happen to cancel, one point is far below the line.
-            i, j = np.triu_indices(len(x), 1)
-            slope = float(np.median((y[j] - y[i]) / (x[j] - x[i])))
+            slope = _median_slope(x, y)
             if slope * theory <= 0.0:
                 continue
             off = y - np.median(y - slope * x) - slope * x
             scatter = math.sqrt(float(off @ off) / (len(x) - 2)) / (float(x.std()) * len(x) ** 0.5)
             found.append(Slope(family, of, slope, scatter, theory, len(points)))
     return tuple(found)
+
+
+def _median_slope(x: Array, y: Array) -> float:
+    i, j = np.triu_indices(len(x), 1)
+    return float(np.median((y[j] - y[i]) / (x[j] - x[i])))
+
+
+def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
+    """Return the outputs whose error does not fall with the step -> error at the shortest.
+
+    Parameters
+    ----------
+    points : sequence of Point
+        Of fixed steps.
+    least : float
+        Errors below `_RESOLVED` times this cannot be told.
+    """
+    found = {}
+    for name in dict.fromkeys(name for point in points for name in point.errors.named):
+        pairs = sorted(
+            (point.setting.fineness, point.errors.named[name])
+            for point in points
+            if name in point.errors.named
+        )
+        large = [(h, e) for h, e in pairs if e > max(_RESOLVED * least, float(np.finfo(float).eps))]
+        if len(large) < _LEAST_POINTS or large[0] != pairs[0]:
+            continue
+        x, y = np.log(np.array(large)).T
+        if _median_slope(x, y) < _CONVERGING:
+            found[name] = pairs[0][1]
+    return found
 
 
 def unfitted(study: Study) -> dict[str, str]:

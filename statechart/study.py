@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Annotated, Any, Literal
@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from statechart.declaration import Declaration
-from statechart.slopes import slopes, unfitted
+from statechart.slopes import slopes, unfitted, unsettled
 
 __all__ = ["Errors", "Point", "Setting", "Study", "fingerprint", "ordered"]
 
@@ -76,6 +76,8 @@ class Errors(_Record):
     ----------
     state, times, outputs : float or None
         As in `statechart.accuracy.Difference`; times and outputs None where the modes differ.
+    named : mapping of str to float
+        Of every output, whatever the modes.
     path : float or None
         See `statechart.accuracy.distance`.
     energy : float or None
@@ -87,6 +89,7 @@ class Errors(_Record):
     state: float | None = None
     times: float | None = None
     outputs: float | None = None
+    named: dict[str, float] = {}
     path: float | None = None
     energy: float | None = None
     violations: dict[str, float] = {}
@@ -97,16 +100,24 @@ class Errors(_Record):
         found = [x for x in (self.state, self.times, self.outputs, self.path) if x is not None]
         return max(found, default=None)
 
+    def without(self, names: Collection[str]) -> Errors:
+        """Return the errors without those of some outputs."""
+        if self.outputs is None or not names:
+            return self
+        left = [error for name, error in self.named.items() if name not in names]
+        return self.model_copy(update={"outputs": max(left, default=0.0)})
+
     def worse(self, other: Errors) -> Errors:
         """Return the larger of the errors of two runs; None where one of them has none."""
         mine, its = self.model_dump(), other.model_dump()
         found = {
             name: None if its[name] is None or value is None else max(value, its[name])
             for name, value in mine.items()
-            if name != "violations"
+            if name not in ("violations", "named")
         }
+        named = {k: max(v, other.named[k]) for k, v in self.named.items() if k in other.named}
         violated = {k: max(v, other.violations.get(k, v)) for k, v in self.violations.items()}
-        return Errors(**found, violations=violated)
+        return Errors(**found, named=named, violations=violated)
 
 
 class Point(_Record):
@@ -185,7 +196,7 @@ class Study(_Record):
         Setting -> why it was not run.
     """
 
-    format: Literal["statechart trade 4"] = "statechart trade 4"
+    format: Literal["statechart trade 5"] = "statechart trade 5"
     model: str
     fingerprint: str
     until: float
@@ -212,12 +223,18 @@ class Study(_Record):
     def error(self, point: Point) -> float | None:
         """Return the error of a point: the largest, and no less than what can be told.
 
+        Without that of outputs that do not converge, which are named apart (see `unsettled`).
         None where the motion has no accuracy, or the run did not get to the end.
         """
-        largest = point.errors.largest
+        largest = point.errors.without(self.unsettled()).largest
         if self.parted is not None or largest is None or not math.isfinite(largest):
             return None
         return max(largest, self.least)
+
+    def unsettled(self) -> dict[str, float]:
+        """Return the outputs that do not converge with the step -> their error at the shortest."""
+        steps = [p for p in self.points if p.setting.step is not None]
+        return {} if self.parted is not None else unsettled(steps, self.least)
 
     def comparable(self, point: Point) -> bool:
         """Whether a point took the modes of the reference and has an error."""
@@ -321,6 +338,7 @@ class Study(_Record):
         }
         shown["slopes"] = [asdict(slope) for slope in slopes(self)]
         shown["no_slope"] = unfitted(self)
+        shown["unsettled"] = self.unsettled()
         return shown
 
 

@@ -79,6 +79,11 @@ def _foot(study: Study) -> str:
             f"+- {slope.scatter:.1g} "
             f"(theory {slope.theory:.3g}), {slope.points} points"
         )
+    lines += [
+        f"{name} does not converge with the step: its error is {error:.2g} at the shortest, and is "
+        "not part of the error above"
+        for name, error in study.unsettled().items()
+    ]
     lines += [f"no slope for {what}: {why}" for what, why in unfitted(study).items()]
     lines += [f"left out: {line}" for line in omitted(study)]
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""

@@ -48,7 +48,6 @@ class Subject:
     """
 
     def __init__(self, model: Declaration, automaton: Automaton | None = None) -> None:
-        self.model = model
         self.automaton = automaton or cast(
             Automaton,
             kind(model.kind).automaton(model),  # type: ignore[attr-defined]
@@ -56,8 +55,11 @@ class Subject:
         self.simulators: dict[str, Simulator | SteppingSimulator] = {}
         self.missing: dict[str, str] = {}
         asked = Request().settled(model, self.automaton)
-        self.step = asked.step
+        self.model, self.step = model, asked.step
         if self.step is not None:
+            # Images of the model are run by its step, not by one of their own.
+            chosen = model.settings.model_copy(update={"engine": "impulse", "step": self.step})
+            self.model = model.model_copy(update={"settings": chosen})
             self.simulators["impulse"] = SteppingSimulator(self.automaton, self.step)
         method = model.settings.method
         for name in ("taylor", "scipy") if self.step is None else ():

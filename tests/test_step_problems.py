@@ -81,8 +81,8 @@ def test_restitution_is_not_given_back_where_the_plastic_impulses_are_not_known(
     wanted = np.array([[3.0, 0.0], [0.0, 0.0]])
     rebounds, nothing = np.array([True, False]), np.zeros(2 * UNKNOWNS, dtype=bool)
     good, _, _, _, unsolved = solve_impacts(
-        delassus, before, free, wanted, np.array([[1.0, 0.0]] * 2), rebounds, nothing,
-        np.zeros(0), False,
+        delassus, np.zeros(2, np.int64), before, free, wanted, np.array([[1.0, 0.0]] * 2), rebounds,
+        nothing, np.zeros(0), False,
     )  # fmt: skip
     assert not good
     assert unsolved[:, 0].tolist() == [-2.0, -1.0]

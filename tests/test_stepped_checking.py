@@ -17,6 +17,7 @@ from contacts.heap_testing import (
 from contacts.testing import assert_in_cone
 from statechart.checking import check
 from statechart.cli import main
+from statechart.comparison import Sensitivity, assert_same
 from statechart.document import interpret, read_text
 from statechart.testing import Subject
 
@@ -134,3 +135,11 @@ def test_energy_from_nowhere_is_caught(heap):
         assert_energy_of_steps(
             numbers, subject, dataclasses.replace(trace, arcs=(*trace.arcs[:-1], faster))
         )
+
+
+def test_runs_by_steps_that_differ_are_told_by_how_much(heap):
+    _, trace, _ = heap
+    moved = dataclasses.replace(trace, final=trace.final + 1e-3)
+    assert_same(trace, trace, Sensitivity((trace,), ()))
+    with pytest.raises(AssertionError, match=r"the end: .* their errors explain \d"):
+        assert_same(trace, moved, Sensitivity((trace,), ()))

@@ -402,3 +402,28 @@ def test_no_slope_is_fitted_where_the_tolerance_does_not_decide_the_steps() -> N
     assert slopes(found) == ()
     assert "hardly decides" in text(found)
     assert {slope.of for slope in slopes(study(*smooth))} == {"error", "steps"}
+
+
+def stepped(step: float, state: float, **named: float) -> Point:
+    return point(
+        1e-3,
+        state,
+        1.0,
+        setting=Setting(engine="impulse", step=step),
+        steps=round(1.0 / step),
+        errors=Errors(state=state, times=0.0, outputs=max(named.values()), named=named),
+    )
+
+
+def test_outputs_that_do_not_converge_with_the_step_are_named_and_spoil_no_error() -> None:
+    steps = [10.0**-k for k in range(2, 6)]
+    found = study(*(stepped(h, h, V_max=0.02 + 0.1 * h, x=0.5 * h) for h in steps))
+    assert found.unsettled() == {"V_max": pytest.approx(0.020001)}
+    assert [found.error(p) for p in found.points] == pytest.approx(steps)
+    assert "V_max does not converge with the step" in text(found)
+    assert list(found.report()["unsettled"]) == ["V_max"]
+    (slope,) = slopes(found)
+    assert slope.slope == pytest.approx(1.0)
+    # What rounding hides from three steps on is not told.
+    settled = study(*(stepped(h, h, V_max=1e-13, x=0.5 * h) for h in steps))
+    assert settled.unsettled() == {}

@@ -100,6 +100,17 @@ def test_the_trajectory_is_that_of_an_independent_code(toy):
     assert np.abs(trace.final[3:] - v).max() <= 1e-9
 
 
+def test_steps_come_to_the_run_with_events_to_first_order():
+    # Impacts fall anywhere in their step, so that errors lie within a line through the origin.
+    exact = Runner("woodpecker", engine="taylor").run(until=0.3)
+    assert exact.trace.outcome.succeeded
+    for step in (4e-5, 1e-5, 2.5e-6):
+        found = Runner("woodpecker", engine="impulse", step=step).run(until=0.3)
+        assert found.outputs["fallen"] == pytest.approx(exact.outputs["fallen"], abs=8.0 * step)
+        assert found.outputs["pecks"] == pytest.approx(exact.outputs["pecks"], abs=40.0 * step)
+        assert not found.warnings
+
+
 def test_the_motion_is_a_limit_cycle(toy):
     # From the published state and from one that is not on the cycle.
     periods = []

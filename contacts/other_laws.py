@@ -1,0 +1,65 @@
+"""Which declared laws of impact time stepping replaces by its own, Moreau's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+from contacts.parts import MOREAU, Contact, Point
+from contacts.scene import Scene
+from statechart.formula import parse
+
+__all__ = ["replaced"]
+
+
+def replaced(scene: Scene, values: Mapping[str, float]) -> dict[str, str]:
+    """Return what a run by time stepping does without: a declared law -> what is done instead.
+
+    Parameters
+    ----------
+    scene : Scene
+    values : mapping of str to float
+        Parameters.
+    """
+    found = {}
+    hit = {name: c for name, c in scene.contacts.items() if "free" in c.kinds}
+    if scene.simultaneous == "sequential" and (scene.collisions or (hit and _meet(scene))):
+        found["simultaneous: sequential"] = (
+            "time stepping resolves what is hit together at once, by Moreau's law, as with capped"
+        )
+    for name, contact in hit.items():
+        if contact.impact != MOREAU and not _agrees(scene, contact, values):
+            found[f"impact: {contact.impact} at {name}"] = (
+                "time stepping applies Moreau's law: with events, impact: moreau is the same"
+            )
+    return found
+
+
+def _meet(scene: Scene) -> bool:
+    """Whether a body has several contacts, or bodies may feel those of others."""
+    linked = bool(scene.joints) or any(body.position is not None for body in scene.bodies.values())
+    touched = sorted(
+        body
+        for contact in scene.contacts.values()
+        for body in (contact.point.body, scene.surfaces[contact.surface].body)
+        if body is not None
+    )
+    return len(scene.contacts) > 1 and (linked or any(a == b for a, b in pairwise(touched)))
+
+
+def _agrees(scene: Scene, contact: Contact, values: Mapping[str, float]) -> bool:
+    """Whether all laws are one: no friction, or a particle whose push moves it along the push."""
+    if contact.friction is not None:
+        friction = parse(contact.friction)
+        if set(friction.names) <= set(values) and friction.value(values) == 0.0:
+            return True
+    name = contact.point.body
+    body = scene.bodies[name]
+    jointed = any(
+        end.body == name
+        for joint in scene.joints.values()
+        for end in (joint.point, joint.to)
+        if isinstance(end, Point)
+    )
+    fixed = scene.surfaces[contact.surface].body is None
+    return body.inertia is None and body.position is None and fixed and not jointed

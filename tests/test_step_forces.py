@@ -1,0 +1,182 @@
+"""What time steps call an impulse and what they call a force."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from strategies import examples
+
+from contacts.parts import Body, Contact, Point, Surface
+from contacts.scene import Scene
+from statechart.declaration import Integral, Maximum, Stop, Value
+from statechart.run import Runner
+
+MASS = 1.3
+
+
+def corner(simultaneous="capped"):
+    """Return a bar with two feet, thrown on the floor beside a wall that its end may strike."""
+    contacts = {
+        name: Contact(
+            point=Point(body="bar", at=at),
+            surface=surface,
+            friction="mu",
+            restitution="e",
+            impact="moreau",
+        )
+        for name, at, surface in (
+            ("left", ("-l", "-d"), "floor"),
+            ("right", ("r", "-d"), "floor"),
+            ("top", ("r", "d"), "wall"),
+        )
+    }
+    return Scene(
+        name="corner",
+        parameters={
+            "l": 0.3, "r": 0.4, "d": 0.1, "I": 0.1, "mu": 0.5, "e": 0.3, "wall": 1.0,
+            "x": 0.0, "y": 0.2, "a": 0.1, "u": 1.0, "v": -1.0, "w": 0.0,
+        },
+        gravity=9.81,
+        bodies={
+            "bar": Body(
+                mass=MASS, inertia="I",
+                start={"x": "x", "y": "y", "angle": "a", "dx": "u", "dy": "v", "dangle": "w"},
+            )
+        },
+        surfaces={
+            "floor": Surface(height=0),
+            "wall": Surface(line=(("wall", 0), ("wall", 1))),
+        },
+        contacts=contacts,
+        simultaneous=simultaneous,
+        stop=Stop(time=0.6),
+        outputs={"V_max": Maximum(maximum="left.V"), "H_max": Maximum(maximum="abs(right.H)")},
+    )  # fmt: skip
+
+
+@st.composite
+def thrown(draw):
+    """Draw a bar above the floor and left of the wall."""
+    values = {
+        "l": draw(st.floats(0.1, 0.5)),
+        "r": draw(st.floats(0.1, 0.5)),
+        "d": draw(st.floats(0.02, 0.2)),
+        "I": draw(st.floats(0.02, 0.3)),
+        "mu": draw(st.floats(0.0, 1.5)),
+        "e": draw(st.sampled_from([0.0]) | st.floats(0.0, 0.8)),
+        "a": draw(st.sampled_from([0.0]) | st.floats(-0.5, 0.5)),
+        "u": draw(st.floats(-1.0, 2.0)),
+        "v": draw(st.floats(-1.0, 0.0)),
+        "w": draw(st.floats(-3.0, 3.0)),
+    }
+    c, s = math.cos(values["a"]), math.sin(values["a"])
+    points = [(-values["l"], -values["d"]), (values["r"], -values["d"])]
+    lowest = min(s * x + c * y for x, y in points)
+    values["y"] = -lowest + draw(st.sampled_from([0.0, 1e-3]) | st.floats(0.0, 0.1))
+    values["wall"] = c * values["r"] + s * values["d"] + 0.6 * draw(st.floats(0.05, 1.0))
+    assume(c * values["r"] - s * values["d"] < values["wall"])
+    return values
+
+
+@cache
+def cornered(simultaneous, engine, step=None):
+    return Runner(corner(simultaneous), engine=engine, step=step)
+
+
+@given(thrown(), st.sampled_from([1e-3, 2.7e-4]))
+@examples(15)
+def test_impulses_push_within_friction_and_are_what_changes_the_momentum(values, step):
+    trace = cornered("capped", "impulse", step).run(values, throw=False).trace
+    for jump in trace.jumps:
+        push = np.zeros(2)
+        for name, (V, H) in jump.impulse.items():
+            assert V >= 0.0
+            assert abs(H) <= values["mu"] * V * (1.0 + 1e-12)
+            # Of the wall, whose normal is to the left, the slip is upwards.
+            push += (H, V) if name != "top" else (-V, H)
+        n = len(jump.before) // 2
+        change = MASS * (jump.after[n:] - jump.before[n:])[:2]
+        size = sum(math.hypot(*impulse) for impulse in jump.impulse.values())
+        assert change == pytest.approx(push, abs=1e-7 * size + 1e-12)
+
+
+@cache
+def landing(engine, step=None):
+    """Return a particle that falls on an incline and rests or slides there."""
+    scene = Scene(
+        name="landing",
+        parameters={"m": 1.0, "a": 0.3, "mu": 0.5, "e": 0.3, "drop": 0.1, "u": 0.0},
+        gravity=9.81,
+        bodies={"ball": Body(mass="m", start={"y": "drop", "dx": "u"})},
+        surfaces={"slope": Surface(incline="a")},
+        contacts={
+            "base": Contact(
+                point=Point(body="ball"), surface="slope", friction="mu", restitution="e"
+            )
+        },
+        stop=Stop(time=0.5),
+        outputs={
+            "V_max": Maximum(maximum="base.V"),
+            "H_max": Maximum(maximum="abs(base.H)"),
+            "landed": Value(value="base.V", at="last base.touchdown"),
+            "V_sum": Integral(integral="base.V"),
+        },
+    )
+    return Runner(scene, engine=engine, step=step)
+
+
+@given(
+    st.fixed_dictionaries(
+        {
+            "m": st.floats(0.1, 10.0),
+            "a": st.floats(-0.6, 0.6),
+            "mu": st.floats(0.0, 1.5),
+            "e": st.sampled_from([0.0]) | st.floats(0.0, 0.5),
+            "drop": st.floats(0.01, 0.2),
+            "u": st.floats(-1.0, 1.0),
+        }
+    ),
+    st.sampled_from([1e-3, 1.3e-4]),
+)
+@examples(15)
+def test_the_largest_force_is_none_of_the_landing(values, step):
+    # At whatever step: what an impact bears over a step is not a force.
+    outputs = landing("impulse", step).run(values).outputs
+    weight = values["m"] * 9.81 * math.cos(values["a"])
+    assert outputs["V_max"] == pytest.approx(weight, rel=1e-6) or outputs["V_max"] == 0.0
+    assert outputs["H_max"] <= values["mu"] * weight * (1.0 + 1e-6)
+    assert math.isfinite(outputs["V_sum"])
+
+
+@given(thrown(), st.sampled_from([2e-4, 3e-5]))
+@examples(2)
+def test_the_largest_forces_of_a_bar_are_those_of_the_run_with_events(values, step):
+    # Bounces that a step does not resolve are other modes, with forces of their own.
+    values |= {"wall": 9.0, "e": 0.0}
+    exact = cornered("capped", "scipy").run(values, throw=False)
+    assume(exact.trace.outcome.succeeded)
+    found = cornered("capped", "impulse", step).run(values, throw=False)
+    assume(found.trace.modes == exact.trace.modes)
+    for name, force in (("V_max", "left.V"), ("H_max", "right.H")):
+        # What they change by in the steps after an event, which have none; and what a landing at
+        # another place in its step makes of the motion within a second.
+        error = 5.0 * step * (steepest(exact, force) + MASS * 9.81)
+        assert found.outputs[name] == pytest.approx(exact.outputs[name], abs=error), name
+
+
+def steepest(result, force):
+    """Return how fast a force changes at most, but for its jumps."""
+    times = np.linspace(0.0, result.trace.t_end, 6001)
+    values = result.observer.sample(result.trace, [force], times=times).columns[force]
+    jumps = np.searchsorted([jump.t for jump in result.trace.jumps], times)
+    return np.abs(np.diff(values)[np.diff(jumps) == 0]).max() / times[1]
+
+
+def test_the_force_after_a_landing_is_that_of_the_contact_that_lasts():
+    outputs = landing("impulse", 1e-3).run({"e": 0.0}).outputs
+    assert outputs["landed"] == pytest.approx(9.81 * math.cos(0.3), rel=1e-9)
