@@ -12,7 +12,7 @@ from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot
 from statechart.errors import SimulationError
 
-__all__ = ["rests_of_bounces", "stands_for_bounces"]
+__all__ = ["opens_in_vain", "rests_of_bounces", "stands_for_bounces"]
 
 Array = NDArray[np.float64]
 
@@ -47,36 +47,60 @@ def rests_of_bounces(
         Which contacts took part in it.
     """
     rests: dict[int, float] = {}
-    accelerations: Array | None = None
+    falling: Array | None = None
+    slow, fast = setup.tolerances["speed"], _FAST * setup.scales.speed
+    for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
+        rebound, e = contact.gap_rate, law.restitution
+        if not closed[i] or not 0.0 < e < 1.0 or not slow < rebound <= fast:
+            continue
+        if falling is None:
+            falling = _falling(setup, snapshot, closed)
+        if not falling[i] > 0.0:
+            continue
+        # How high it bounces, against what rounding of the coordinates does to the gap.
+        height = rebound**2 / (2.0 * falling[i])
+        coordinates = np.abs(state[: len(state) // 2])
+        rounding = _EPS * float(np.abs(snapshot.whole.jacobians[i, 0]) @ coordinates)
+        if rebound <= setup.capture or height <= _DIGITS * rounding:
+            rests[i] = 2.0 * rebound / (float(falling[i]) * (1.0 - e))
+    return rests
+
+
+def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> bool:
+    """Whether contacts open, and none of them leaves the tolerance of its gap.
+
+    Impacts in turn, each of which opens another contact, go on for ever there once they take no
+    more energy than gaps get that are brought back onto their surfaces.
+
+    Parameters
+    ----------
+    setup, snapshot, closed
+        As for `rests_of_bounces`.
+    """
+    rates = np.array([contact.gap_rate for contact in snapshot.contacts])
+    opening = np.asarray(closed) & (rates > setup.tolerances["speed"])
+    if not opening.any():
+        return False
+    falling = _falling(setup, snapshot, closed)[opening]
+    heights = setup.tolerances["gap"] * 2.0 * falling
+    return bool((falling > 0.0).all() and (rates[opening] ** 2 < heights).all())
+
+
+def _falling(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> Array:
+    """Return how fast the rates of gaps fall just after an impact; nan where no mode tells."""
     slow = setup.tolerances["speed"]
     # What lies on its surface stays there: it carries its part of a body that bounces elsewhere.
     lying = [
         shut and contact.gap_rate <= slow
         for shut, contact in zip(closed, snapshot.contacts, strict=True)
     ]
-    slow, fast = setup.tolerances["speed"], _FAST * setup.scales.speed
-    for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
-        rebound, e = contact.gap_rate, law.restitution
-        if not closed[i] or not 0.0 < e < 1.0 or not slow < rebound <= fast:
-            continue
-        if accelerations is None:
-            tie = 0.5 * setup.tolerances["force"] / setup.scales.force
-            try:
-                choice = choose(snapshot, setup.contacts, lying, setup.scales, tie, 2.0 * slow)
-            except SimulationError:
-                # No mode between the bounces: nothing is known of them.
-                return {}
-            accelerations = choice.taken.accelerations
-        falling = -(float(contact.jacobian[0] @ accelerations) + contact.bias_n)
-        if falling <= 0.0:
-            continue
-        # How high it bounces, against what rounding of the coordinates does to the gap.
-        height = rebound**2 / (2.0 * falling)
-        coordinates = np.abs(state[: len(state) // 2])
-        rounding = _EPS * float(np.abs(snapshot.whole.jacobians[i, 0]) @ coordinates)
-        if rebound <= setup.capture or height <= _DIGITS * rounding:
-            rests[i] = 2.0 * rebound / (falling * (1.0 - e))
-    return rests
+    tie = 0.5 * setup.tolerances["force"] / setup.scales.force
+    try:
+        choice = choose(snapshot, setup.contacts, lying, setup.scales, tie, 2.0 * slow)
+    except SimulationError:
+        return np.full(len(snapshot.contacts), np.nan)
+    accelerations = choice.taken.accelerations
+    return np.array([-float(c.jacobian[0] @ accelerations) - c.bias_n for c in snapshot.contacts])
 
 
 def stands_for_bounces(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.accumulation import closed_at_once
-from contacts.bounces import rests_of_bounces, stands_for_bounces
+from contacts.bounces import opens_in_vain, rests_of_bounces, stands_for_bounces
 from contacts.classify import Choice, Considered, ContactLaw
 from contacts.closing import check_joints
 from contacts.dead_points import dead_point
@@ -291,13 +291,27 @@ class SceneLaws:
         took_part = set().union(*(past.impulse for past in jumps[since[-1] :]))
         if len(took_part) < 2:
             return None
+        took = [name in took_part for name in self._names]
+        period = jump.t - jumps[since[-1]].t
+        return self._closed_at_once(setup, clock, flow, jump, took, period, rest)
+
+    def _closed_at_once(
+        self,
+        setup: SceneSetup,
+        clock: Clock,
+        flow: Flow,
+        jump: Jump,
+        took_part: Sequence[bool],
+        period: float,
+        rest: float,
+    ) -> tuple[Jump, Flow] | None:
         found = closed_at_once(
             setup,
             lambda state: self._tape.at(setup.values, state, clock.high),
             flow,
             jump.after,
-            [name in took_part for name in self._names],
-            jump.t - jumps[since[-1]].t,
+            took_part,
+            period,
             rest,
             self._paradox,
         )
@@ -422,6 +436,11 @@ class SceneLaws:
         )
         warning = "; ".join(warnings)
         flow = self._flow(setup, target, moving, rest, warning, settled, notes)
+        idle = jam is None and sum(closed) > 1 and left >= before
+        if idle and opens_in_vain(setup, following, closed):
+            done = self._closed_at_once(setup, clock, flow, jump, closed, 0.0, rest or 0.0)
+            if done is not None:
+                return done
         # Where a long flight's rounding has left a gap below its tolerance, it opens from there.
         below = {
             f"{law.name}.gap": -2.0 * contact.gap

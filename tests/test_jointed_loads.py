@@ -152,7 +152,7 @@ def assert_newton(scene: Scene, simulator: Simulator, trace: Trace) -> None:
             elif states[k] == "pin" and min(V, room) > 1e-6 * size_of_forces:
                 inside += [2 * k, 2 * k + 1]
             elif states[k].startswith("slide"):
-                assert abs(room) <= 1e-8 * size_of_forces
+                assert abs(V if mu == math.inf else room) <= 1e-8 * size_of_forces
         if len(inside) == len(contacts):
             # No change of the forces that moves nothing makes them smaller.
             same = null_space(np.vstack([touch, held]).T, rcond=1e-9)
