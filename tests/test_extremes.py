@@ -213,7 +213,9 @@ stop: {time: 5}
 
 def test_what_becomes_undefined_ends_with_the_time_and_the_mode(engine: str) -> None:
     trace = _run(SOURCE, engine).trace
-    assert trace.outcome.name in ("NON_FINITE", "STEP_FAILURE")
+    # A root has no series where it is zero: whether it goes on there, the other engine may tell.
+    ends = ("UNSUPPORTED",) if engine == "taylor" else ("NON_FINITE", "STEP_FAILURE")
+    assert trace.outcome.name in ends
     assert trace.t_end == pytest.approx(1.0, abs=1e-6)
     assert "only:run" in trace.message
     assert "t = " in trace.message

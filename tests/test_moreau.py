@@ -197,7 +197,11 @@ def test_both_engines_give_the_velocities_of_the_law(throw, simultaneous):
     expected = capped(mass, velocity, plastic[0], target[0])
     for engine, error in (("scipy", 10.0 * STEP), ("impulse", 100.0 * STEP)):
         result = runner(len(mu), simultaneous, engine).run(values)
-        assert result.trace.final[3:] == pytest.approx(expected, abs=error), engine
+        found = result.trace.final
+        if engine == "scipy":
+            # At once, before forces have turned the body any further.
+            found = [jump for jump in result.trace.jumps if jump.t == 0.0][-1].after
+        assert found[3:] == pytest.approx(expected, abs=error), engine
         assert not [w for w in result.warnings if "law" in w], engine
 
 

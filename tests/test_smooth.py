@@ -66,7 +66,7 @@ def test_a_line_between_parameters_needs_no_other_engine(ends: str, form: str) -
     text = (
         FORCED
         + f"surfaces: {{s: {{{form}: {ends}}}}}\n"
-        + ("contacts: {tip: {point: {body: b}, surface: s, friction: c/2, modes: [slide, pin]}}\n")
+        + ("contacts: {tip: {point: {body: b}, surface: s, friction: c/2, restitution: 0}}\n")
     )
     text = text.replace("dx: 1", "dx: 1, dy: 0" if "0]," in ends else "dy: 1")
     for size in (2.0, 0.5):
