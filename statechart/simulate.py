@@ -526,7 +526,12 @@ class _Run:
 def _terms(times: Array, coefficients: Array) -> Array:
     """Return what each variable was summed from as a flow ended, its rounded time among them."""
     last = coefficients[-1]
-    rates = last @ np.arange(last.shape[1]) / (times[-1] - times[-2])
+    lengths = np.diff(times)
+    # A last step shorter than the time can tell has no rate; the one before it has.
+    (long,) = np.flatnonzero(lengths)[-1:] if lengths.any() else (None,)
+    if long is None:
+        return last
+    rates = coefficients[long] @ np.arange(last.shape[1]) / lengths[long]
     return np.column_stack([last, rates * times[-1]])
 
 
