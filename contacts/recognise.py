@@ -4,7 +4,8 @@ A step in which nothing strikes is one polynomial: positions of the second degre
 first, which is what the midpoint rule's positions and velocities at its ends amount to. One with
 impacts has them in its middle, with the lasting forces on both sides. A mode that begins without
 an impact begins with its step; sticking begins with the step after the one that ended the slip.
-A step that holds an impulse has no force: what is shown is that of the nearest step of the mode.
+A step that holds an impulse has no force, nor have those after it that still carry the landing:
+what is shown is that of the nearest other step of the mode.
 """
 
 from __future__ import annotations

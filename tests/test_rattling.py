@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 
 import pytest
 from hypothesis import given
@@ -92,6 +91,6 @@ def test_a_bar_comes_to_rest_on_its_feet(
     trace = result.trace
     assert trace.outcome.name == "HORIZON", trace.message
     assert_energy_never_grows(trace)
-    if mu > 1.5 * abs(math.tan(slope)) and trace.modes[-1] == ("pin", "pin"):
-        # At rest for good: nothing happens any more.
+    # A short and high one may fall over.
+    if trace.modes[-1] == ("pin", "pin"):
         assert abs(trace.final[3:]).max() <= 1e-9
