@@ -11,7 +11,6 @@ Lemke's path then ends in a solution wherever contacts at rest could hold.
 from __future__ import annotations
 
 import enum
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -19,6 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.kernels import SMALLEST, power_of_two
 from contacts.lemke import FOUND, RAY, SPENT, enumerate_bases, lemke, on_support, row_residual
 
 __all__ = [
@@ -300,7 +300,7 @@ def _attempts(matrix: Array, vector: Array) -> Iterator[tuple[str, int, Bools]]:
     for name, left, right in (("symmetric", both, both), ("row and column", rows, columns)):
         scaled = left[:, None] * matrix * right
         q = left * vector
-        q *= _power_of_two(np.abs(q).max(initial=0.0))
+        q *= power_of_two(np.abs(q).max(initial=0.0))
         for covering, cover in (
             ("ones", np.ones(size)),
             ("spread", spread),
@@ -329,12 +329,6 @@ def _proximal(matrix: Array, vector: Array, limit: int) -> tuple[int, Bools]:
     return RAY, basis
 
 
-def _power_of_two(size: float) -> float:
-    if size > 0.0 and math.isfinite(size):
-        return math.ldexp(1.0, 1 - math.frexp(size)[1])
-    return 1.0
-
-
 def _symmetric_scales(matrix: Array) -> Array:
     diagonal = np.diag(matrix)
     sizes = np.where(diagonal > 0.0, diagonal, 1.0)
@@ -348,6 +342,6 @@ def _row_column_scales(matrix: Array) -> tuple[Array, Array]:
     for _ in range(4):
         for scales, axis in ((rows, 1), (columns, 0)):
             largest = (rows[:, None] * sizes * columns).max(axis=axis, initial=0.0)
-            exponents = np.log2(np.where(largest > 0.0, largest, 1.0))
+            exponents = np.log2(np.where(largest >= SMALLEST, largest, 1.0))
             scales *= np.ldexp(1.0, -np.round(exponents).astype(np.int64))
     return rows, columns

@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.kernels import SMALLEST
+
 __all__ = [
     "Block",
     "JointNumbers",
@@ -150,7 +152,7 @@ def well_posed(rows: Array, right: Array) -> tuple[Array, Array]:
 
 
 def column_scales(rows: Array) -> Array:
-    """Return powers of two (exact) that bring the columns to size 1."""
+    """Return powers of two (exact) that bring the columns to size 1; 1 where none does."""
     largest = np.abs(rows).max(axis=0, initial=0.0)
-    largest[(largest == 0.0) | ~np.isfinite(largest)] = 1.0
+    largest[(largest < SMALLEST) | ~np.isfinite(largest)] = 1.0
     return np.ldexp(1.0, -np.frexp(largest)[1])

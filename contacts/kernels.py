@@ -40,6 +40,8 @@ INTO, PULLS, OUTSIDE, AGAINST = range(4)
 
 # A solution whose residual stays above this, relative to its terms, is refused.
 _RESIDUAL = 1e-8
+# Below it numbers lose digits, and the power of two that would bring them to size 1 overflows.
+SMALLEST = 2.0**-1022
 # Of a number: what it is known to.
 _ROUNDING = 2.0**-52
 # Rows this close to dependent are: elimination would give forces that are huge and cancel.
@@ -48,9 +50,10 @@ _DEPENDENT = 1e-10
 _CONTRADICTED = 1e-9
 
 
-@part
-def _power_of_two(size: float) -> float:
-    if size > 0.0 and math.isfinite(size):
+@kernel
+def power_of_two(size: float) -> float:
+    """Return the power of two (exact) whose product with a size is in [1, 2); 1 where none is."""
+    if size >= SMALLEST and math.isfinite(size):
         return math.ldexp(1.0, 1 - math.frexp(size)[1])
     return 1.0
 
@@ -79,7 +82,7 @@ def _solve(scaled: Array, b: Array, x: Array) -> int:
         largest = 0.0
         for i in range(size):
             largest = max(largest, abs(scaled[i, k]))
-        scale = _power_of_two(largest)
+        scale = power_of_two(largest)
         for i in range(size):
             scaled[i, k] *= scale
         column_scale[k] = scale
@@ -87,7 +90,7 @@ def _solve(scaled: Array, b: Array, x: Array) -> int:
         largest = 0.0
         for k in range(size):
             largest = max(largest, abs(scaled[i, k]))
-        scale = _power_of_two(largest)
+        scale = power_of_two(largest)
         for k in range(size):
             scaled[i, k] *= scale
         b[i] *= scale
@@ -195,11 +198,11 @@ def independent(rows: Array) -> tuple[int, NDArray[np.int64], NDArray[np.int64]]
     left = rows.copy()
     row_order, column_order = np.arange(count), np.arange(size)
     for i in range(count):
-        scale = _power_of_two(_largest(left[i]))
+        scale = power_of_two(_largest(left[i]))
         for k in range(size):
             left[i, k] *= scale
     for k in range(size):
-        scale = _power_of_two(_largest(left[:, k]))
+        scale = power_of_two(_largest(left[:, k]))
         for i in range(count):
             left[i, k] *= scale
     for r in range(min(count, size)):

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from runs import ENGINES, engine
 from strategies import examples
@@ -64,7 +64,13 @@ parameters = st.fixed_dictionaries(
 )
 
 
+# Numbers so small that the power of two which brings them to size 1 overflows.
+SUBNORMAL = {"a": 2.225073858507203e-309, "v": -1.0, "m": 1.0, "k": 1.0, "x": 0.0, "y": -0.7}
+PINNED = {f"mu{i}": math.inf for i in range(3)} | {"p0": 0.0, "p1": 0.0, "p2": 0.3}
+
+
 @examples(25)
+@example(count=3, turns=False, name="taylor", given=SUBNORMAL | PINNED)
 @given(
     count=st.integers(1, 3), turns=st.booleans(), name=st.sampled_from(ENGINES), given=parameters
 )
