@@ -114,7 +114,7 @@ def assert_in_cone(
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     """Check that energy, less the work of forces and drives, never grows; impacts included."""
-    energy, power = mechanics.energy, mechanics.power
+    energy = mechanics.energy
     rates = {name: mechanics.surface_rate(name) for name in mechanics.scene.contacts}
     led = any(row.path_rate != 0 for row in mechanics.joint_rows)
     points: list[tuple[float, float, str]] = []  # (time, energy less work, where)
@@ -147,14 +147,8 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
         made = step_ends(trace, arc)
         inner = arc.times[1:-1] if trace.step is not None else tau
         grid = np.concatenate([[0.0], inner, [arc.duration]])
-        done = np.full(len(grid), work)
-        if power != 0:
-            middle, half = (grid[1:] + grid[:-1]) / 2, np.diff(grid) / 2
-            nodes = (middle[:, None] + half[:, None] * _NODES).ravel()
-            powers = subject.solved(trace, arc, nodes, [power])
-            parts = (powers.reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * half
-            done[1:] += np.cumsum(parts)
-            work = float(done[-1])
+        done = work + _work_of_forces(mechanics, subject, trace, arc, grid)
+        work = float(done[-1])
         times = arc.start.high + (arc.start.low + grid)
         where = f"in {subject.automaton.label(arc.mode)}"
         add(arc.states(grid)[made], times[made], done[made], where)
@@ -172,6 +166,32 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
         assert isinstance(setup, SceneSetup)
         allowed = _ENERGY * error * size + setup.scales.force * trace.tolerances["gap"]
     no_growth(points, allowed, growth)
+
+
+def _work_of_forces(
+    mechanics: Mechanics, subject: Subject, trace: Trace, arc: Arc, grid: Array
+) -> Array:
+    """Return the work of forces and drives up to each of the times `grid` of an arc.
+
+    Rounding moves closed contacts and joints a little, against forces that may be far more than
+    bodies weigh; states are brought back to their constraints without work, so that what forces do
+    there adds up. By virtual work it is at most what the forces of the constraints do.
+    """
+    if mechanics.power == 0:
+        return np.zeros(len(grid))
+    held: list[sp.Expr] = []
+    if trace.step is None:
+        for name, state in _states(mechanics.scene, arc):
+            at = mechanics.contact(name).symbols
+            held += [] if state in OPEN else [at.V * at.gap_rate]
+            held += [at.H * at.slip] if state == "pin" else []
+        held += [row.force * row.gap_rate for row in mechanics.joint_rows]
+    middle, half = (grid[1:] + grid[:-1]) / 2, np.diff(grid) / 2
+    nodes = (middle[:, None] + half[:, None] * _NODES).ravel()
+    powers, *off = subject.solved(trace, arc, nodes, [mechanics.power, *held]).T
+    powers = powers + np.sum(np.abs(off), axis=0)
+    parts = (powers.reshape(-1, len(_NODES)) * _WEIGHTS).sum(axis=1) * half
+    return np.concatenate([[0.0], np.cumsum(parts)])
 
 
 def _work_of_joints(mechanics: Mechanics, subject: Subject, trace: Trace, jump: Jump) -> float:

@@ -8,7 +8,10 @@ import pytest
 import sympy as sp
 
 from contacts.kind import automaton as scene_automaton
+from contacts.mechanics import Mechanics
+from contacts.setup import cones, scene_parameters
 from contacts.symmetry import LENGTH, TIMES, mirrored, rescaled
+from contacts.testing import assert_energy
 from contacts.testing import properties as contact_properties
 from statechart.automaton import State
 from statechart.chart import Chart
@@ -70,6 +73,30 @@ stop: {time: 1}
 """
 
 SLIDING = ROD.replace("y: 1, dx: v0, dy: vy", "dx: v0").replace("v0: [-2, 2]", "v0: [1, 5]")
+
+# Fingers on springs press a block a hundred times harder than it weighs; it rests between them.
+GRIPPER = """
+kind: scene
+name: gripper
+parameters: {F: 800, k: 2, a: -0.05, w: 0.05, more: 0}
+ranges: {F: [300, 1000], k: [1, 100], a: [-0.3, 0.3]}
+gravity: 9.81
+coordinates: {l: {start: -w}, r: {start: w}}
+bodies:
+  block: {mass: 1, inertia: w**2, start: {angle: a}}
+  one: {mass: 0.1, position: [l*cos(a), l*sin(a)], angle: a}
+  two: {mass: 0.1, position: [r*cos(a), r*sin(a)], angle: a}
+surfaces:
+  near: {line: [[-w, -1], [-w, 1]], body: block}
+  far: {line: [[w, 1], [w, -1]], body: block}
+contacts:
+  left: {point: {body: one}, surface: near, friction: 0.5, restitution: 0}
+  right: {point: {body: two}, surface: far, friction: 0.5, restitution: 0}
+forces:
+  push: {body: one, force: [(F + more - k*(l + w))*cos(a), (F + more - k*(l + w))*sin(a) + 0.981]}
+  hold: {body: two, force: [-(F + k*(r - w))*cos(a), -(F + k*(r - w))*sin(a) + 0.981]}
+stop: {time: 1}
+"""
 
 UNSTABLE = """
 kind: chart
@@ -212,6 +239,25 @@ def test_an_impact_that_gains_energy_is_caught():
 def test_energy_that_only_the_drive_supplies_is_no_failure():
     driven = ROD + "forces:\n  push: {body: block, force: [30*sin(5*time), 0]}\n"
     assert report_on(Subject(model(driven)), "energy never grows").passed
+
+
+def test_what_presses_harder_than_it_weighs_rests_without_growing_energy():
+    subject = Subject(model(GRIPPER))
+    assert subject.case({}).trace.modes == (("pin", "pin"),)
+    report = report_on(subject, "energy never grows", examples=40)
+    assert report.passed, report.text()
+
+
+def test_a_part_of_a_large_force_that_nobody_declared_is_caught():
+    def judge(declared):
+        known = scene_parameters(declared).symbols
+        assert_energy(Mechanics(declared, known, cones(declared, known)), subject, pushed)
+
+    subject = Subject(model(GRIPPER))
+    pushed = subject.case({"more": 800e-7}).trace
+    judge(subject.model)
+    with pytest.raises(AssertionError, match="energy grows"):
+        judge(model(GRIPPER.replace(" + more", "")))
 
 
 def test_a_removed_gap_guard_tunnels():
