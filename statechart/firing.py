@@ -327,11 +327,33 @@ def _numbers(expression: sp.Expr) -> list[sp.Expr]:
 
 
 def _slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
-    """Differentiate; at the kinks of abs, sign, min and max by one side or their mean."""
-    found = sp.diff(expression, symbol)
-    return found.replace(sp.DiracDelta, lambda *_: sp.S.Zero).replace(
-        sp.Heaviside, lambda x, *_: (1 + sp.sign(x)) / 2
-    )
+    """Differentiate; at the kinks of abs, sign, min and max by one side or their mean.
+
+    SymPy does so only where it can prove that what is inside is real, which a root is not.
+    """
+    kinks = {
+        node: sp.Dummy(real=True)
+        for node in expression.atoms(sp.Abs, sp.sign, sp.Min, sp.Max)
+        if symbol in node.free_symbols
+    }
+    if not kinks:
+        return sp.diff(expression, symbol)
+    if expression not in kinks:
+        form = expression.xreplace(kinks)
+        inner = {dummy: node for node, dummy in kinks.items()}
+        found = sp.diff(form, symbol)
+        for dummy, node in inner.items():
+            if dummy in form.free_symbols:
+                found += sp.diff(form, dummy) * _slope(node, symbol)
+        return found.xreplace(inner)
+    if isinstance(expression, sp.sign):
+        return sp.S.Zero
+    first, *others = expression.args
+    if isinstance(expression, sp.Abs):
+        return sp.sign(first) * _slope(first, symbol)
+    rest = expression.func(*others)
+    way = sp.sign(first - rest if isinstance(expression, sp.Max) else rest - first)
+    return ((1 + way) * _slope(first, symbol) + (1 - way) * _slope(rest, symbol)) / 2
 
 
 def _along(expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol) -> sp.Expr:

@@ -18,6 +18,7 @@ from contacts.scene import Scene
 from statechart.automaton import Automaton
 from statechart.document import interpret, read_text
 from statechart.kinds import kind
+from statechart.run import run as run_model
 from statechart.simulate import Simulator
 from statechart.trace import Outcome, Trace
 
@@ -323,3 +324,59 @@ def test_intervals_that_do_not_tend_to_a_geometric_sequence_are_not_summed(
         assert not times(trace, "settle")
     else:
         assert times(trace, "settle") == pytest.approx([end], abs=1e-11)
+
+
+def edge(start: str, rate: str, guard: str, name: str) -> Trace:
+    text = f"""\
+kind: chart
+name: edge
+variables: {{x: {start}}}
+regions:
+  r:
+    initial: s
+    states: {{s: {{flows: {{x: {rate}}}}}, e: {{flows: {{x: 0}}}}}}
+    transitions: [{{name: go, from: s, to: e, guard: "{guard}"}}]
+stop: {{time: 3}}
+"""
+    return run_model(read_text(text), engine=name, throw=False).trace
+
+
+@pytest.mark.parametrize(
+    ("start", "rate", "guard", "at"),
+    [
+        ("0", "1", "sqrt(x) >= 0.5", 0.25),
+        ("0", "1", "sqrt(time) >= 0.5", 0.25),
+        ("0", "2*time", "sqrt(x) >= 0.5", 0.5),
+        ("0", "1", "x**1.5 >= 0.5", 0.5 ** (2 / 3)),
+        ("0", "1", "x**0.3 >= 0.5", 0.5 ** (1 / 0.3)),
+        ("0", "1", "sqrt(sqrt(x)) >= 0.5", 0.0625),
+        ("0", "1", "sqrt(x) + x >= 1", (math.sqrt(1.25) - 0.5) ** 2),
+        ("0", "1", "log(x) >= -1", math.exp(-1)),
+        ("0", "1", "sqrt(x) <= -1", None),
+        ("0", "1", "atan2(0*x, x) >= 1", None),
+        ("-1", "2*time", "sqrt(1 + x) >= 0.5", 0.5),
+        ("-1", "1", "acos(x) <= 2", 1 + math.cos(2)),
+        ("-1", "1", "asin(x) >= -0.5", 1 - math.sin(0.5)),
+        ("1", "-1", "acos(x) >= 1", 1 - math.cos(1)),
+        ("1", "-1", "asin(x) <= 0.5", 1 - math.sin(0.5)),
+        ("0", "1", "min(sqrt(x), 1) >= 0.5", 0.25),
+        ("0", "1", "max(sqrt(x), x, -x) >= 1.5", 1.5),
+        ("0", "1", "abs(sqrt(x) - 1) <= 0.5", 0.25),
+    ],
+)
+@both
+def test_guards_are_seen_from_where_their_roots_begin(
+    name: str, start: str, rate: str, guard: str, at: float | None
+) -> None:
+    found = edge(start, rate, guard, name)
+    assert found.outcome is Outcome.HORIZON
+    assert found.certified
+    assert [jump.t for jump in found.jumps] == ([] if at is None else [pytest.approx(at, rel=1e-9)])
+
+
+@pytest.mark.parametrize(
+    "guard", ["sqrt(x) >= 2", "sqrt(x) < -1", "acos(1 - x) <= -1", "x**1.5 > 2"]
+)
+def test_a_guard_whose_root_ends_is_undefined_there(guard: str) -> None:
+    for name in ENGINES:
+        assert edge("1", "-1", guard, name).outcome is Outcome.NON_FINITE

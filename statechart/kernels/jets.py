@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from statechart.compiled import kernel, part
 from statechart.kernels.intervals import (
     HALF,
+    INF,
     LIBM,
     MINUS_ONE,
     ONE,
@@ -76,8 +77,24 @@ Jet = tuple[Interval, Interval, Interval]
 
 
 @part
+def _defined(op: int, a: Interval) -> Interval:
+    """Return the part of an interval on which a function is defined, if there is one."""
+    low, high = a
+    if op in (SQRT, LOG, POW) and low < 0.0 <= high:
+        low = 0.0
+    elif op in (ASIN, ACOS):
+        if low < -1.0 <= high:
+            low = -1.0
+        if low <= 1.0 < high:
+            high = 1.0
+    return low, high
+
+
+@part
 def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
-    """Enclosures over an interval of f and, unless the order is 0, of f' and f''."""
+    """Enclosures over an interval of f and, if the order is above 0, of f' and f''."""
+    if order < 0:
+        a = _defined(op, a)
     f = d = e = WHOLE
     if op == SIN:
         f = wave(a, True)
@@ -106,6 +123,8 @@ def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
             f = wide((math.log(a[0]), math.log(a[1])), LIBM)
             d = div(ONE, a)
             e = neg(square(d))
+        elif order < 0 and a[0] == 0.0:
+            f = wide((-INF, math.log(a[1]) if a[1] > 0.0 else -INF), LIBM)
     elif op == ABS:
         if a[0] >= 0.0:
             f, d, e = a, ONE, ZERO
@@ -181,11 +200,13 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
 
 
 @part
-def _power_jet(x: Jet, y: Jet) -> Jet:
-    """Jets of x**y = exp(y log x), x > 0; the value from its corners, where its extremes are."""
+def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
+    """Jets of x**y = exp(y log x), x >= 0; the value from its corners, where its extremes are."""
     x0, x1, x2 = x
     y0, y1, y2 = y
-    if not x0[0] > 0.0:
+    if order < 0:
+        x0 = _defined(POW, x0)
+    if not (x0[0] > 0.0 or (x0[0] == 0.0 and y0[0] > 0.0)):
         return WHOLE, WHOLE, WHOLE
     f = hull(x0[0] ** y0[0], x0[0] ** y0[1], x0[1] ** y0[0], x0[1] ** y0[1])
     f = wide(f, LIBM)
@@ -218,7 +239,10 @@ def _jet(jets: Floats, r: int) -> Jet:
 
 @kernel
 def run_jets(code: Ints, first: int, last: int, base: int, jets: Floats, order: int) -> None:
-    """Run the operations [first, last) on jets; no derivatives for order 0."""
+    """Run the operations [first, last) on jets: the values alone for order 0.
+
+    For order -1 they are those on the part of the intervals where the operations are defined.
+    """
     for k in range(first, last):
         op = code[k, 0]
         u, du, ddu = _jet(jets, code[k, 1])
@@ -251,7 +275,7 @@ def run_jets(code: Ints, first: int, last: int, base: int, jets: Floats, order: 
             elif op in (MIN, MAX):
                 f, d, e = _extreme(op, (u, du, ddu), (v, dv, ddv))
             elif op == POW:
-                f, d, e = _power_jet((u, du, ddu), (v, dv, ddv))
+                f, d, e = _power_jet((u, du, ddu), (v, dv, ddv), order)
             else:
                 f, d, e = _polar(op, (u, du, ddu), (v, dv, ddv))
         elif op == NEG:

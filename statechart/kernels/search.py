@@ -21,6 +21,8 @@ NONE, CROSSING, GRAZE, BUDGET, NON_FINITE = range(5)
 
 NARROW = 2.0**-48  # of a step: narrower boxes tell nothing new in float64
 
+FLAT = 2.0**-12  # likewise: nothing that a step resolves is within rounding of zero thrice in it
+
 
 @part
 def _alone(along: Along, output: int) -> Along:
@@ -167,6 +169,35 @@ def _falls(
     return 2, b
 
 
+@part
+def _clear_at_edge(
+    along: Along,
+    output: int,
+    tolerance: float,
+    step: int,
+    a: float,
+    b: float,
+    bounds: Floats,
+    jets: Floats,
+) -> bool:
+    """Whether an output is above -tolerance on [a, b] where it is defined, which is nearly all.
+
+    Where a root begins or ends, rounding leaves it undefined: on a box that is narrow, or at both
+    ends and the middle of one that is wider. The ends themselves are defined to within rounding,
+    but for the place where a step starts: there log is infinite.
+    """
+    m = 0.5 * (a + b)
+    for s in (a, m, b):
+        enclose(along, step, bounds, s, 0.0, 0, jets)
+        if b - a > NARROW and jets[output, 0] > -INF and jets[output, 1] < INF:
+            return False
+        enclose(along, step, bounds, s, 0.0, -1, jets)
+        if s > 0.0 and not (jets[output, 0] > -INF and jets[output, 1] < INF):
+            return False
+    enclose(along, step, bounds, m, max(b - m, m - a), -1, jets)
+    return jets[output, 0] + tolerance > 0.0
+
+
 @kernel
 def search(
     code: Ints,
@@ -265,14 +296,25 @@ def search(
                         enclose(alone, step, bounds, here, 0.0, 0, jets)
                         rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
                         far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
+                bounded = work[i, 4] > -INF and work[i, 5] < INF
+                if here == INF and b - a <= FLAT and not bounded:
+                    alone = _alone(along, outputs[i])
+                    if _clear_at_edge(alone, outputs[i], tolerance, step, a, b, bounds, jets):
+                        state[i] = 0
+                        continue
                 if here == INF and b - a <= NARROW:
                     # A jump, say: positive at a, and negative at b or, where that is the place of
                     # the jump to within rounding, a little beyond.
-                    bounded = work[i, 4] > -INF and work[i, 5] < INF
                     for end in (b, min(1.0, b + 4.0 * NARROW)):
                         enclose(along, step, bounds, end, 0.0, 0, jets)
                         if here == INF and bounded and jets[outputs[i], 1] + tolerance < 0.0:
                             here, far = a, end
+                    if here == INF and a == 0.0 and bounded and not work[i, 7] < INF:
+                        # What jumps as it starts (an angle at the origin) has its value behind.
+                        enclose(along, step, bounds, b, 0.0, 0, jets)
+                        if jets[outputs[i], 0] + tolerance > 0.0:
+                            state[i] = 0
+                            continue
                     if here == INF:
                         if found < 0 or b < root - 4.0 * NARROW:
                             verdict = GRAZE if bounded else NON_FINITE
