@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 _NAMES = {code: name for name, code in OPCODES.items()}
 # A coefficient is zero below so many roundings of its size.
 _ROUNDING = 2.0**-46
+# A power up to this is one of products, whatever the sign of its base.
+_WHOLE = 1024
 
 
 class Series(NamedTuple):
@@ -214,6 +216,9 @@ def _power(a: Series, exponent: int) -> Series:
 
 
 def _pow(a: Series, b: Series) -> Series:
+    n = b.values[0]
+    if not any(b.values[1:]) and n == math.floor(n) and 0.0 <= n <= _WHOLE:
+        return _power(a, int(n))
     return _exp(_mul(b, _log(a)))
 
 

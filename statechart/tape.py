@@ -283,6 +283,7 @@ class _Writer:
 
     def _product(self, node: sp.Expr) -> int:
         number, factors = node.as_coeff_mul()
+        factors = _powers_joined(factors)
         above: list[int] = []
         below: list[int] = []
         for factor in factors:
@@ -396,6 +397,21 @@ class _Writer:
             n_fixed=sum(fixed[place] for place in places),
             reads=np.array(sorted(r for r in used if r <= n_variables), dtype=np.int32),
         )
+
+
+def _powers_joined(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
+    """Return factors with ``x**n / x``, as SymPy derives ``x**n``, written as ``x**(n - 1)``.
+
+    The first has no value where x is zero.
+    """
+    bases = {factor.base for factor in factors if factor.is_Pow and not factor.exp.is_Number}
+    if not bases:
+        return factors
+    exponents: dict[sp.Expr, sp.Expr] = {}
+    for factor in factors:
+        base, exponent = factor.as_base_exp() if factor.is_Pow else (factor, sp.S.One)
+        exponents[base] = exponents.get(base, sp.S.Zero) + exponent
+    return [sp.Pow(base, exponent) for base, exponent in exponents.items()]
 
 
 def _negative(term: sp.Expr) -> bool:

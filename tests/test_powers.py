@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from runs import ENGINES
+from scipy.integrate import quad, solve_ivp
 from strategies import examples
 
 from statechart.document import read_text
@@ -128,20 +129,32 @@ def test_whole_powers_of_what_starts_at_zero_follow_their_equations(
         assert found.final == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("power", [2, 3, 4, 6, 8, 12, 24])
+@pytest.mark.parametrize("power", [2, 3, 4, 6, 8, 12, 24, 64])
 @pytest.mark.parametrize("start", [0.0, 1e-300, 1e-9])
 def test_a_series_without_its_last_terms_takes_no_step_too_long(power: int, start: float) -> None:
-    text = CHART.format(x=f"1 - x**{power}", y="0")
-    x = run(read_text(text), engine="taylor", parameters={"x0": start}).trace.final[0]
+    text = read_text(CHART.format(x=f"1 - x**{power}", y="0"))
+    for engine in ENGINES:
+        # By quadrature of dt = dx / (1 - x**n), as long as x is not near 1.
+        x = run(text, engine=engine, parameters={"x0": start}, until=0.99).trace.final[0]
+        time, _ = quad(lambda u: 1 / (1 - u**power), start, x, epsabs=1e-13, epsrel=1e-13)
+        assert time == pytest.approx(0.99, abs=1e-10)
+        # Beyond, 1 - x falls by exp(-n t) in the end, and faster before.
+        later = run(text, engine=engine, parameters={"x0": start}).trace.final[0]
+        assert -1e-11 < 1 - later <= (1 - x) * math.exp(-1.01 * (1 - x**power) / (1 - x)) + 1e-11
+
+
+@pytest.mark.parametrize(("n", "x0"), [(2, 0.0), (4, 0.0), (3, 0.1), (4, 0.1), (7, -0.3)])
+def test_a_height_to_a_power_by_a_parameter_has_its_slope_through_zero(n: int, x0: float) -> None:
+    scene = HEIGHT.format(gravity=9.81, inertia="", p="n", start="y: b*x0**n, dx: a, dy: d")
+    runner = Runner(read_text(scene.replace("c: 1}", "c: 1, n: 4, d: 0}")))
+    found = runner.run({"n": n, "x0": x0, "d": n * x0 ** (n - 1)}).trace
+    assert found.certified
+    assert found.engine.startswith("scipy")  # as a power by a parameter has no series at zero
+    at = {"a": 1.0, "b": 1.0, "c": 1.0}
     expected = solve_ivp(
-        lambda t, z: 1 - np.minimum(z, 2) ** power,
-        (0.0, 2.0),
-        [start],
-        method="DOP853",
-        rtol=1e-12,
-        atol=1e-14,
-    )
-    assert x == pytest.approx(expected.y[0, -1], abs=1e-10)
+        valley(n, 0, at), (0.0, 1.5), found.initial, method="DOP853", rtol=1e-12, atol=1e-14
+    ).y[:, -1]
+    assert found.final == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_force_that_is_flat_at_the_ends_of_a_period_is_seen_inside() -> None:

@@ -72,15 +72,9 @@ class SciPy(Engine):
         assert isinstance(stepper, _Stepper)
         reached = path.times.item(path.count)
         start = watch.start + reached
-        solver = stepper.solver
-        if begin is Begin.MOVED and self.method == "LSODA" and solver.status == "running":
-            _move(solver, state)
-        elif begin is not Begin.ON:
-            if begin is Begin.NEW:
-                stepper.suggested = None
-            solver = self._solver(stepper, watch.parameters, start, state, until - reached)
-            stepper.solver = solver
-        message = solver.step()
+        # Steps are tried that go beyond all floats, and are rejected.
+        with np.errstate(over="ignore", invalid="ignore"):
+            message, solver = self._step(stepper, watch, start, state, until - reached, begin)
         if solver.status == "failed":
             raise StepFailure(f"{self.method} at t = {start:.17g}: {message}")
         if not np.all(np.isfinite(solver.y)):
@@ -91,6 +85,25 @@ class SciPy(Engine):
         path.append(h, polynomial)
         polynomial.sum(axis=1, out=end)
         return Steps(solver.status == "finished", path.count - 1, state)
+
+    def _step(
+        self,
+        stepper: _Stepper,
+        watch: Watch,
+        start: float,
+        state: Array,
+        duration: float,
+        begin: Begin,
+    ) -> tuple[str | None, Any]:
+        solver = stepper.solver
+        if begin is Begin.MOVED and self.method == "LSODA" and solver.status == "running":
+            _move(solver, state)
+        elif begin is not Begin.ON:
+            if begin is Begin.NEW:
+                stepper.suggested = None
+            solver = self._solver(stepper, watch.parameters, start, state, duration)
+            stepper.solver = solver
+        return solver.step(), solver
 
     def _solver(
         self, stepper: _Stepper, parameters: Array, start: float, state: Array, duration: float

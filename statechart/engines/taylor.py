@@ -36,8 +36,9 @@ LONG_DOUBLE = "long double"
 _COMPACT = 240
 # Steps in one call: in between, progress is shown and an interruption heard.
 _MOST = 512
-# To the power -20, the order of the method, this is near the largest float.
-_LEAST_BASE = 1e-15
+# To the power -20, the order of the method, and some more for the derivatives of a surface, this is
+# near the largest float. Asked for only where a step fails.
+_LEAST_BASE = 1e-12
 _SHOWN = 80  # characters of a formula in a message
 
 

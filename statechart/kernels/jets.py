@@ -75,6 +75,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Jet = tuple[Interval, Interval, Interval]
 
+_MOST = 1024.0  # whole exponents beyond have no use
+
 
 @part
 def _defined(op: int, a: Interval) -> Interval:
@@ -200,10 +202,35 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
 
 
 @part
+def _whole_power(x: Jet, n: int) -> Jet:
+    """Jets of a power, whatever the sign of x."""
+    x0, x1, x2 = x
+    if n == 0:
+        return ONE, ZERO, ZERO
+    if n == 1:
+        return x
+    c = float(n)
+    first, second = (c, c), (c * (c - 1.0), c * (c - 1.0))
+    if n > 0:
+        f = power(x0, n)
+        g, h = mul(power(x0, n - 1), first), mul(power(x0, n - 2), second)
+    else:
+        f = div(ONE, power(x0, -n))
+        g, h = div(first, power(x0, 1 - n)), div(second, power(x0, 2 - n))
+    return f, mul(g, x1), add(mul(h, square(x1)), mul(g, x2))
+
+
+@part
 def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
-    """Jets of x**y = exp(y log x), x >= 0; the value from its corners, where its extremes are."""
+    """Jets of x**y = exp(y log x), x >= 0; the value from its corners, where its extremes are.
+
+    An exponent that is whole to within the rounding of how it was computed is taken for whole.
+    """
     x0, x1, x2 = x
     y0, y1, y2 = y
+    k, steady = math.floor(0.5 * (y0[0] + y0[1]) + 0.5), max(-y1[0], y1[1], -y2[0], y2[1])
+    if steady <= 1e-290 and max(k - y0[0], y0[1] - k) <= 1e-14 * abs(k) and abs(k) <= _MOST:
+        return _whole_power(x, int(k))
     if order < 0:
         x0 = _defined(POW, x0)
     if not (x0[0] > 0.0 or (x0[0] == 0.0 and y0[0] > 0.0)):
