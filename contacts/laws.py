@@ -37,6 +37,7 @@ __all__ = ["SceneLaws"]
 
 Array = NDArray[np.float64]
 
+_EPS = float(np.finfo(float).eps)
 # A start may be inside a surface by so much of the scene's length (and is projected out).
 _START_DEPTH = 1e-9
 
@@ -181,9 +182,12 @@ class SceneLaws:
         # flow kept closed is judged as closed.
         moving = plain(flow.flow)
         state = landed(moving, snapshot, state, setup.tolerances)
+        slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
+        rested = self._rested(flow, moving, snapshot, fired, 2.0 * slow)
+        if rested != moving:
+            state = on_constraints(rested, snapshot, state)
         if state is not before:
             snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
-        slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         closed = [c.gap <= close for c in snapshot.contacts]
         if fired == (UNBOUNDED,):
             shut = [state not in OPEN for state in moving]
@@ -207,6 +211,11 @@ class SceneLaws:
         ]
         choice = decide(setup, snapshot, touching, self._paradox)
         if isinstance(choice, Jam):
+            if all(choice.sliding[i] == moving[i] for i in choice.places):
+                # A contact that slid on to where none can: p fell to zero on the way.
+                shut = [state not in OPEN for state in moving]
+                grown = unbounded(snapshot, setup.contacts, shut, 2.0 * slow)
+                choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             hit = [*choice.places]
             return self._impact(setup, clock, j, flow, state, fired, snapshot, hit, closed, choice)
         target = choice.taken.states
@@ -236,6 +245,25 @@ class SceneLaws:
         )
         return jump, self._flow(
             setup, target, choice.taken.flow, warning=choice.warning, notes=choice.notes
+        )
+
+    def _rested(
+        self, flow: Flow, moving: Key, snapshot: Snapshot, fired: tuple[str, ...], still: float
+    ) -> Key:
+        """Return the mode with those contacts pinned whose slip has ended as far as time tells.
+
+        Under a force that grows without bound slip changes by more than its tolerance in the last
+        bit of the time at which it ends.
+        """
+        if flow.sizes is None:
+            return moving
+        rounding = _EPS * flow.sizes[len(flow.sizes) // 2 :]
+        return tuple(
+            "pin"
+            if f"{name}.slip" in fired
+            and still < abs(contact.slip) <= float(np.abs(contact.jacobian[1]) @ rounding)
+            else state
+            for name, state, contact in zip(self._names, moving, snapshot.contacts, strict=True)
         )
 
     def _usual(

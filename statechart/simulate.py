@@ -27,7 +27,7 @@ from statechart.automaton import (
 )
 from statechart.compose import Mode, build_mode, captured
 from statechart.engine import Engine, Path, Watch
-from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure
+from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.series import size_at
 from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace, check_size
 from statechart.zeno import Accumulation, between
@@ -36,6 +36,8 @@ __all__ = ["Progress", "Simulator", "error_of"]
 
 Array = NDArray[np.float64]
 
+# At such a rate a variable would have changed by this many times its size.
+_STEEP = 1e6
 # More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
 _JUMPS_AT_ONCE = 64
 # A margin that cannot be decided gets so much more room at a time, and in all.
@@ -309,7 +311,7 @@ class _Run:
         self.flow = Flow(
             flow.mode, flow.flow, flow.remaining - elapsed, "", False, (), flow.held, special, terms
         )
-        if isinstance(reached.failure, StepFailure | NonFinite):
+        if isinstance(reached.failure, StepFailure | NonFinite | TooLong):
             self.failure = reached.failure
             return (UNBOUNDED,)
         if reached.failure is not None:
@@ -318,15 +320,31 @@ class _Run:
         if reached.crossing is None:
             return ("zeno",) if duration == remaining else ()
         margin = compiled.mode.margins[reached.crossing.guard]
+        # They stand last; zeros and controls have been replaced in their formulas.
+        stops = reached.crossing.guard >= len(compiled.mode.margins) - len(
+            self.simulator.automaton.stops
+        )
         self.grazed = reached.graze
+        if reached.graze and stops and self._unbounded():
+            # Rates without bound make noise of what is watched next to where they end.
+            return (UNBOUNDED,)
         if reached.graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.17g}"] = None
-        # They stand last; zeros and controls have been replaced in their formulas.
-        stops = len(self.simulator.automaton.stops)
-        if reached.crossing.guard >= len(compiled.mode.margins) - stops:
+        if stops:
             self._stop(margin.name)
         return (margin.name,)
+
+    def _unbounded(self) -> bool:
+        """Whether rates have grown without bound towards here, and a jump resolves it."""
+        flow, laws = self.flow, self.simulator.automaton.laws
+        if flow is None or flow.terms is None or not self.arcs:
+            return False
+        sizes = np.abs(self.arcs[-1].coefficients[:, :, 0]).max(axis=0)
+        if not (np.abs(flow.terms[:, -1]) > _STEEP * sizes).any():
+            return False
+        j, fired = len(self.jumps), (UNBOUNDED,)
+        return laws.jump(self.setup, self.clock, j, flow, self.state, fired) is not None
 
     def _ending(self) -> bool:
         """Whether something may just be happening as the run ends: it belongs to the run.

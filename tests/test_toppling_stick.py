@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 from runs import ENGINES, golden, modes, number, outputs, run
+from scipy.integrate import quad
+from scipy.optimize import brentq
 
 MODEL = "toppling_stick"
 CELLS = golden(MODEL)["cells"]
@@ -188,3 +190,70 @@ def test_other_units_give_the_same_run(engine: str, length: float, time: float) 
     factors = (1.0, length, length, 1 / time, time)
     for (name, value), factor in zip(unit.items(), factors, strict=True):
         assert found[name] == pytest.approx(value * factor, rel=1e-9), name
+
+
+def _thrown(inertia: float) -> tuple[float, float, float]:
+    """Return lean and rates, of it and of the centre, where mu = inf lets a short stick slip."""
+    lean = math.acos((1.0 + math.sqrt(1.0 - 3.0 * inertia)) / 3.0)
+    rate = math.sqrt(2.0 * (1.0 - math.cos(lean)) / (1.0 + inertia))
+    return lean, rate, rate * math.cos(lean)
+
+
+@pytest.mark.parametrize("inertia", [0.05, 0.06, 0.1])
+def test_the_last_slip_ends_where_the_logarithm_of_its_force_says(
+    engine: str, inertia: float
+) -> None:
+    # Without V the centre falls freely; H turns the stick with the arm cos(lean), and what turns
+    # it less and less pushes more and more: the integral of H is a logarithm.
+    start, rate, speed = _thrown(inertia)
+    fall = (rate * math.sin(start)) ** 2
+
+    def turning(lean: float) -> float:
+        return math.sqrt(fall + 2.0 * (math.cos(start) - math.cos(lean))) / math.sin(lean)
+
+    def slowing(log: float) -> float:
+        """Return how the centre slows, per logarithm of the lean left."""
+        left = math.exp(log)
+        turn = turning(math.pi / 2 - left)
+        return (
+            inertia
+            * (1.0 - turn**2 * math.sin(left))
+            / (turn * math.cos(left))
+            * (left / math.sin(left))
+        )
+
+    def slip(log: float) -> float:
+        left = math.exp(log)
+        lost = quad(slowing, log, math.log(math.pi / 2 - start), epsabs=1e-13, limit=200)[0]
+        return speed - lost - turning(math.pi / 2 - left) * math.sin(left)
+
+    trace = run(MODEL, engine, mu=math.inf, I_G=inertia)
+    assert [jump.cause for jump in trace.jumps] == ["slip", "stick", "stop"]
+    assert trace.warnings == ()
+    left = math.pi / 2 + trace.jumps[1].after[2]
+    expected = brentq(slip, math.log(0.1 * left), math.log(10.0 * left), xtol=1e-12)
+    assert math.log(left) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("inertia", [0.02, 0.01, 0.003, 1e-6, 1e-9])
+def test_a_slip_that_outlasts_the_fall_ends_as_its_force_grows_without_bound(
+    engine: str, inertia: float
+) -> None:
+    # By the logarithm it ends at a lean that differs from pi/2 by less than rounding.
+    start, rate, _ = _thrown(inertia)
+    down = rate * math.sin(start)
+    trace = run(MODEL, engine, mu=math.inf, I_G=inertia)
+    assert [jump.cause for jump in trace.jumps] == ["slip", "jam", "stop"]
+    assert trace.certified
+    (warning,) = trace.warnings
+    assert "the force of tip grows without bound; Painleve" in warning
+    slip, jam, stop = trace.jumps
+    assert jam.before[2] == pytest.approx(-math.pi / 2, abs=1e-8)
+    *_, angle, speed, _, spin = jam.after
+    assert speed + math.cos(angle) * spin == pytest.approx(0.0, abs=1e-9)
+    assert speed < jam.before[3] - 0.01
+    # V = 0 from the slip on: the centre falls freely, the tip stays on the ground.
+    expected = math.sqrt(down**2 + 2.0 * math.cos(start))
+    assert stop.t - slip.t == pytest.approx(expected - down, abs=1e-9)
+    found = outputs(MODEL, engine, trace)
+    assert found["omega_impact"] == pytest.approx(expected, abs=1e-9)
