@@ -48,7 +48,8 @@ def test_its_impacts_accumulate_when_the_reference_says_and_it_stands(engine: st
     assert trace.final_mode == ("pin", "pin")
     rest = trace.jumps[-1]
     assert rest.cause == "zeno"
-    assert rest.t == pytest.approx(float(CASE["zeno_time"]), abs=1e-9)
+    promised = {"taylor": 1e-11, "scipy": 1e-10}[engine]  # decision 0004
+    assert rest.t == pytest.approx(float(CASE["zeno_time"]), rel=promised)
     # It has never slipped: it stands where it stood.
     assert trace.final == pytest.approx([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], abs=1e-11)
 
@@ -93,7 +94,14 @@ def accumulation(b: float, h: float, tilt: float, g: float) -> float:
 
 @pytest.mark.parametrize(
     ("b", "h", "g", "share"),
-    [(0.4, 1.0, 9.81, 0.9), (0.3, 1.0, 1.0, 0.2), (0.25, 0.5, 1.62, 0.6), (0.5, 0.5, 9.81, 0.7)],
+    [
+        (0.4, 1.0, 9.81, 0.9),
+        (0.3, 1.0, 1.0, 0.2),
+        (0.25, 0.5, 1.62, 0.6),
+        (0.5, 0.5, 9.81, 0.7),
+        (0.7, 1.0, 9.81, 0.5),
+        (0.15, 2.0, 9.81, 0.3),
+    ],
 )
 def test_impacts_of_other_blocks_accumulate_in_time(
     engine: str, b: float, h: float, g: float, share: float
@@ -102,7 +110,8 @@ def test_impacts_of_other_blocks_accumulate_in_time(
     expected = accumulation(b, h, tilt, g)
     trace = run(MODEL, engine, until=1.1 * expected, b=b, h=h, g=g, theta0=tilt)
     assert trace.final_mode == ("pin", "pin")
-    assert trace.jumps[-1].t == pytest.approx(expected, rel=1e-9)
+    promised = {"taylor": 1e-9, "scipy": 5e-9}[engine]  # decision 0004
+    assert trace.jumps[-1].t == pytest.approx(expected, rel=promised)
 
 
 @pytest.mark.parametrize("factor", [1 - 1e-6, 1 + 1e-6])
