@@ -94,9 +94,8 @@ def _falling(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> A
         shut and contact.gap_rate <= slow
         for shut, contact in zip(closed, snapshot.contacts, strict=True)
     ]
-    tie = 0.5 * setup.tolerances["force"] / setup.scales.force
     try:
-        choice = choose(snapshot, setup.contacts, lying, setup.scales, tie, 2.0 * slow)
+        choice = choose(snapshot, setup.contacts, lying, setup.scales, setup.tie, 2.0 * slow)
     except SimulationError:
         return np.full(len(snapshot.contacts), np.nan)
     accelerations = choice.taken.accelerations

@@ -8,7 +8,7 @@ from fractions import Fraction
 import pytest
 
 from statechart.document import read_text
-from statechart.run import run
+from statechart.run import Runner, run
 from statechart.trace import Clock
 
 DROP = """\
@@ -38,3 +38,34 @@ def test_a_ball_a_billionth_above_a_shelf_falls_on_it() -> None:
     fallen = (1.0 + 1e-9) - 1.0
     assert touchdown.cause == "touchdown"
     assert touchdown.t == pytest.approx(math.sqrt(2.0 * fallen / 9.81), rel=1e-4)
+
+
+LIFTED = """\
+kind: scene
+name: lifted
+parameters: {pull: 0, more: 0}
+gravity: 10
+bodies: {block: {mass: 1}}
+surfaces: {ground: {height: 0}}
+contacts: {base: {point: {body: block}, surface: ground, modes: [pin]}}
+forces: {lift: {body: block, force: [0, 10 + pull + more*time]}}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize("name", ["taylor", "scipy"])
+def test_a_contact_is_left_at_twice_the_pull_at_which_it_is_not_entered(name: str) -> None:
+    # What rounding makes of no force: 1e-12 of the weight, and half of it where a mode begins.
+    lifted = Runner(read_text(LIFTED), engine=name)
+
+    def end(**parts: float) -> tuple[str, float]:
+        pulls = {key: 1e-11 * part for key, part in parts.items()}
+        trace = lifted.run(pulls, throw=False).trace
+        return trace.outcome.name, trace.t_end
+
+    assert end(pull=0.4) == ("HORIZON", 1.0)
+    assert end(pull=0.6) == ("NO_CONSISTENT_MODE", 0.0)
+    assert end(pull=0.4, more=0.5) == ("HORIZON", 1.0)
+    outcome, time = end(pull=0.4, more=0.8)
+    assert outcome == "NO_CONSISTENT_MODE"
+    assert time == pytest.approx(0.75, abs=1e-3)
