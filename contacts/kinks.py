@@ -40,9 +40,11 @@ def check_kinks(scene: Scene) -> None:
     for loc, text, variables in _differentiated(scene):
         advice = _SURFACES if loc[-1] == "height" else _SMOOTH
         check_smooth(text, variables, loc=loc, lacks="slope, or no curvature,", advice=advice)
-        check_derived(text, variables, loc)
+        check_derived(parse(text).root, variables, loc)
     changing, texts = _forces(scene)
     for loc, text in texts:
+        # Guards of controllers are derived along the motion, twice.
+        check_derived(parse(text).root, changing, loc, order=1)
         check_smooth(text, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
 
 

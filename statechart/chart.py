@@ -8,6 +8,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from statechart.declaration import TIME, Declaration, Part, check_names
+from statechart.derived import check_derived
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FiniteText, Label, NameText, RelationText, problem
 from statechart.formula import close_matches, parse, parse_relation
@@ -104,6 +105,7 @@ class Chart(Declaration):
             self._check_variable(name, *loc)
             check_names(parse(flow), names, *loc)
             changing = {TIME, *self.variables}
+            check_derived(parse(flow).root, changing, loc, order=1)
             check_smooth(flow, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
         for region, declared in self.regions.items():
             for state, content in declared.states.items():

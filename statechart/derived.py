@@ -5,38 +5,38 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from statechart.errors import DeclarationProblem
-from statechart.formula import parse
 from statechart.syntax import Binary, Call, Name, Node, Unary, children
 
 __all__ = ["MAX_DERIVED", "MAX_NESTED", "check_derived"]
 
 MAX_DERIVED = 7_000
-"""Operations of a formula's second derivative; to build so many takes about two seconds."""
+"""Operations of a formula's derivative; to build so many takes about two seconds."""
 
 MAX_NESTED = 10
 """Functions in each other; SymPy asks each of all below it whether they are real, or zero."""
 
 
 def check_derived(
-    text: str | int | float, variables: Collection[str], loc: tuple[str | int, ...]
+    root: Node, variables: Collection[str], loc: tuple[str | int, ...] = (), order: int = 2
 ) -> None:
-    """Check that the second derivative of a formula is not too large to be built.
+    """Check that the derivatives of a formula are not too large to be built.
 
     Parameters
     ----------
-    text : str, int or float
-        The formula.
+    root : Node
+        Of the formula.
     variables : collection of str
         What it is differentiated by.
     loc : tuple
         Where it stands.
+    order : int
+        How often it is differentiated, 1 or 2.
 
     Raises
     ------
     DeclarationProblem
-        If it is.
+        If they are.
     """
-    root = parse(text).root
     nested = _nested(root)
     if nested > MAX_NESTED:
         raise DeclarationProblem(
@@ -44,10 +44,11 @@ def check_derived(
             advice=f"at most {MAX_NESTED}; nest fewer functions",
             loc=loc,
         )
-    size = _sizes(root, variables)[2]
+    size = _sizes(root, variables)[order]
     if size > MAX_DERIVED:
+        which = "second derivative" if order == 2 else "derivative"
         raise DeclarationProblem(
-            f"its second derivative has about {size} operations, at most {MAX_DERIVED} are allowed",
+            f"its {which} has about {size} operations, at most {MAX_DERIVED} are allowed",
             advice="nest fewer functions and products; a sum may have many terms",
             loc=loc,
         )

@@ -7,8 +7,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
+from statechart.derived import check_derived
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.formula import NAME, RESERVED, parse, parse_relation
+from statechart.syntax import Binary
 
 __all__ = ["FiniteText", "FormulaText", "Label", "NameText", "Real", "RelationText", "problem"]
 
@@ -52,6 +54,8 @@ def _relation(value: str) -> str:
         relation = parse_relation(value)
     except FormulaError as error:
         raise problem(error) from None
+    # Which way a margin goes on its boundary is told by its derivatives, whatever it is of.
+    check_derived(Binary("-", relation.left.root, relation.right.root), relation.names)
     if relation.left.names_infinity or relation.right.names_infinity:
         raise DeclarationProblem(
             f"formula {value!r}: nothing is compared with infinity", advice="write a finite number"

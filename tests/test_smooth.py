@@ -103,3 +103,58 @@ def test_a_height_whose_derivatives_are_too_large_is_refused_before_they_are_bui
     validate(read_text(text(5)), Scene)
     many = " + ".join(f"0.1*sin({k}*x)" for k in range(60))
     validate(read_text(FORCED + f"surfaces: {{s: {{height: {many}}}}}\n"), Scene)
+
+
+def nested(form: str, depth: int, of: str) -> str:
+    text = of
+    for _ in range(depth):
+        text = form.format(text, of=of)
+    return text
+
+
+DEEP = {
+    "roots": nested("sqrt(1 + {of}*{0})", 25, "x"),
+    "exponentials": nested("exp({0})", 20, "x"),
+    "angles": nested("atan2({of}, 1 + {0})", 20, "x"),
+    "product": "*".join(f"(1 + 0.1*{k}*x)" for k in range(30)),
+}
+PLACES = {
+    "flows": ("{x: '1'}", "{x: '{deep}'}", "flows.x"),
+    "guard": ("'x >= 9'", "'{deep} >= 9'", "transitions.0.guard"),
+    "invariant": ("'x <= 9'", "'9 >= {deep}'", "invariants.i"),
+    "stop": ("'x >= 8'", "'{deep} >= 8'", "stop.conditions.c"),
+}
+
+
+@pytest.mark.parametrize("deep", DEEP)
+@pytest.mark.parametrize("place", PLACES)
+def test_what_motion_and_guards_differentiate_is_refused_where_its_derivatives_are_too_large(
+    place: str, deep: str
+) -> None:
+    text = (
+        "kind: chart\nname: deep\nvariables: {x: 0}\n"
+        "stop: {time: 1, conditions: {c: 'x >= 8'}}\n"
+        "regions:\n  r:\n    initial: s\n    states:\n"
+        "      s: {flows: {x: '1'}, invariants: {i: 'x <= 9'}}\n      e: {}\n"
+        "    transitions: [{name: go, from: s, to: e, guard: 'x >= 9'}]\n"
+    )
+    before, after, where = PLACES[place]
+    assert before in text
+    validate(read_text(text.replace(before, after.replace("{deep}", "x*sqrt(1 + x)"))), Chart)
+    with pytest.raises(DeclarationError, match="nest fewer functions") as caught:
+        validate(read_text(text.replace(before, after.replace("{deep}", DEEP[deep]))), Chart)
+    assert where in str(caught.value)
+    assert caught.value.line is not None
+    assert caught.value.column is not None
+
+
+@pytest.mark.parametrize("deep", ["roots", "exponentials", "angles", "product"])
+def test_a_force_is_refused_where_its_derivative_is_too_large(deep: str) -> None:
+    force = DEEP[deep].replace("x", "b.x").replace("eb.xp", "exp")
+    text = (
+        "kind: scene\nname: deep\nbodies: {b: {mass: 1}}\nstop: {time: 1}\n"
+        f"forces: {{f: {{body: b, force: ['{force}', 0]}}}}\n"
+    )
+    with pytest.raises(DeclarationError, match="nest fewer functions") as caught:
+        validate(read_text(text), Scene)
+    assert "forces.f.force.0" in str(caught.value)
