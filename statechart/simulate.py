@@ -7,7 +7,7 @@ import time as wall
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, pairwise
 
 import numpy as np
 import sympy as sp
@@ -46,6 +46,11 @@ _WIDER, _WIDEST = 16.0, 1e4
 _AT_END = 1e-2
 # How far to look ahead at first, in lengths of the last flow: those of bounces shrink.
 _AHEAD = 16.0
+# Jumps whose pace was steady while their number doubled thrice, from so many on, go on like that; a
+# run that takes so many times as many as it may make is not made up to there.
+_STEADY, _FAR_TOO_MANY = 512, 1000
+# A flow of no scale is looked at so far ahead at first: an instant in it is a float of its own.
+_FARTHEST = 1e200
 _PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown
 
 
@@ -222,7 +227,7 @@ class _Run:
         self.state = self.setup.initial
         self.started_mode: Key | None = None
         self.started_state = self.setup.initial
-        self.horizon = self.setup.horizon
+        self.horizon = min(self.setup.horizon, _FARTHEST)
         self.evaluations = self.simulator.engine.evaluations
         self._progress = Progress(self.until)
         self._accumulation = Accumulation()
@@ -394,6 +399,22 @@ class _Run:
         )
         self.end(Outcome.STOPPED, f"{name} at t = {self.clock.high:.17g}")
 
+    def _check_pace(self) -> None:
+        """Raise `TooLong` where steady jumps are so many that the run cannot reach its end."""
+        count = len(self.jumps)
+        if count < 8 * _STEADY or count & (count - 1):
+            return
+        times = [self.jumps[(count >> k) - 1].t for k in range(4)]
+        paces = [
+            (after - before) / (count >> k) for k, (after, before) in enumerate(pairwise(times), 1)
+        ]
+        left = self.until - self.clock.high
+        if max(paces) <= 2.0 * min(paces) and left > _FAR_TOO_MANY * self.max_jumps * max(paces):
+            raise TooLong(
+                f"{count} jumps took {self.clock.high:.3g}, and {left:.3g} is left, too much for "
+                f"{self.max_jumps} jumps; end the run earlier"
+            )
+
     def _settle(self, fired: tuple[str, ...]) -> bool:
         """Jump until the mode holds; True when the run ends here."""
         laws = self.simulator.automaton.laws
@@ -419,6 +440,7 @@ class _Run:
             self.state = jump.after
             self._skip(jump)
             fired = ()
+            self._check_pace()
             if len(self.jumps) >= self.max_jumps:
                 self.end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
                 return True

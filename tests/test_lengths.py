@@ -110,3 +110,17 @@ def test_steps_far_too_short_for_the_run_end_it(w: float, monkeypatch: pytest.Mo
     made = run(text, engine="scipy", parameters={"w": w}, throw=False).trace
     assert made.outcome is Outcome.TOO_LONG
     assert "200 steps took" in made.message
+
+
+def test_steady_jumps_that_cannot_reach_the_end_are_told_of_long_before_they_are_made() -> None:
+    clock = read_text(
+        "kind: chart\nname: clock\nvariables: {x: 0}\nstop: {time: 1}\n"
+        "regions:\n  r:\n    initial: s\n    states: {s: {flows: {x: 1}}}\n"
+        "    transitions: [{name: tick, from: s, to: s, guard: 'x >= 1', updates: {x: 0}}]\n"
+    )
+    for until in (1e300, 1e100, 1e9):
+        trace = run(clock, until=until, throw=False).trace
+        assert trace.outcome is Outcome.TOO_LONG
+        assert "4096 jumps took" in trace.message
+        assert len(trace.jumps) == 4096
+    assert run(clock, until=5000.5).trace.outcome is Outcome.HORIZON

@@ -265,7 +265,8 @@ def _taylor_steps(
             begun[v] = here[v]
             factor = 1.0
             for k in range(terms):
-                value = series[v, k] * factor
+                # Nothing to a power beyond all floats is nothing.
+                value = series[v, k] * factor if series[v, k] != 0.0 else 0.0
                 coeffs[first + taken, v, k] = value
                 factor *= h
                 bounded = bounded and abs(value) < math.inf

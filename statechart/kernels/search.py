@@ -71,7 +71,7 @@ def _root(
     # By the secant first: where one end is near the root, as on a descent, that is nearly it.
     t = min(max(fa / (fa - fb), EPS), 1.0 - EPS)
     c, fc = a, fa
-    for _ in range(200):
+    for _ in range(1200):  # halvings from 1 to the least place, and some
         x = a + t * (b - a)
         fx = shift + _margin(along, step, output, x, regs)
         if (fx > 0.0) == (fa > 0.0):
