@@ -69,3 +69,31 @@ def test_a_contact_is_left_at_twice_the_pull_at_which_it_is_not_entered(name: st
     outcome, time = end(pull=0.4, more=0.8)
     assert outcome == "NO_CONSISTENT_MODE"
     assert time == pytest.approx(0.75, abs=1e-3)
+
+
+PLANK = """\
+kind: scene
+name: plank
+parameters: {tilt: 0}
+gravity: 10
+bodies: {plank: {mass: 1, inertia: 1/3, start: {y: 0.5, angle: tilt}}}
+surfaces: {ground: {height: 0}}
+contacts:
+  left: {point: {body: plank, at: [-1, 0]}, surface: ground, friction: 0.5, restitution: 0}
+  right: {point: {body: plank, at: [1, 0]}, surface: ground, friction: 0.5, restitution: 0}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize("name", ["taylor", "scipy"])
+def test_ends_that_land_together_lie_on_the_ground_from_the_jump_on(name: str) -> None:
+    # One end is down, the other within the tolerance of its gap: both have landed.
+    plank = Runner(read_text(PLANK), engine=name)
+    tolerance = plank.run(until=0.0).trace.tolerances["gap"]
+    trace = plank.run({"tilt": 0.25 * tolerance}).trace
+    (landing,) = trace.jumps
+    assert landing.t == pytest.approx(math.sqrt(0.1), abs=1e-12)
+    assert landing.target == ("pin", "pin")
+    assert landing.before[2] == 0.25 * tolerance
+    _, y, tilt, *_ = landing.after
+    assert abs(y) + abs(tilt) < 0.05 * tolerance
