@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 from contacts.recognise import TERMS, Chunk, Recorder
 from contacts.setup import SceneSetup
 from statechart import interrupts
-from statechart.errors import SimulationError, StepTooLarge
+from statechart.errors import SimulationError, StepTooLarge, TooLong
 from statechart.tape import Tape
-from statechart.trace import Arc, Jump, Key, Outcome, Trace, check_size
+from statechart.trace import FAR_TOO_MANY, LARGEST, Arc, Jump, Key, Outcome, Trace, check_size
 
 __all__ = ["DEEPEST", "Stepping", "run"]
 
@@ -47,6 +47,8 @@ DEEPEST = 0.1
 
 # More steps no float can count, and no trace can hold.
 _COUNTED = 2.0**53
+# After so many steps it is known what each takes.
+_KNOWN = 2**15
 # A stop condition is located within its step to this part of it.
 _BISECTIONS = 60
 
@@ -259,7 +261,20 @@ class _Run:
             return True
         self.size += TERMS * chunk.states[1:].nbytes + chunk.solved.nbytes
         check_size(self.size, len(self.recorder.jumps), self.time)
+        self._check_pace()
         return False
+
+    def _check_pace(self) -> None:
+        """Raise `TooLong` where the steps of a run that nothing else ends cannot all be kept."""
+        steps = self.until / self.step
+        most = FAR_TOO_MANY * LARGEST
+        if self.taken >= _KNOWN and not self.stepping.stop_names:
+            needed = self.size / self.taken * steps
+            if needed > most:
+                raise TooLong(
+                    f"{steps:.3g} steps take {needed / 2**20:.3g} MB, and a trace may take "
+                    f"{LARGEST >> 20} MB; end the run earlier, or take longer steps"
+                )
 
     def _too_large(self, chunk: Chunk) -> tuple[int, StepTooLarge] | None:
         """Return the first step that is too large for what happens in it, and why."""

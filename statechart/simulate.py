@@ -29,7 +29,7 @@ from statechart.compose import Mode, build_mode, captured
 from statechart.engine import Engine, Path, Watch
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.series import size_at
-from statechart.trace import Arc, Clock, Jump, Key, Outcome, Trace, check_size
+from statechart.trace import FAR_TOO_MANY, Arc, Clock, Jump, Key, Outcome, Trace, check_size
 from statechart.zeno import Accumulation, between
 
 __all__ = ["Progress", "Simulator", "error_of"]
@@ -46,11 +46,11 @@ _WIDER, _WIDEST = 16.0, 1e4
 _AT_END = 1e-2
 # How far to look ahead at first, in lengths of the last flow: those of bounces shrink.
 _AHEAD = 16.0
-# Jumps whose pace was steady while their number doubled thrice, from so many on, go on like that; a
-# run that takes so many times as many as it may make is not made up to there.
-_STEADY, _FAR_TOO_MANY = 512, 1000
-# A flow of no scale is looked at so far ahead at first: an instant in it is a float of its own.
-_FARTHEST = 1e200
+# Jumps whose pace was steady while their number doubled thrice, from so many on, go on like that
+# where no condition ends them.
+_STEADY = 512
+# A flow of no scale is looked at so far ahead at first: its powers are floats.
+_FARTHEST = 1e12
 _PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown
 
 
@@ -402,14 +402,14 @@ class _Run:
     def _check_pace(self) -> None:
         """Raise `TooLong` where steady jumps are so many that the run cannot reach its end."""
         count = len(self.jumps)
-        if count < 8 * _STEADY or count & (count - 1):
+        if count < 8 * _STEADY or count & (count - 1) or self.simulator.automaton.stops:
             return
         times = [self.jumps[(count >> k) - 1].t for k in range(4)]
         paces = [
             (after - before) / (count >> k) for k, (after, before) in enumerate(pairwise(times), 1)
         ]
         left = self.until - self.clock.high
-        if max(paces) <= 2.0 * min(paces) and left > _FAR_TOO_MANY * self.max_jumps * max(paces):
+        if max(paces) <= 2.0 * min(paces) and left > FAR_TOO_MANY * self.max_jumps * max(paces):
             raise TooLong(
                 f"{count} jumps took {self.clock.high:.3g}, and {left:.3g} is left, too much for "
                 f"{self.max_jumps} jumps; end the run earlier"

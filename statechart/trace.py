@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from statechart.errors import TooLong
 
-__all__ = ["LARGEST", "Arc", "Clock", "Jump", "Key", "Outcome", "Trace", "check_size"]
+__all__ = [
+    "FAR_TOO_MANY",
+    "LARGEST",
+    "Arc",
+    "Clock",
+    "Jump",
+    "Key",
+    "Outcome",
+    "Trace",
+    "check_size",
+]
 
 LARGEST = 2**28
 """A trace may take so many bytes: with what is made of it, well below a gigabyte."""
@@ -76,6 +86,10 @@ class Clock(NamedTuple):
     def until(self, end: float) -> float:
         """Return the time left until `end`."""
         return (end - self.high) - self.low
+
+
+FAR_TOO_MANY = 1000
+"""A run that takes so many times as much as it may is ended before it has taken all."""
 
 
 def check_size(size: int, jumps: int, time: float) -> None:

@@ -124,3 +124,22 @@ def test_steady_jumps_that_cannot_reach_the_end_are_told_of_long_before_they_are
         assert "4096 jumps took" in trace.message
         assert len(trace.jumps) == 4096
     assert run(clock, until=5000.5).trace.outcome is Outcome.HORIZON
+
+
+def test_steps_that_cannot_all_be_kept_are_told_of_long_before_they_are_made() -> None:
+    settings = {"engine": "impulse", "step": 1e-3}
+    trace = run(read_text(BALL), until=1e300, throw=False, **settings).trace  # type: ignore[arg-type]
+    assert trace.outcome is Outcome.TOO_LONG
+    assert "take longer steps" in trace.message
+    assert 2**15 <= trace.counts["steps"] < 2**16
+
+
+def test_steady_jumps_go_on_where_a_condition_may_end_them() -> None:
+    clock = read_text(
+        "kind: chart\nname: clock\nvariables: {x: 0, n: 0}\n"
+        "stop: {time: 1e9, conditions: {enough: n >= 4500}}\n"
+        "regions:\n  r:\n    initial: s\n    states: {s: {flows: {x: 1}}}\n"
+        "    transitions:\n"
+        "      - {name: tick, from: s, to: s, guard: 'x >= 1', updates: {x: 0, n: n + 1}}\n"
+    )
+    assert run(clock).trace.outcome is Outcome.STOPPED
