@@ -97,3 +97,18 @@ def test_ends_that_land_together_lie_on_the_ground_from_the_jump_on(name: str) -
     assert landing.before[2] == 0.25 * tolerance
     _, y, tilt, *_ = landing.after
     assert abs(y) + abs(tilt) < 0.05 * tolerance
+
+
+# The pull comes near to what it will be, and then hardly changes.
+SLOWLY = LIFTED.replace("pull + more*time", "pull - exp(-time)").replace("time: 1", "time: 40")
+
+
+@pytest.mark.parametrize("name", ["taylor", "scipy"])
+def test_a_force_that_comes_to_rest_below_zero_is_seen_where_it_passes_it(name: str) -> None:
+    pulled = Runner(read_text(SLOWLY), engine=name)
+    for pull in (1e-3, 1e-6, 1e-9, 1e-10):
+        trace = pulled.run({"pull": pull}, throw=False).trace
+        assert trace.outcome.name == "NO_CONSISTENT_MODE"
+        # V = exp(-time) - pull, down to what rounding makes of it: 1e-12 of the weight.
+        passed = -math.log(pull - 1e-11)
+        assert trace.t_end == pytest.approx(passed, abs=1e-3)

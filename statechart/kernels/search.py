@@ -296,6 +296,14 @@ def search(
                         enclose(alone, step, bounds, here, 0.0, 0, jets)
                         rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
                         far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
+                        if far > here + NARROW:
+                            # Nearly flat at the end of where it falls: it is below long before.
+                            near = here + NARROW
+                            while near < far:
+                                enclose(alone, step, bounds, near, 0.0, 0, jets)
+                                if jets[guard[0], 1] + tolerance <= 0.0:
+                                    far = near
+                                near = here + 2.0 * (near - here)
                 bounded = work[i, 4] > -INF and work[i, 5] < INF
                 if here == INF and b - a <= FLAT and not bounded:
                     alone = _alone(along, outputs[i])
