@@ -9,14 +9,21 @@ from typing import TypeVar
 
 from statechart import interrupts
 
-__all__ = ["SOME", "Pieces"]
+__all__ = ["SOME", "Pieces", "rows"]
 
 T = TypeVar("T")
 
 SOME = 4_000
 """Events, or rows of samples, in a short form: they take some tenths of a second."""
 
+_NUMBERS = 2**17  # in a short form of many variables, which has the fewer rows
+
 _INTERRUPTED = "interrupted"
+
+
+def rows(width: int) -> int:
+    """Return how many rows of so many numbers a short form has."""
+    return max(1, min(SOME, _NUMBERS // max(width, 1)))
 
 
 class Pieces:
@@ -78,9 +85,9 @@ class Pieces:
         finally:
             self._signals = before
 
-    def some(self, what: str, items: Sequence[T]) -> tuple[T, ...]:
-        """Return at most `SOME` items, evenly chosen; say so where there are more."""
-        chosen = tuple(items[:: max(1, -(-len(items) // SOME))])
+    def some(self, what: str, items: Sequence[T], width: int = 1) -> tuple[T, ...]:
+        """Return at most `rows` items, evenly chosen; say so where there are more."""
+        chosen = tuple(items[:: max(1, -(-len(items) // rows(width)))])
         if len(chosen) < len(items):
             self.leave(f"{len(items) - len(chosen)} of {len(items)} {what}")
         return chosen

@@ -90,7 +90,7 @@ def report(
         found = list(zip_longest(trace.jumps, conditions, explained))
         if short:
             done.leave("considered")
-            found = done.some("events", found)
+            found = done.some("events", found, len(trace.variables))
         return [_event(trace, *of, hurried=short) for of in found]
 
     events: list[dict[str, Any]] = done.keep("events", made, [])

@@ -17,7 +17,7 @@ import numpy as np
 from statechart.errors import StatechartError
 from statechart.files import aside, write_atomic
 from statechart.observe import Observer
-from statechart.pieces import SOME, Pieces
+from statechart.pieces import Pieces, rows
 from statechart.report import dumps
 from statechart.sampling import Samples
 from statechart.trace import Trace
@@ -260,9 +260,13 @@ def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:
     """Return a run and how many rows a step of it has; in short, some of its flows and events."""
     if not short:
         return trace, _ROWS
-    arcs, jumps = pieces.some("flows", trace.arcs), pieces.some("events", trace.jumps)
+    width = len(trace.variables)
+    arcs, jumps = (
+        pieces.some("flows", trace.arcs, width),
+        pieces.some("events", trace.jumps, width),
+    )
     steps = sum(len(arc.times) - 1 for arc in arcs)
-    per_step = min(_ROWS, SOME / max(steps, 1))
+    per_step = min(_ROWS, rows(width) / max(steps, 1))
     if per_step < 1.0:
         pieces.leave(f"all states but one of {math.ceil(1.0 / per_step)}")
     return replace(trace, arcs=arcs, jumps=jumps), per_step
