@@ -70,11 +70,13 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
         for k, (name, state) in enumerate(_states(scene, arc)):
             if state in OPEN:
                 continue
-            V, H = forces[:, 2 * k], forces[:, 2 * k + 1]
+            # A mode of steps that all hold an impulse has no force of its own.
+            told = ~np.isnan(forces[:, 2 * k]) | (trace.step is None)
+            V, H, at = forces[told, 2 * k], forces[told, 2 * k + 1], times[told]
             n, t = edges[name]
             allowed = trace.tolerances["force"] + _ROUNDING * np.hypot(V, H)
-            _no_less(V, -allowed, f"{name}.V", times, state)
-            _no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", times, state)
+            _no_less(V, -allowed, f"{name}.V", at, state)
+            _no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", at, state)
 
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:

@@ -14,11 +14,11 @@ from contacts.heap_testing import (
     assert_free_fall,
     assert_impulses_of_bodies,
 )
-from contacts.testing import assert_in_cone
+from contacts.testing import assert_cone, assert_in_cone
 from statechart.checking import check
 from statechart.cli import main
 from statechart.comparison import Sensitivity, assert_same
-from statechart.document import interpret, read_text
+from statechart.document import interpret, load, read_text
 from statechart.testing import Subject
 
 HEAP = """
@@ -143,3 +143,11 @@ def test_runs_by_steps_that_differ_are_told_by_how_much(heap):
     assert_same(trace, trace, Sensitivity((trace,), ()))
     with pytest.raises(AssertionError, match=r"the end: .* their errors explain \d"):
         assert_same(trace, moved, Sensitivity((trace,), ()))
+
+
+def test_modes_of_steps_that_all_hold_impulses_have_no_force_to_judge():
+    subject = Subject(load("woodpecker"))
+    trace = subject.case({}).trace
+    assert_cone(subject.model, subject, trace)
+    with pytest.raises(AssertionError, match="is nan"):
+        assert_cone(subject.model, subject, dataclasses.replace(trace, step=None))
