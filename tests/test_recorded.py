@@ -1,0 +1,29 @@
+"""The shipped models give what they gave: whatever moves in the code, no digit does."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import recording
+
+import models
+
+# The compiler chooses instructions by the machine: sums are rounded otherwise on another one.
+ROUNDING = 1e-13
+
+
+@pytest.mark.parametrize("model", models.names())
+def test_a_shipped_model_gives_what_was_recorded(model: str, tmp_path: Path) -> None:
+    recorded = json.loads((recording.FOLDER / f"{model}.json").read_text(encoding="utf-8"))
+    found = json.loads(recording.written(recording.record(model, tmp_path)))
+    assert not [*recording.differences(recorded, found, ROUNDING, model)]
+
+
+def test_a_difference_is_seen_in_numbers_words_and_length() -> None:
+    old = {"a": [1.0, 2.0], "b": "at t = 3.5", "c": True, "x": 1e-17, "y": 0.5}
+    assert not [*recording.differences(old, {**old, "x": 2e-17}, 1e-13)]
+    for new in ({"a": [1.0, 2.0 + 1e-12]}, {"a": [1.0]}, {"b": "at t = 3.6"}, {"c": False}):
+        assert len([*recording.differences(old, {**old, **new}, 1e-13)]) == 1
+    assert len([*recording.differences(old, {"a": [1.0, 2.0], "b": "at t = 3.5"}, 1e-13)]) == 3
