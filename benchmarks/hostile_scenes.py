@@ -26,7 +26,9 @@ from contacts.testing import properties
 from statechart.comparison import Undecidable
 from statechart.document import read_text, validate
 from statechart.errors import DeclarationError, DeclarationProblem
-from statechart.testing import Case, Property, Subject, generic, ranges
+from statechart.ranges import ranges
+from statechart.subject import Case, Subject
+from statechart.testing import Property, generic
 
 _LONG = 60.0
 

@@ -59,8 +59,8 @@ def peak() -> float:
 def run(path: Path) -> dict[str, object]:
     """Validate, run, report and draw a scene in this process."""
     began = time.perf_counter()
-    from statechart.diagram import write
     from statechart.diagram.build import build
+    from statechart.diagram.write import write
     from statechart.run import Runner
 
     imported = time.perf_counter()

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contacts.classify import Choice, ContactLaw
+from contacts.candidates import ContactLaw
+from contacts.classify import Choice
 from contacts.decision import decide
 from contacts.gates import hidden
 from contacts.jams import Jam
@@ -19,13 +19,10 @@ from contacts.projection import landed, on_constraints
 from contacts.setup import SceneSetup
 from contacts.simultaneous import impacts
 from contacts.snapshot import PerContact, Snapshot, solve_kkt
+from statechart.arrays import Array
 from statechart.automaton import Flow, plain
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.trace import Key
-
-__all__ = ["Closed", "closed_at_once"]
-
-Array = NDArray[np.float64]
 
 # Impacts in turn are skipped once contacts fly no higher than so many tolerances of the gap. Where
 # points slide meanwhile, the path that they are given is wrong by the height; where none does,

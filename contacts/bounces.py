@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.classify import choose
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot
+from statechart.arrays import Array
 from statechart.errors import SimulationError
-
-__all__ = ["opens_in_vain", "rests_of_bounces", "stands_for_bounces"]
-
-Array = NDArray[np.float64]
 
 _EPS = float(np.finfo(float).eps)
 # Bounces lower than this many roundings of the gap are summed. The sum's error is of the third

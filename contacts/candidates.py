@@ -41,23 +41,7 @@ from contacts.modes import OFF
 from contacts.scales import Scales
 from contacts.sharing import Share, share
 from contacts.snapshot import Snapshot
-
-__all__ = [
-    "CODES",
-    "OPEN_LOAD",
-    "SINGULAR",
-    "Candidate",
-    "ContactLaw",
-    "Undetermined",
-    "by_lemke",
-    "candidates",
-    "cones",
-    "consistent",
-    "openness",
-    "same_motion",
-]
-
-Array = NDArray[np.float64]
+from statechart.arrays import Array
 
 CODES = {
     "free": FREE,

@@ -30,8 +30,6 @@ from contacts.sharing import OWN, Share
 from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import AmbiguousMode, NoConsistentMode
 
-__all__ = ["Candidate", "Choice", "Considered", "ContactLaw", "candidates", "choose"]
-
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.
 _ENUMERATED = 4
 # Up to here it is the last resort.

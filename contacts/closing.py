@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.joints import column_scales
 from contacts.mechanics import Mechanics
 from contacts.parts import Point
 from contacts.setup import SceneSetup
 from contacts.snapshot import SnapshotTape
+from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
-
-__all__ = ["check_joints"]
-
-Array = NDArray[np.float64]
 
 _ITERATIONS = 50
 # Of the accelerations: contradictory ones are off by their own size, consistent ones by rounding.

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.classify import ContactLaw
+from contacts.candidates import ContactLaw
 from contacts.complementarity import (
     LcpStatus,
     contact_impulses,
@@ -28,10 +28,7 @@ from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SOLVED, 
 from contacts.redundancy import connected, into_cone, mode_columns, rank, smallest
 from contacts.snapshot import Snapshot
 from contacts.work import work_of
-
-__all__ = ["Collision", "collisions", "coupled"]
-
-Array = NDArray[np.float64]
+from statechart.arrays import Array
 
 # Enumeration can prove that there is one solution or several; beyond this it costs too much.
 _ENUMERATED = 4

@@ -16,23 +16,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.kernels import SMALLEST, power_of_two
 from contacts.lemke import FOUND, RAY, SPENT, enumerate_bases, lemke, on_support, row_residual
-
-__all__ = [
-    "LcpSolution",
-    "LcpStatus",
-    "contact_impulses",
-    "contact_problem",
-    "delassus",
-    "enumerate_lcp",
-    "solve_lcp",
-]
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from statechart.arrays import Array, Bools
 
 # A solution is taken when no row misses by more than this of its own terms.
 _RESIDUAL = 1e-9

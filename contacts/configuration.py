@@ -6,20 +6,16 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.controllers import ControlledLaws
 from contacts.feasibility import DRIVEN, feasible_modes, without_direction
 from contacts.laws import SceneLaws
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot
+from statechart.arrays import Array
 from statechart.automaton import Automaton, Setup
 from statechart.errors import StatechartError
 from statechart.feasibility import Feasibility
-
-__all__ = ["feasibility"]
-
-Array = NDArray[np.float64]
 
 
 def feasibility(automaton: Automaton, setup: Setup, state: Array, time: float) -> Feasibility:

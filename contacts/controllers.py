@@ -13,9 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
-from contacts.classify import Candidate, candidates
+from contacts.candidates import Candidate, candidates
 from contacts.controls import Controller, Transition
 from contacts.gates import Gates
 from contacts.laws import SceneLaws
@@ -24,15 +23,12 @@ from contacts.modes import OPEN
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot, SnapshotTape
+from statechart.arrays import Array
 from statechart.automaton import CAPTURED, Edge, Flow, Margin, Region, Setup, State, plain
 from statechart.constraints import Constraints
 from statechart.course import Courses
 from statechart.firing import Guard, Listening, Watch, considered, guards
 from statechart.trace import Clock, Jump, Key
-
-__all__ = ["ControlGuards", "ControlledLaws", "controller", "listening"]
-
-Array = NDArray[np.float64]
 
 
 def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:

@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contacts.classify import ContactLaw
+from contacts.candidates import ContactLaw
 from contacts.modes import OPEN
 from contacts.snapshot import Snapshot
+from statechart.arrays import Array
 from statechart.trace import Key
 
-__all__ = ["dead_point", "dependent"]
-
-Array = NDArray[np.float64]
-
 # Constraints that are so near to dependent, in the scene's sizes, leave forces to rounding.
-_DEPENDENT = 1e-5
+_DEAD_POINT = 1e-5
 # Of a unit combination: whose share is less takes no part.
 _SHARE = 1e-3
 
@@ -59,7 +55,7 @@ def dependent(rows: Sequence[tuple[str, Array]]) -> str:
     scaled = np.array([row for _, row in rows])
     scaled /= np.linalg.norm(scaled, axis=1, keepdims=True)
     left, values, _ = np.linalg.svd(scaled)
-    if len(values) == len(rows) and values[-1] > _DEPENDENT:
+    if len(values) == len(rows) and values[-1] > _DEAD_POINT:
         return ""
     names = dict.fromkeys(
         name for (name, _), share in zip(rows, left[:, -1], strict=True) if abs(share) > _SHARE

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from contacts.classify import Choice, ContactLaw, choose
+from contacts.candidates import ContactLaw
+from contacts.classify import Choice, choose
 from contacts.jams import Jam, jammed
 from contacts.modes import OFF
 from contacts.painleve import paradoxes
@@ -16,8 +17,6 @@ from contacts.setup import SceneSetup
 from contacts.snapshot import PerContact, Snapshot
 from contacts.usual_kernels import ENDLESS
 from statechart.errors import NoConsistentMode
-
-__all__ = ["check_listed", "decide", "explained"]
 
 
 def decide(

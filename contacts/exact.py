@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from statechart.arrays import Array
 
-__all__ = ["exact_impulses", "lemke_exact"]
-
-Array = NDArray[np.float64]
 _Vector = list[Fraction]
 _Matrix = list[_Vector]
 

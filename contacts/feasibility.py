@@ -20,11 +20,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-__all__ = ["DRIVEN", "Feasibility", "feasible_modes", "without_direction"]
-
-Array = NDArray[np.float64]
+from statechart.arrays import Array
 
 Condition = tuple[int, int, int]
 """Contact, row (0: normal, 1: tangential), sign of the velocity."""

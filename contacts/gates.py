@@ -11,17 +11,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from contacts.mechanics import Mechanics
 from contacts.modes import OFF
 from contacts.snapshot import Snapshot
+from statechart.arrays import Array
 from statechart.tape import compile_tape
 from statechart.trace import Key
-
-__all__ = ["Gates", "hidden"]
-
-Array = NDArray[np.float64]
 
 # A condition as near zero as this, of what the state's own sizes change it by, is on the edge.
 _BAND = 1e-13

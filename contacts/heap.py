@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from contacts import impulse
 from contacts.heap_kernels import DONE, FULL, HARD, MEMORY, NOT_FINITE, step_heap
@@ -28,15 +27,8 @@ from contacts.setup import SceneSetup, scene_parameters
 from contacts.shapes import check_shapes
 from contacts.step_kernels import smoothed
 from contacts.stepped_scene import softened_remark, widened
-from statechart.automaton import (
-    Automaton,
-    Edge,
-    Flow,
-    Margin,
-    Region,
-    Setup,
-    State,
-)
+from statechart.arrays import Array
+from statechart.automaton import Automaton, Edge, Flow, Margin, Region, Setup, State
 from statechart.constraints import Constraints
 from statechart.declaration import TIME
 from statechart.errors import (
@@ -51,10 +43,6 @@ from statechart.formula import parse, parse_relation
 from statechart.parameters import Parameters
 from statechart.tape import compile_tape
 from statechart.trace import Clock, Jump, Key, Trace
-
-__all__ = ["CAUSES", "STATES", "heap"]
-
-Array = NDArray[np.float64]
 
 STATES = ("free", "slide", "pin")
 CAUSES = ("touchdown", "impact", "liftoff", "slip", "stick")

@@ -16,13 +16,8 @@ from contacts.island_kernels import compliance, island_of, push, swept, velocity
 from contacts.kernels import FREE, PIN, SLIDE
 from contacts.polygons import FOUND, against_surface, between, place
 from contacts.step_kernels import UNKNOWNS, solve_impacts, steady_impulses
+from statechart.arrays import Array, Ints
 from statechart.compiled import kernel
-
-__all__ = ["DONE", "FULL", "HARD", "MEMORY", "NOT_FINITE", "step_heap"]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 
 DONE, HARD, NOT_FINITE, FULL = range(4)
 

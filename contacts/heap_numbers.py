@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 
 from contacts.scene import Scene
 from contacts.shapes import copies
+from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 from statechart.formula import parse
-
-__all__ = ["HeapNumbers", "heap_numbers", "owners_of"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,23 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.heap_numbers import HeapNumbers, heap_numbers, owners_of
 from contacts.scene import Scene
 from contacts.testing import assert_in_cone, largest_of, no_growth, step_ends
-from statechart.testing import Case, Property, Subject
+from statechart.arrays import Array
+from statechart.subject import Case, Subject
+from statechart.testing import Property
 from statechart.trace import Trace
-
-__all__ = [
-    "assert_depths",
-    "assert_energy_of_steps",
-    "assert_free_fall",
-    "assert_impulses_of_bodies",
-    "heap_properties",
-]
-
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-13
 

@@ -14,16 +14,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contacts.classify import ContactLaw
+from contacts.candidates import ContactLaw
 from contacts.parts import MOREAU
 from contacts.snapshot import PerContact, Snapshot, solve_kkt
+from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
-
-__all__ = ["Impact", "impact"]
-
-Array = NDArray[np.float64]
 
 _LONGEST_PATH = 8
 # Of the terms of a rate: less is no error that an impulse should mend.

@@ -32,13 +32,10 @@ from numpy.typing import NDArray
 from contacts.recognise import TERMS, Chunk, Recorder
 from contacts.setup import SceneSetup
 from statechart import interrupts
+from statechart.arrays import Array
 from statechart.errors import SimulationError, StepTooLarge, TooLong
 from statechart.tape import Tape
 from statechart.trace import FAR_TOO_MANY, LARGEST, Arc, Jump, Key, Outcome, Trace, check_size
-
-__all__ = ["DEEPEST", "Stepping", "run"]
-
-Array = NDArray[np.float64]
 
 # Steps of regions at once: they take up to a quarter of a second, in which no signal is seen.
 _CHUNK = 512

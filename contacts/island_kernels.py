@@ -12,13 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.step_kernels import UNKNOWNS, capped
+from statechart.arrays import Array, Ints
 from statechart.compiled import kernel
-
-__all__ = ["compliance", "island_of", "push", "swept", "velocity"]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 
 _SWEEPS = 2000
 # Largest change of a velocity in a sweep that ends it, relative to the velocities; and in the last

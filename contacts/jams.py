@@ -11,9 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contacts.classify import ContactLaw
+from contacts.candidates import ContactLaw
 from contacts.collisions import Collision, collisions
 from contacts.impact import impact
 from contacts.modes import OFF
@@ -23,15 +22,11 @@ from contacts.snapshot import PerContact, Snapshot
 from statechart.errors import NoConsistentMode
 from statechart.trace import Key
 
-__all__ = ["Jam", "closed_state", "jammed", "listed", "unbounded", "without_collision"]
-
 # Of the response to a normal force alone: where p falls below, a force is 1e6 times what holds the
 # contact closed without friction.
 _HARDLY = 1e-6
 # Of the velocities before: impulses that change them by less are none.
 _NOTHING = 1e-9
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

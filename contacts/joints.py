@@ -10,19 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.kernels import SMALLEST
-
-__all__ = [
-    "Block",
-    "JointNumbers",
-    "Motions",
-    "blocks",
-    "column_scales",
-    "motions",
-    "redundant",
-    "well_posed",
-]
-
-Array = NDArray[np.float64]
+from statechart.arrays import Array
 
 # A row that the others imply but for this part of it is implied: a start may be this far off.
 _DEPENDENT = 1e-8

@@ -7,34 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.compiled import kernel, part
 
-__all__ = [
-    "AGAINST",
-    "CONTRADICTORY",
-    "FREE",
-    "INEXACT",
-    "INTO",
-    "OFF",
-    "OUTSIDE",
-    "PIN",
-    "PULLS",
-    "REDUNDANT",
-    "SINGULAR",
-    "SLIDE",
-    "SLIDE_MINUS",
-    "SLIDE_PLUS",
-    "SOLVED",
-    "UNDETERMINED",
-    "independent",
-    "largest_sizes",
-    "saddle",
-    "solve_modes",
-]
-
-Array = NDArray[np.float64]
-
-FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF = range(6)
+FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF_CODE = range(6)
 SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY, UNDETERMINED = range(6)
 INTO, PULLS, OUTSIDE, AGAINST = range(4)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, get_args
 
+import numpy as np
 from pydantic import BaseModel
 
 from contacts.parts import Simultaneous
@@ -14,7 +15,6 @@ from statechart.automaton import Automaton
 from statechart.kinds import Kind
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from contacts.modes import ContactSymbols
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from statechart.observe import Observer
     from statechart.testing import Property
     from statechart.trace import Trace
-
-__all__ = ["SCENE", "automaton"]
 
 
 def automaton(scene: Scene) -> Automaton:

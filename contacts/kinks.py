@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 from contacts.parts import Path
 from statechart.declaration import TIME
 from statechart.derived import check_derived
+from statechart.document import Loc
 from statechart.formula import parse
 from statechart.kinks import PIECES, check_smooth
 
 if TYPE_CHECKING:
     from contacts.scene import Scene
 
-__all__ = ["check_kinks"]
 
 _SURFACES = (
     "declare a surface and a contact for each smooth piece: that is all for the higher of them "
@@ -22,7 +22,6 @@ _SURFACES = (
 )
 _SMOOTH = "a velocity that jumps takes an impact without cause: write a smooth formula"
 
-Loc = tuple[str | int, ...]
 Text = str | int | float
 
 

@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.accumulation import closed_at_once
 from contacts.bounces import opens_in_vain, rests_of_bounces, stands_for_bounces
-from contacts.classify import Choice, Considered, ContactLaw
+from contacts.candidates import ContactLaw
+from contacts.classify import Choice, Considered
 from contacts.closing import check_joints
 from contacts.dead_points import dead_point
 from contacts.decision import check_listed, decide, explained
@@ -27,15 +27,12 @@ from contacts.simultaneous import Impacts, impacts
 from contacts.snapshot import Snapshot, SnapshotTape
 from contacts.starting import check_start
 from contacts.usual import usual_mode
+from statechart.arrays import Array
 from statechart.automaton import CAPTURED, UNBOUNDED, Flow, Margin, Setup, plain, uncaptured
 from statechart.constraints import Constraints
 from statechart.errors import DeclarationProblem, NoConsistentMode, SingularMode
 from statechart.parameters import Parameters
 from statechart.trace import Clock, Jump, Key
-
-__all__ = ["SceneLaws"]
-
-Array = NDArray[np.float64]
 
 _EPS = float(np.finfo(float).eps)
 # A start may be inside a surface by so much of the scene's length (and is projected out).

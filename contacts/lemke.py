@@ -5,17 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.kernels import SOLVED, saddle
+from statechart.arrays import Array, Bools, Ints
 from statechart.compiled import kernel
-
-__all__ = ["FOUND", "RAY", "SPENT", "enumerate_bases", "lemke", "on_support", "row_residual"]
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
-
 
 FOUND, RAY, SPENT = range(3)
 # Of a pivot relative to the largest entry of its column: smaller ones are rounding.

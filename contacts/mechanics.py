@@ -21,8 +21,6 @@ from statechart.declaration import TIME
 from statechart.formula import parse, parse_relation
 from statechart.linear import Definition
 
-__all__ = ["COEFFICIENTS", "ContactGeometry", "JointRow", "Mechanics"]
-
 COEFFICIENTS = ("friction", "cone_n", "cone_t")
 """Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
 

@@ -11,19 +11,6 @@ from pydantic import Field
 from statechart.automaton import Loads, Margin, State
 from statechart.declaration import Part
 
-__all__ = [
-    "OFF",
-    "OPEN",
-    "ContactMode",
-    "ContactSymbols",
-    "Free",
-    "Pin",
-    "Slide",
-    "as_mode",
-    "off",
-    "shared",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class ContactSymbols:

@@ -7,16 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from contacts.parts import Point
+from statechart.document import Loc
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, problem
 from statechart.formula import parse
 
 if TYPE_CHECKING:
     from contacts.scene import Scene
-
-__all__ = ["check_finite", "check_physical"]
-
-Loc = tuple[str | int, ...]
 
 
 def check_physical(scene: Scene, values: Mapping[str, float]) -> None:

@@ -9,8 +9,6 @@ from contacts.parts import MOREAU, Contact, Point
 from contacts.scene import Scene
 from statechart.formula import parse
 
-__all__ = ["replaced"]
-
 
 def replaced(scene: Scene, values: Mapping[str, float]) -> dict[str, str]:
     """Return what a run by time stepping does without: a declared law -> what is done instead.

@@ -13,14 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contacts.classify import ContactLaw
+from contacts.candidates import ContactLaw
 from contacts.snapshot import PerContact, Snapshot, solve_kkt
-
-__all__ = ["Paradox", "paradoxes"]
-
-Array = NDArray[np.float64]
 
 # Of the response to a normal force alone: p this small cannot be told from none, and the force
 # that it asks for stops slip in less time than can be told from none.

@@ -14,23 +14,6 @@ from statechart.errors import DeclarationProblem
 from statechart.fields import FiniteText, FormulaText, RelationText
 from statechart.formula import parse
 
-__all__ = [
-    "MOREAU",
-    "Body",
-    "Contact",
-    "Coordinate",
-    "Force",
-    "Gravity",
-    "ImpactLaw",
-    "Joint",
-    "Pair",
-    "Path",
-    "Point",
-    "Resolution",
-    "Simultaneous",
-    "Surface",
-]
-
 Pair = tuple[FiniteText, FiniteText]
 """Two components, along x and y."""
 

@@ -12,12 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.compiled import kernel
-
-__all__ = ["FOUND", "against_surface", "between", "place"]
-
-Array = NDArray[np.float64]
-
 
 FOUND = 5
 """Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""

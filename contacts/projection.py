@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from contacts.dead_points import dependent
 from contacts.joints import JointNumbers, well_posed
@@ -15,14 +14,11 @@ from contacts.mechanics import Mechanics
 from contacts.modes import OPEN
 from contacts.scales import Scales
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
+from statechart.arrays import Array
 from statechart.constraints import Constraints
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.tape import Tape, compile_tape
 from statechart.trace import Key
-
-__all__ = ["Projection", "landed", "landing", "on_constraints"]
-
-Array = NDArray[np.float64]
 
 # A state is brought onto the constraints of the mode entered from this part of their tolerance on.
 _DRIFT = 0.05

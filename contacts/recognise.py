@@ -16,13 +16,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.kernels import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from statechart.arrays import Array, Ints
 from statechart.trace import Arc, Clock, Jump, Key
-
-__all__ = ["STATES", "TERMS", "Chunk", "Recorder"]
-
-Array = NDArray[np.float64]
-Codes = NDArray[np.int64]
 
 TERMS = 3
 """Terms of the polynomial of a step."""
@@ -33,7 +29,7 @@ STATES = {
     SLIDE: "slide",
     SLIDE_PLUS: "slide+",
     SLIDE_MINUS: "slide-",
-    OFF: "off",
+    OFF_CODE: "off",
 }
 """Mode of a region, as `contacts.kernels` numbers them, to its state."""
 
@@ -64,7 +60,7 @@ class Chunk:
     h: float
     states: Array
     solved: Array
-    codes: Codes
+    codes: Ints
     struck: NDArray[np.bool_]
     shared: NDArray[np.bool_]
     impulses: Array
@@ -109,7 +105,7 @@ class Recorder:
     """
 
     regions: Sequence[str]
-    start: Codes
+    start: Ints
     controls: Key
     sticks: NDArray[np.bool_]
     again: str
@@ -176,16 +172,16 @@ class Recorder:
         )
         self.jumps.append(stopped)
 
-    def _key(self, row: Codes) -> Key:
+    def _key(self, row: Ints) -> Key:
         return (*[STATES[code] for code in row.tolist()], *self.controls)
 
-    def _shown(self, codes: Codes) -> Codes:
+    def _shown(self, codes: Ints) -> Ints:
         """Let a slip that comes to rest in a step last to its end."""
         before = np.vstack([self._raw, codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
         return np.where((codes == PIN) & slid & self.sticks, before, codes)
 
-    def _changed(self, shown: Codes) -> NDArray[np.bool_]:
+    def _changed(self, shown: Ints) -> NDArray[np.bool_]:
         found: NDArray[np.bool_] = np.any(shown != np.vstack([self.row, shown[:-1]]), axis=1)
         return found
 
@@ -207,7 +203,7 @@ class Recorder:
         times: Array = h * np.arange(last - first + 1, dtype=float)
         self._arc(times, coefficients, chunk.solved[first:last])
 
-    def _strike(self, chunk: Chunk, k: int, row: Codes) -> None:
+    def _strike(self, chunk: Chunk, k: int, row: Ints) -> None:
         """Append a step with impacts in its middle: one jump, whose impulses all regions feel."""
         h, n = chunk.h, chunk.states.shape[1] // 2
         left, right = chunk.states[k], chunk.states[k + 1]
@@ -250,7 +246,7 @@ class Recorder:
         """Return the unknowns (1, u) without forces where the mode at hand is open."""
         found = solved[None].copy()
         if self.forces is not None:
-            for i in np.flatnonzero((self.row == FREE) | (self.row == OFF)).tolist():
+            for i in np.flatnonzero((self.row == FREE) | (self.row == OFF_CODE)).tolist():
                 at = self.forces + 2 * i
                 found[0, at : at + 2] = 0.0
         return found
@@ -281,7 +277,7 @@ class Recorder:
         )
         self._began = self.clock
 
-    def _jumps(self, row: Codes, state: Array) -> None:
+    def _jumps(self, row: Ints, state: Array) -> None:
         """Append a jump for every region that changes."""
         for i in np.flatnonzero(row != self.row).tolist():
             self.close()
@@ -294,7 +290,7 @@ class Recorder:
         self,
         place: int,
         cause: str,
-        row: Codes,
+        row: Ints,
         before: Array,
         after: Array,
         impulses: Mapping[str, tuple[float, float]],
@@ -318,8 +314,8 @@ class Recorder:
         self.row, self.key = row, target
 
     def _cause(self, before: int, after: int, struck: bool) -> str:
-        if OFF in (before, after):
-            return "enable" if before == OFF else "disable"
+        if OFF_CODE in (before, after):
+            return "enable" if before == OFF_CODE else "disable"
         if before == FREE:
             return "touchdown"
         if struck:

@@ -12,10 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.kernels import FREE, PIN, SLIDE, SLIDE_PLUS
-
-__all__ = ["connected", "directions", "into_cone", "mode_columns", "rank", "smallest", "unseen"]
-
-Array = NDArray[np.float64]
+from statechart.arrays import Array
 
 # Columns this close to dependent are.
 _DEPENDENT = 1e-13

@@ -11,8 +11,6 @@ from contacts.modes import OFF, OPEN, ContactSymbols, Free, Pin, Slide, off, sha
 from contacts.parts import Contact
 from statechart.automaton import Edge, Margin, Region, State
 
-__all__ = ["edges", "region", "states"]
-
 # Longer conditions would drown the diagram: every state has an edge with them.
 _LONGEST_GATE = 40
 _DIRECTIONS = {"slide+": 1, "slide-": -1, "slide": 0}

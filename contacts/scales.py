@@ -9,17 +9,13 @@ from itertools import accumulate
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from contacts.kernels import largest_sizes
 from contacts.mechanics import Mechanics
+from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 from statechart.formula import parse
 from statechart.tape import compile_tape
-
-__all__ = ["ScaleTape", "Scales", "check_range"]
-
-Array = NDArray[np.float64]
 
 _EPS = float(np.finfo(float).eps)
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.

@@ -27,10 +27,9 @@ from contacts.shapes import INDEX, Collision, check_collisions, check_copies, co
 from statechart.declaration import TIME, Declaration, check_names
 from statechart.errors import DeclarationProblem
 from statechart.fields import FormulaText, NameText
-from statechart.formula import close_matches, parse, parse_relation
+from statechart.formula import parse, parse_relation
+from statechart.syntax import close_matches
 from statechart.transitions import check_listening
-
-__all__ = ["Body", "Contact", "Coordinate", "Force", "Joint", "Point", "Scene", "Surface"]
 
 
 class Scene(Declaration):

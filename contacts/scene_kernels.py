@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import FREE, OFF, PIN, SLIDE
+from contacts.kernels import FREE, OFF_CODE, PIN, SLIDE
 from contacts.step_equations import CONTACT, JOINT, back, factored
 from contacts.step_forces import borne_mode, jammed, resting, shared_forces
 from contacts.step_kernels import (
@@ -23,13 +23,9 @@ from contacts.step_kernels import (
     solve_impacts,
     steady_impulses,
 )
+from statechart.arrays import Array
 from statechart.compiled import kernel
 from statechart.kernels.tapes import tape_values
-
-__all__ = ["BAD_INERTIA", "DONE", "HARD", "NOT_FINITE", "step_scene"]
-
-Array = NDArray[np.float64]
-
 
 DONE, HARD, BAD_INERTIA, NOT_FINITE = range(4)
 
@@ -208,7 +204,7 @@ def step_scene(
         lasting = change.copy()
         blurred = False
         for i in range(c):
-            codes[k, i] = OFF if off[i] else FREE
+            codes[k, i] = OFF_CODE if off[i] else FREE
             struck[k, i] = shared[k, i] = False
             for d in range(2):
                 impulses[k, i, d] = 0.0

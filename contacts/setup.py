@@ -6,11 +6,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
-from contacts.classify import ContactLaw
+from contacts.candidates import ContactLaw
 from contacts.gates import Gates
 from contacts.joints import redundant
 from contacts.mechanics import COEFFICIENTS, Mechanics
@@ -19,16 +17,13 @@ from contacts.parts import Contact, Point
 from contacts.regions import states as states_of
 from contacts.scales import Scales, ScaleTape
 from contacts.scene import Scene
+from statechart.arrays import Array
 from statechart.automaton import Margin, Setup
 from statechart.errors import DeclarationProblem
 from statechart.fields import FormulaText
 from statechart.formula import parse
 from statechart.parameters import Parameters
 from statechart.tape import compile_tape
-
-__all__ = ["SceneNumbers", "SceneSetup", "cones", "scene_parameters"]
-
-Array = NDArray[np.float64]
 
 _Reader = Callable[[Sequence[float]], ContactLaw]
 

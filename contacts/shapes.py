@@ -11,20 +11,12 @@ from pydantic import Field, model_validator
 from statechart.declaration import Part, check_names
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, problem
-from statechart.formula import close_matches, parse
+from statechart.formula import parse
+from statechart.syntax import close_matches
 
 if TYPE_CHECKING:
     from contacts.scene import Scene
 
-__all__ = [
-    "INDEX",
-    "Collision",
-    "Shape",
-    "check_collisions",
-    "check_copies",
-    "check_shapes",
-    "copies",
-]
 
 INDEX = "index"
 """What formulas of a body's start call the number of a copy, from 0."""

@@ -21,10 +21,7 @@ from contacts.modes import OFF
 from contacts.redundancy import directions, mode_columns, unseen
 from contacts.snapshot import Snapshot
 from contacts.springs import APEX, INSIDE, LOWER, UPPER, springs
-
-__all__ = ["OWN", "Share", "share"]
-
-Array = NDArray[np.float64]
+from statechart.arrays import Array
 
 OWN = "own"
 """The zone of a contact that does not share its load."""

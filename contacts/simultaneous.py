@@ -15,19 +15,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contacts.classify import ContactLaw
+from contacts.candidates import ContactLaw
 from contacts.collisions import Collision, collisions, coupled
 from contacts.impact import Impact, impact
 from contacts.parts import MOREAU, Simultaneous
 from contacts.snapshot import PerContact, Snapshot
 from contacts.work import work_of
+from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
-
-__all__ = ["Impacts", "groups", "impacts"]
-
-Array = NDArray[np.float64]
 
 # A ball between the floor and one a thousand times as heavy is hit so often.
 _LONGEST_SEQUENCE = 10_000

@@ -9,17 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from contacts.joints import Block, JointNumbers, blocks, motions
 from contacts.kernels import INEXACT, SINGULAR, saddle
 from contacts.mechanics import Mechanics
+from statechart.arrays import Array
 from statechart.errors import SingularMode
 from statechart.tape import Tape, compile_tape
-
-__all__ = ["Held", "PerContact", "Snapshot", "SnapshotTape", "solve_kkt"]
-
-Array = NDArray[np.float64]
 
 # Of a contact, besides its Jacobian and biases: gap, its rate, slip, point, tangent.
 _SCALARS = 7

@@ -8,15 +8,10 @@ many steps where such forces exist, and leaves all bounds where none do.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.kernels import SOLVED, independent, saddle
+from statechart.arrays import Array, Ints
 from statechart.compiled import kernel, part
-
-__all__ = ["APEX", "INSIDE", "LOWER", "UPPER", "springs"]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 INSIDE, UPPER, LOWER, APEX = range(4)
 """Where ``w = J y`` is: inside the cone; off it, nearest to its edge with H > 0, with H < 0; off

@@ -8,8 +8,6 @@ from contacts.candidates import ContactLaw
 from contacts.modes import OFF
 from statechart.errors import DeclarationProblem
 
-__all__ = ["check_start"]
-
 
 def check_start(
     law: ContactLaw,

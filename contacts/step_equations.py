@@ -5,15 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array, Ints
 from statechart.compiled import kernel
-
-__all__ = ["CONTACT", "JOINT", "back", "factored"]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 
 CONTACT = 6
 """Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition."""

@@ -3,25 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contacts.kernels import (
-    FREE,
-    PIN,
-    SLIDE,
-    SLIDE_MINUS,
-    SLIDE_PLUS,
-    independent,
-)
+from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, independent
 from contacts.springs import springs
+from statechart.arrays import Array, Bools, Ints
 from statechart.compiled import kernel
-
-__all__ = ["borne_mode", "jammed", "resting", "shared_forces"]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-
 
 # Velocities below this part of what they are sums of are zero.
 _ROUNDING = 1e-9

@@ -12,29 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.lemke import FOUND, lemke, on_support
+from statechart.arrays import Array, Bools
 from statechart.compiled import kernel
-
-__all__ = [
-    "LOOSEST",
-    "RESIDUAL",
-    "UNKNOWNS",
-    "capped",
-    "coupled_contacts",
-    "impulses_of",
-    "into_cone",
-    "moved_by",
-    "problem",
-    "relieve",
-    "smoothed",
-    "solve_contacts",
-    "solve_impacts",
-    "steady_impulses",
-    "step_residual",
-]
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-
 
 UNKNOWNS = 4
 """Of a contact: normal impulse, tangential one to either side, slip speed."""

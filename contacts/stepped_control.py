@@ -19,13 +19,10 @@ from contacts.mechanics import Mechanics
 from contacts.recognise import Chunk, Recorder
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.stepped_scene import SteppedScene, SteppedTape
+from statechart.arrays import Array
 from statechart.automaton import Region
 from statechart.errors import EventLoop
 from statechart.trace import Jump, Key
-
-__all__ = ["StepControl", "SteppedTapes"]
-
-Array = NDArray[np.float64]
 
 _MOST_TURNS = 100
 

@@ -9,21 +9,18 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from contacts.classify import ContactLaw
+from contacts.candidates import ContactLaw
 from contacts.complementarity import contact_problem, solve_lcp
-from contacts.kernels import FREE, OFF, PIN, SLIDE_MINUS, SLIDE_PLUS
+from contacts.kernels import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS
 from contacts.mechanics import Mechanics
 from contacts.recognise import STATES, Chunk
 from contacts.scene_kernels import BAD_INERTIA, DONE, HARD, step_scene
 from contacts.setup import SceneSetup
 from contacts.step_equations import CONTACT
 from contacts.step_kernels import LOOSEST, UNKNOWNS, problem, smoothed, step_residual
+from statechart.arrays import Array
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, UnsolvedImpulses
 from statechart.tape import Tape, compile_tape
-
-__all__ = ["SteppedScene", "SteppedTape", "softened_remark", "widened"]
-
-Array = NDArray[np.float64]
 
 _CODES = {state: code for code, state in STATES.items()}
 
@@ -293,7 +290,7 @@ class SteppedScene:
         with np.errstate(divide="ignore", invalid="ignore"):
             inside = np.where(cone_n > 0.0, cone_t / cone_n * normal - tangential, np.inf)
         for k, values in enumerate((normal, inside)):
-            borne = (codes != FREE) & (codes != OFF) & ~np.isnan(values)
+            borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)
             seen = np.where(borne, values, np.inf).min(axis=0)
             memory.least[:, k] = np.minimum(memory.least[:, k], seen)
 

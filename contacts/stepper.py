@@ -28,10 +28,6 @@ from statechart.parameters import Parameters
 from statechart.tape import compile_tape
 from statechart.trace import Key, Trace
 
-__all__ = ["SceneStepper"]
-
-Array = NDArray[np.float64]
-
 # The modes at the start are those of a step this short, in the scene's own time.
 _TRIAL = 1e-6
 # Tolerances at the start, relative to the scene.

@@ -23,8 +23,6 @@ from statechart.fields import FormulaText
 from statechart.formula import Formula, Relation, parse, parse_relation
 from statechart.syntax import names_in
 
-__all__ = ["LENGTH", "MASS", "TIMES", "mirrored", "rescaled"]
-
 # Powers of two: scaling is exact, so that what differs is a number that does not scale.
 LENGTH = 2.0**20
 TIMES = 2.0**-10

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from contacts.mechanics import Mechanics
@@ -20,25 +19,12 @@ from contacts.scene import Scene
 from contacts.setup import SceneSetup, cones, scene_parameters
 from contacts.symmetry import mirrored, rescaled
 from contacts.violations import cone_edges
+from statechart.arrays import Array
 from statechart.automaton import uncaptured
 from statechart.comparison import Reading, assert_same, identical
-from statechart.testing import Case, Property, Subject, dense
+from statechart.subject import Case, Subject
+from statechart.testing import Property, dense
 from statechart.trace import Arc, Jump, Trace
-
-__all__ = [
-    "assert_cone",
-    "assert_energy",
-    "assert_gaps",
-    "assert_impulses",
-    "assert_in_cone",
-    "assert_no_force_when_free",
-    "largest_of",
-    "no_growth",
-    "properties",
-    "step_ends",
-]
-
-Array = NDArray[np.float64]
 
 _ROUNDING, _EPSILON = 1e-13, 2.0**-52
 # Errors of the energy add up to at most so many times steps times tolerance.

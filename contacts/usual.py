@@ -18,11 +18,8 @@ from contacts.projection import landing
 from contacts.setup import SceneSetup
 from contacts.snapshot import SnapshotTape
 from contacts.usual_kernels import usual
+from statechart.arrays import Array
 from statechart.trace import Key
-
-__all__ = ["usual_mode"]
-
-Array = NDArray[np.float64]
 
 _NAMES = {code: name for name, code in CODES.items() if name != OFF}
 

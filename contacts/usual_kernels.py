@@ -6,13 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, solve_modes
+from statechart.arrays import Array, Ints32
 from statechart.compiled import kernel
 from statechart.kernels.tapes import tape_values
-
-__all__ = ["ENDLESS", "usual"]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 # In the scene's forces: beyond, a sliding contact may bear what only rounding keeps finite.
 ENDLESS = 1e13
@@ -24,9 +20,9 @@ _SCALARS = 7
 
 @kernel
 def usual(
-    code: Ints,
+    code: Ints32,
     constants: Array,
-    outputs: Ints,
+    outputs: Ints32,
     state: Array,
     parameters: Array,
     time: float,

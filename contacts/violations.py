@@ -14,8 +14,6 @@ from statechart.formula import parse
 from statechart.observe import Observer
 from statechart.trace import Key, Trace
 
-__all__ = ["cone_edges", "violations"]
-
 # Of a run of many steps fewer points of each are looked at.
 _MANY = 5000
 

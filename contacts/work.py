@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["work_of"]
-
-Array = NDArray[np.float64]
+from statechart.arrays import Array
 
 
 def work_of(

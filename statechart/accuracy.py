@@ -9,16 +9,12 @@ from itertools import islice, pairwise
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.outputs import Result as Output
 from statechart.sampling import at_times
 from statechart.summed import without_summed
 from statechart.trace import Jump, Trace
-
-__all__ = ["Difference", "compare", "difference", "distance", "paired", "parted", "sizes"]
-
-Array = NDArray[np.float64]
 
 # A number that is this much smaller than every other of its run is the rounding of zero, and has
 # no digits to be right. Speeds of a stack at rest are, by time stepping, 1.5e-12.

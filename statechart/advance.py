@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from statechart import interrupts
+from statechart.arrays import Array
 from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.enclosure import Crossing, Search, Verdict, search
@@ -18,10 +18,6 @@ from statechart.errors import NonFinite, SimulationError, StepFailure, TooLong, 
 from statechart.kernels.polynomials import cut_steps, sample_states
 from statechart.series import size_at
 from statechart.tape import Tape, compile_tape
-
-__all__ = ["Advance", "CompiledMode", "advance", "compile_mode"]
-
-Array = NDArray[np.float64]
 
 _FIRST_CHUNK = 4
 # A chunk may end this far off its constraints, in tolerances; inside it may be farther.

@@ -15,8 +15,6 @@ from statechart.report import json_safe
 if TYPE_CHECKING:
     from statechart.result import Result
 
-__all__ = ["compared", "variants"]
-
 
 def variants(model: Declaration) -> Mapping[str, Declaration]:
     """Return the model under every other choice that its kind knows of; name -> model."""

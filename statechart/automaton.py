@@ -26,22 +26,6 @@ if TYPE_CHECKING:
     from statechart.declaration import Declaration
     from statechart.stepping import TimeStepper
 
-__all__ = [
-    "CAPTURED",
-    "HELD",
-    "UNBOUNDED",
-    "Automaton",
-    "Edge",
-    "Flow",
-    "Laws",
-    "Loads",
-    "Margin",
-    "Region",
-    "Setup",
-    "State",
-    "plain",
-    "uncaptured",
-]
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
 from statechart.accuracy import compare, distance, paired, parted
+from statechart.arrays import Array
 from statechart.automaton import Automaton
 from statechart.declaration import Declaration
 from statechart.engine import Engine
@@ -27,10 +27,6 @@ from statechart.simulate import Simulator, error_of
 from statechart.stepping import SteppingSimulator
 from statechart.study import Errors, Point, Setting, Study
 from statechart.trace import Jump, Outcome, Trace
-
-__all__ = ["Bench", "Run"]
-
-Array = NDArray[np.float64]
 
 # References, the best first: any one is checked by the next of another engine, or another method
 # of scipy, that can run the model. What steps in time is last, at parts of the run.

@@ -6,17 +6,11 @@ import math
 import time
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from statechart.arrays import Array
 from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.engine import Begin, Engine, Path, Steps, Watch
 from statechart.errors import OutOfBudget
-
-__all__ = ["Allowance", "Limited"]
-
-Array = NDArray[np.float64]
 
 
 class Allowance:

@@ -11,11 +11,10 @@ from statechart.declaration import TIME, Declaration, Part, check_names
 from statechart.derived import check_derived
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FiniteText, Label, NameText, RelationText, problem
-from statechart.formula import close_matches, parse, parse_relation
+from statechart.formula import parse, parse_relation
 from statechart.kinks import PIECES, check_smooth
+from statechart.syntax import close_matches
 from statechart.transitions import BaseTransition, check_listening, check_region
-
-__all__ = ["Chart", "Region", "State", "Transition"]
 
 
 class State(Part):

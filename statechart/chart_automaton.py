@@ -14,8 +14,8 @@ from functools import cached_property
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.automaton import HELD, Automaton, Edge, Flow, Margin, Region, Setup, State
 from statechart.chart import Chart, Transition
 from statechart.chart import Region as DeclaredRegion
@@ -29,10 +29,6 @@ from statechart.parameters import Parameters
 from statechart.tape import Tape, compile_tape
 from statechart.trace import Clock, Jump, Key
 from statechart.zeno import between
-
-__all__ = ["ChartLaws", "automaton"]
-
-Array = NDArray[np.float64]
 
 # A value summed from terms is off by a few units in the last place of the largest of them.
 _ROUNDING = 64.0 * float(np.finfo(float).eps)

@@ -7,13 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from statechart.comparison import Undecidable
 from statechart.declaration import Declaration
-from statechart.document import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.kinds import kind
-from statechart.testing import Case, Property, Subject, Undecidable, generic, parameters, ranges
-
-__all__ = ["CheckReport", "Failure", "PropertyReport", "check", "examine"]
+from statechart.ranges import parameters, ranges
+from statechart.subject import Case, Subject
+from statechart.testing import Property, generic
+from statechart.yaml_text import dump
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -9,11 +10,8 @@ from typing import TYPE_CHECKING
 from statechart import interrupts
 
 if TYPE_CHECKING:
-    # Signals are listened to before anything is imported that takes long.
-    import argparse
     from collections.abc import Callable, Sequence
 
-__all__ = ["main", "program"]
 
 _DONE, _FAILED, _WRONG = 0, 1, 2
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from statechart import interrupts
 from statechart.errors import DeclarationError, SimulationError, StatechartError
-from statechart.formula import close_matches
 from statechart.pieces import Pieces
+from statechart.syntax import close_matches
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -24,10 +24,9 @@ if TYPE_CHECKING:
     from statechart.run import Runner
     from statechart.study import Study
 
+
 # Seconds after a signal in which what was computed is saved, but for what is always saved.
 _PATIENCE = 1.2
-
-__all__ = ["check", "draw", "modes", "new", "run", "schema", "trade", "validate"]
 
 
 def validate(arguments: argparse.Namespace) -> int:
@@ -242,9 +241,8 @@ def modes(arguments: argparse.Namespace) -> int:
 
 def draw(arguments: argparse.Namespace) -> int:
     """Draw the statechart, with the path of a run where asked for or needed."""
-    from statechart.diagram import write
     from statechart.diagram.build import build, needs_run
-    from statechart.diagram.write import SUFFIXES
+    from statechart.diagram.write import SUFFIXES, write
     from statechart.feasibility import feasibility
 
     path = Path(arguments.output)
@@ -311,8 +309,8 @@ def new(arguments: argparse.Namespace) -> int:
     """Write a scene to start from."""
     from statechart.document import interpret, read_text
     from statechart.files import write_atomic
-    from statechart.formula import NAME, RESERVED
     from statechart.kinds import kind
+    from statechart.syntax import NAME, RESERVED
 
     name = arguments.name
     if not NAME.fullmatch(name) or name in RESERVED:

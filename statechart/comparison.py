@@ -14,14 +14,10 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise, zip_longest
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.summed import without_summed
 from statechart.trace import Jump, Key, Trace
-
-__all__ = ["NUDGE", "Reading", "Sensitivity", "Undecidable", "assert_same", "identical"]
-
-Array = NDArray[np.float64]
 
 NUDGE = 1e-7
 """Relative change of parameters that shows how errors grow; above the errors of the runs."""

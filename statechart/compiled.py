@@ -24,8 +24,6 @@ from numba.core.dispatcher import Dispatcher
 
 from statechart import interrupts
 
-__all__ = ["is_cached", "kernel", "part"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 _DIGEST = 16  # bytes: damage is an accident, not an attack

@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import TYPE_CHECKING
 
+import networkx as nx
 import sympy as sp
 
 from statechart.automaton import CAPTURED, Automaton, Loads, Margin, uncaptured
 from statechart.linear import Definition, solve_linear
 from statechart.trace import Key
-
-if TYPE_CHECKING:
-    import networkx as nx
-
-__all__ = ["Mode", "build_mode", "captured", "graph", "product_modes"]
 
 
 @dataclass(frozen=True, eq=False)

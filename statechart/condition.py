@@ -7,17 +7,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from statechart.accuracy import sizes
+from statechart.arrays import Array
 from statechart.automaton import Margin, Setup
 from statechart.observe import Observer
 from statechart.simulate import Simulator
 from statechart.trace import Arc, Jump, Trace
-
-__all__ = ["conditions"]
-
-Array = NDArray[np.float64]
 
 # The step of central differences that balances truncation and rounding, relative to a variable.
 _STEP = float(np.finfo(float).eps) ** (1.0 / 3.0)

@@ -7,14 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.kernels.constraints import off_by
 from statechart.tape import Tape, compile_tape
-
-__all__ = ["NO_CONSTRAINTS", "Constraints"]
-
-Array = NDArray[np.float64]
 
 
 class Constraints(NamedTuple):

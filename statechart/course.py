@@ -6,20 +6,15 @@ import math
 from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
-import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.automaton import Setup
 from statechart.compose import Mode
 from statechart.linear import Singular
 from statechart.series import Series, expand
 from statechart.tape import Tape, compile_tape
 from statechart.trace import Key
-
-__all__ = ["Courses"]
-
-Array = NDArray[np.float64]
 
 # Derivatives up to this order are looked at; a margin that has none there stays where it is.
 _ORDERS = 12

@@ -22,33 +22,8 @@ from pydantic import (
 
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, Label, NameText, Real, RelationText, problem
-from statechart.formula import (
-    Formula,
-    Relation,
-    close_matches,
-    evaluate_parameters,
-    parse,
-    parse_relation,
-)
-
-__all__ = [
-    "TIME",
-    "Count",
-    "Declaration",
-    "Event",
-    "Integral",
-    "Maximum",
-    "Minimum",
-    "Moment",
-    "Output",
-    "Part",
-    "Settings",
-    "Stop",
-    "Value",
-    "check_event",
-    "check_names",
-    "parse_events",
-]
+from statechart.formula import Formula, Relation, evaluate_parameters, parse, parse_relation
+from statechart.syntax import close_matches
 
 TIME = "time"
 """What formulas call the time since the start."""

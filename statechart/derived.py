@@ -7,8 +7,6 @@ from collections.abc import Collection
 from statechart.errors import DeclarationProblem
 from statechart.syntax import Binary, Call, Name, Node, Unary, children
 
-__all__ = ["MAX_DERIVED", "MAX_NESTED", "check_derived"]
-
 MAX_DERIVED = 7_000
 """Operations of a formula's derivative; to build so many takes about two seconds."""
 

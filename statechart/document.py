@@ -35,13 +35,11 @@ from ruamel.yaml.events import (
 from ruamel.yaml.reader import ReaderError
 
 from statechart.errors import DeclarationError, Position
-from statechart.formula import close_matches
 from statechart.kinds import kind, kinds
 from statechart.offered import module
 from statechart.problems import declaration_error
-from statechart.yaml_text import dump, resolve
-
-__all__ = ["Document", "dump", "find", "interpret", "load", "read", "read_text", "validate"]
+from statechart.syntax import close_matches
+from statechart.yaml_text import resolve
 
 Loc = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)

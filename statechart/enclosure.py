@@ -24,19 +24,6 @@ from statechart.kernels.search import BUDGET, CROSSING, GRAZE, NON_FINITE, NONE
 from statechart.kernels.search import search as kernel
 from statechart.tape import Tape, plain
 
-__all__ = [
-    "BOXES",
-    "Crossing",
-    "Search",
-    "Verdict",
-    "as_search",
-    "first_crossing",
-    "integrals",
-    "lowest",
-    "sample",
-    "search",
-]
-
 BOXES = 100_000
 """Most boxes of a search; one that is decided takes a handful a step."""
 

@@ -7,8 +7,8 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.constraints import Constraints
@@ -16,10 +16,6 @@ from statechart.enclosure import Search
 from statechart.errors import StepFailure, TooLong
 from statechart.tape import Tape, compile_tape
 from statechart.trace import LARGEST
-
-__all__ = ["LONGEST_CHUNK", "NEAR", "Begin", "Engine", "Path", "Steps", "Watch", "rates_tape"]
-
-Array = NDArray[np.float64]
 
 LONGEST_CHUNK = 64
 """Steps are made in chunks that grow by half, so that little is dropped behind an early event."""

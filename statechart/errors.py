@@ -24,7 +24,6 @@
 `DeclarationProblem` stands outside the tree: it is what a validator of a pydantic model raises to
 point at the field concerned; `statechart.document.validate` turns it into a `DeclarationError`.
 """
-
 # ruff: noqa: N818 -- the outcomes of a run are named after what happened, as users read them.
 
 from __future__ import annotations
@@ -32,29 +31,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
-
-__all__ = [
-    "AmbiguousMode",
-    "DeclarationError",
-    "DeclarationProblem",
-    "EventLoop",
-    "FormulaError",
-    "InitialPenetration",
-    "NoConsistentMode",
-    "NonFinite",
-    "OutOfBudget",
-    "Position",
-    "SimulationError",
-    "SingularMode",
-    "StatechartError",
-    "StepFailure",
-    "StepTooLarge",
-    "TooLong",
-    "Undecided",
-    "UnsolvedImpulses",
-    "Unsupported",
-    "Zeno",
-]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,6 @@ from statechart.automaton import Region
 from statechart.declaration import Event
 from statechart.trace import Jump
 
-__all__ = ["happened"]
-
 
 def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
     """Tell whether `jump` is `event`, by a cause or by the state entered.

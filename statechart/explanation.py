@@ -7,8 +7,6 @@ from typing import Any
 
 from statechart.summary import change, shown, table
 
-__all__ = ["explanation"]
-
 
 def explanation(report: Mapping[str, Any]) -> str:
     """Return what fired at every jump, the margins, what it did, and what else was considered.
@@ -36,21 +34,21 @@ def _event(event: Mapping[str, Any]) -> str:
     margins = sorted(
         event.get("margins", {}).items(), key=lambda item: item[0] not in event["fired"]
     )
-    rows += _entitled("margins", [(name, _text(value)) for name, value in margins])
+    rows += _entitled("margins", [(name, _told(value)) for name, value in margins])
     impulses = event["impulse"].items()
     rows += _entitled(
         "impulse",
         [
-            (name, f"normal {_text(i['normal'])}, tangential {_text(i['tangential'])}")
+            (name, f"normal {_told(i['normal'])}, tangential {_told(i['tangential'])}")
             for name, i in impulses
         ],
     )
     rows += _entitled("path", [(step,) for step in event["path"]])
     if event["energy"] is not None:
         before, after = event["energy"]
-        rows.append(("energy", f"{_text(before)} -> {_text(after)}"))
+        rows.append(("energy", f"{_told(before)} -> {_told(after)}"))
     if event["skipped"]:
-        rows.append(("skipped", f"the bounces of {_text(event['skipped'])} units of time"))
+        rows.append(("skipped", f"the bounces of {_told(event['skipped'])} units of time"))
     rows += _entitled("considered", _candidates(event))
     return title + table([(f"  {head}", text) for head, text in rows])
 
@@ -73,5 +71,5 @@ def _candidates(event: Mapping[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
-def _text(value: object) -> str:
+def _told(value: object) -> str:
     return value if isinstance(value, str) else repr(value)

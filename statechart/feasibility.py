@@ -6,17 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from statechart.automaton import Automaton, Setup
 from statechart.kinds import kind
 from statechart.trace import Key
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from statechart.declaration import Declaration
 
-__all__ = ["MOST_MODES", "Feasibility", "feasibility"]
 
 MOST_MODES = 4096
 """Products of more modes than this, six contacts' for one, are never enumerated."""

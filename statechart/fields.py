@@ -9,10 +9,8 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from statechart.derived import check_derived
 from statechart.errors import DeclarationProblem, FormulaError
-from statechart.formula import NAME, RESERVED, parse, parse_relation
-from statechart.syntax import Binary
-
-__all__ = ["FiniteText", "FormulaText", "Label", "NameText", "Real", "RelationText", "problem"]
+from statechart.formula import parse, parse_relation
+from statechart.syntax import NAME, RESERVED, Binary
 
 
 def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:

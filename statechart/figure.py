@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.automaton import Automaton
 from statechart.errors import StatechartError
 from statechart.files import write_atomic
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["LINES", "STYLE", "figure", "render"]
-
-Array = NDArray[np.float64]
 
 # Okabe and Ito (2008): told apart by everybody, colour-blind or not.
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")

@@ -15,8 +15,6 @@ from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
-__all__ = ["aside", "made", "write_atomic"]
-
 _RANDOM = "[a-z0-9_]{8}"  # as `tempfile` writes it
 _PART = ".part"
 # Windows has none: what is left behind stays there.

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.automaton import Region, Setup
 from statechart.declaration import Event
 from statechart.events import happened
@@ -31,10 +31,6 @@ from statechart.formula import Relation, parse_relation
 from statechart.tape import compile_tape
 from statechart.trace import Jump, Key
 from statechart.transitions import BaseTransition
-
-__all__ = ["Firing", "Guard", "Listening", "Watch", "considered", "guards", "size_of"]
-
-Array = NDArray[np.float64]
 
 # Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts
 # at zero and rises from there with slope zero undecided.

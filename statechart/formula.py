@@ -13,14 +13,13 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+
+import sympy as sp
 
 from statechart.errors import FormulaError, Position
 from statechart.syntax import (
     FUNCTIONS,
-    NAME,
     RELATIONS,
-    RESERVED,
     Binary,
     Call,
     Constant,
@@ -36,29 +35,6 @@ from statechart.syntax import (
     nodes,
     undeclared,
 )
-
-if TYPE_CHECKING:
-    import sympy as sp
-
-__all__ = [
-    "FUNCTIONS",
-    "NAME",
-    "RESERVED",
-    "Binary",
-    "Call",
-    "Constant",
-    "Formula",
-    "Name",
-    "Node",
-    "Number",
-    "Relation",
-    "Unary",
-    "close_matches",
-    "evaluate_parameters",
-    "order_parameters",
-    "parse",
-    "parse_relation",
-]
 
 # Above this an integer is no longer every integer's float, so exactness would be an illusion.
 _EXACT = 2**53

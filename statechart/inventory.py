@@ -11,8 +11,6 @@ from statechart.observe import Observer
 from statechart.simulate import Simulator
 from statechart.trace import Trace
 
-__all__ = ["built", "left_out"]
-
 
 def built(observer: Observer, trace: Trace) -> dict[str, Any]:
     """Return what a run built.

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING
 
+import numpy as np
 from pydantic import BaseModel
 
 from statechart.chart import Chart
 from statechart.offered import load
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from statechart.automaton import Automaton, Setup
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from statechart.observe import Observer
     from statechart.testing import Property
     from statechart.trace import Trace
-
-__all__ = ["CHART", "Kind", "kind", "kinds"]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,6 @@ from statechart.errors import DeclarationProblem
 from statechart.formula import parse
 from statechart.syntax import Call, names_in, nodes
 
-__all__ = ["PIECES", "check_smooth"]
-
 _KINKED = ("abs", "sign", "min", "max")
 
 PIECES = (

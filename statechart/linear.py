@@ -15,8 +15,6 @@ from sympy.utilities.iterables import connected_components
 
 from statechart.errors import SingularMode
 
-__all__ = ["Definition", "Singular", "solve_linear"]
-
 Definition = tuple[sp.Symbol, sp.Expr]
 
 # Laplace expansion grows as n!, and is exact in structure; beyond this, fraction by fraction. One

@@ -10,8 +10,6 @@ from statechart.feasibility import MOST_MODES, Feasibility
 from statechart.summary import table
 from statechart.trace import Key
 
-__all__ = ["counted", "listing", "text"]
-
 
 def listing(
     automaton: Automaton,

@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from statechart.document import Document
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 
-__all__ = ["located"]
-
 
 @contextmanager
 def located(

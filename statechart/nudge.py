@@ -6,15 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.automaton import Automaton, Flow, Laws, Setup
 from statechart.constraints import Constraints
 from statechart.trace import Clock, Jump, Key
-
-__all__ = ["loosened", "nudged", "widened"]
-
-Array = NDArray[np.float64]
 
 # A few units in the last place: what a run of many steps adds up to.
 _LEAST = 8.0 * float(np.finfo(float).eps)

@@ -16,6 +16,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 
+from statechart.arrays import Array
 from statechart.automaton import Automaton, Setup
 from statechart.compose import Mode, build_mode
 from statechart.enclosure import integrals
@@ -26,10 +27,6 @@ from statechart.simulate import Simulator
 from statechart.stepping import SteppingSimulator
 from statechart.tape import Tape, compile_tape
 from statechart.trace import Arc, Jump, Key, Trace
-
-__all__ = ["FormulaLike", "Observer", "Samples"]
-
-Array = NDArray[np.float64]
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 """Text over the observables' names, or an expression in the automaton's own symbols."""

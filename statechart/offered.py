@@ -15,8 +15,6 @@ from typing import Any
 
 from statechart.errors import StatechartError
 
-__all__ = ["load", "module"]
-
 _OURS = Path(__file__).resolve().parents[1]
 
 

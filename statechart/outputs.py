@@ -10,8 +10,6 @@ from statechart.events import happened
 from statechart.observe import Observer
 from statechart.trace import Jump, Trace
 
-__all__ = ["Outputs", "Result", "outputs"]
-
 Result = float | int | list[float] | None
 """A number; a list for a value at `each` event; None where the event never happened."""
 

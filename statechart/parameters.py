@@ -7,21 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
-from statechart.formula import (
-    Formula,
-    close_matches,
-    evaluate_parameters,
-    order_parameters,
-    parse,
-)
+from statechart.formula import Formula, evaluate_parameters, order_parameters, parse
+from statechart.syntax import close_matches
 from statechart.tape import Tape, compile_tape
-
-__all__ = ["Parameters"]
-
-Array = NDArray[np.float64]
 
 _NO_VARIABLES = np.zeros(0)
 _TIME = sp.Symbol("time", real=True)

@@ -9,8 +9,6 @@ from typing import TypeVar
 
 from statechart import interrupts
 
-__all__ = ["SOME", "Pieces", "rows"]
-
 T = TypeVar("T")
 
 SOME = 4_000

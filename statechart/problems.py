@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, Tag, ValidationError
 
 from statechart.errors import DeclarationError, DeclarationProblem
-from statechart.formula import close_matches
+from statechart.syntax import close_matches
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
     from statechart.document import Document
 
-__all__ = ["declaration_error"]
 
 _EXPECTED: Mapping[str, str] = {
     "model_type": "a mapping",

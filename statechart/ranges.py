@@ -13,8 +13,6 @@ from statechart.formula import parse
 if TYPE_CHECKING:
     from hypothesis.strategies import SearchStrategy
 
-__all__ = ["parameters", "ranges"]
-
 
 def ranges(model: Declaration) -> dict[str, tuple[float, float]]:
     """Return what a check varies: parameter -> least and greatest value.

@@ -20,8 +20,6 @@ from statechart.pieces import Pieces
 from statechart.simulate import Simulator
 from statechart.trace import Jump, Key, Trace
 
-__all__ = ["dumps", "json_safe", "margins", "report"]
-
 
 def report(
     observer: Observer,

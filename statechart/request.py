@@ -15,8 +15,6 @@ from statechart.estimate import BELOW, TIGHTER
 if TYPE_CHECKING:
     from statechart.study import Study
 
-__all__ = ["Request"]
-
 
 @dataclass(frozen=True)
 class Request:

@@ -16,8 +16,6 @@ from statechart.outputs import Result as Output
 from statechart.pieces import Pieces
 from statechart.trace import Trace
 
-__all__ = ["Asked", "Result"]
-
 
 @dataclass(frozen=True)
 class Asked:

@@ -15,13 +15,9 @@ from statechart.declaration import Declaration
 from statechart.document import Document, find, interpret, read
 from statechart.engine import Engine
 from statechart.engines import choose
-from statechart.errors import (
-    DeclarationError,
-    DeclarationProblem,
-    FormulaError,
-)
+from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.estimate import Answer, Cost, tighten, within
-from statechart.formula import close_matches, parse
+from statechart.formula import parse
 from statechart.kinds import kind
 from statechart.locating import located
 from statechart.nudge import nudged
@@ -30,12 +26,11 @@ from statechart.request import Request
 from statechart.result import Asked, Result
 from statechart.simulate import Simulator, error_of
 from statechart.stepping import SteppingSimulator
+from statechart.syntax import close_matches
 from statechart.trace import Key, Outcome, Trace
 
 if TYPE_CHECKING:
     from statechart.study import Study
-
-__all__ = ["Runner", "run"]
 
 
 class Runner:

@@ -9,11 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.trace import Arc, Key, Trace
-
-__all__ = ["Points", "Samples", "along", "at_times", "extremes", "subdivided"]
-
-Array = NDArray[np.float64]
 
 Evaluate = Callable[[Sequence[Arc], Sequence[Array]], Array]
 """Values at local times of arcs, one array of times an arc; one value a time, in order."""

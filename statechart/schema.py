@@ -8,10 +8,8 @@ from typing import Any
 from pydantic.json_schema import models_json_schema
 
 from statechart.errors import DeclarationError
-from statechart.formula import close_matches
 from statechart.kinds import kind, kinds
-
-__all__ = ["schema"]
+from statechart.syntax import close_matches
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

@@ -10,15 +10,9 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from statechart.arrays import Array
 from statechart.kernels.tapes import OPCODES
 from statechart.tape import Tape
-
-__all__ = ["Series", "expand", "size_at"]
-
-Array = NDArray[np.float64]
 
 _NAMES = {code: name for name, code in OPCODES.items()}
 # A coefficient is zero below so many roundings of its size.

@@ -11,10 +11,10 @@ from itertools import chain, pairwise
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from statechart import interrupts
 from statechart.advance import CompiledMode, advance, compile_mode
+from statechart.arrays import Array
 from statechart.automaton import (
     CAPTURED,
     HELD,
@@ -31,10 +31,6 @@ from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure
 from statechart.series import size_at
 from statechart.trace import FAR_TOO_MANY, Arc, Clock, Jump, Key, Outcome, Trace, check_size
 from statechart.zeno import Accumulation, between
-
-__all__ = ["Progress", "Simulator", "error_of"]
-
-Array = NDArray[np.float64]
 
 # At such a rate a variable would have changed by this many times its size.
 _STEEP = 1e6

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+
+from statechart.arrays import Array
 
 if TYPE_CHECKING:
     from statechart.study import Point, Study
 
-__all__ = ["SLOPES", "Slope", "fitted", "slopes", "unfitted", "unsettled"]
-
-Array = NDArray[np.float64]
 
 Quantity = Literal["error", "steps"]
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from statechart.automaton import Automaton
     from statechart.trace import Key, Trace
 
-__all__ = ["SteppingSimulator", "TimeStepper"]
-
 
 class TimeStepper(Protocol):
     """Steps a model through time, and recognises the state of every region at every step."""

@@ -14,8 +14,6 @@ from typing import TextIO
 
 from statechart.errors import StatechartError
 
-__all__ = ["be_quiet", "take_streams"]
-
 
 def take_streams() -> None:
     """Put streams that say what is wrong in the place of stdout and stderr."""

@@ -16,8 +16,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from statechart.declaration import Declaration
 from statechart.slopes import slopes, unfitted, unsettled
 
-__all__ = ["Errors", "Point", "Setting", "Study", "fingerprint", "ordered"]
-
 _Time = Annotated[float, Field(ge=0)]
 
 

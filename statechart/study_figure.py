@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["figure", "write"]
 
 _MARKERS = "osD^vPX"
 _INK, _GRID = "#333333", "#E6E6E6"

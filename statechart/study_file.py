@@ -11,8 +11,6 @@ from statechart.errors import DeclarationError, StatechartError
 from statechart.files import made, write_atomic
 from statechart.study import Study
 
-__all__ = ["NAME", "load", "save"]
-
 NAME = "trade.json"
 
 

@@ -7,8 +7,6 @@ from statechart.study import Point, Study
 from statechart.summary import table
 from statechart.trace import Outcome
 
-__all__ = ["omitted", "text"]
-
 
 def text(study: Study) -> str:
     """Return a study as a table, with what follows from it below."""

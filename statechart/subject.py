@@ -10,8 +10,8 @@ from typing import cast
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.automaton import Automaton, Setup
 from statechart.comparison import NUDGE, Sensitivity, Undecidable
 from statechart.compose import Mode
@@ -28,10 +28,6 @@ from statechart.simulate import Simulator
 from statechart.stepping import SteppingSimulator
 from statechart.tape import Tape, compile_tape
 from statechart.trace import Arc, Outcome, Trace
-
-__all__ = ["Case", "Subject"]
-
-Array = NDArray[np.float64]
 
 _KEPT = 64  # cases whose runs are kept for the next property
 

@@ -7,8 +7,6 @@ from typing import Any
 
 from statechart.trace import Outcome
 
-__all__ = ["change", "shown", "summary", "table"]
-
 # Of more events than twice this only the first and the last are listed.
 _SHOWN = 20
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
-__all__ = ["without_summed"]
-
 # The window in which one run sums up the jumps that the other resolves, either side.
 _WINDOW = (0.5, 1.001)
 

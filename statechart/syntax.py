@@ -15,29 +15,6 @@ from typing import Any, NoReturn
 
 from statechart.errors import FormulaError, Position
 
-__all__ = [
-    "CONSTANTS",
-    "FUNCTIONS",
-    "NAME",
-    "RELATIONS",
-    "RESERVED",
-    "Binary",
-    "Call",
-    "Constant",
-    "Name",
-    "Node",
-    "Number",
-    "Reader",
-    "Source",
-    "Unary",
-    "children",
-    "close_matches",
-    "evaluate",
-    "names_in",
-    "nodes",
-    "undeclared",
-]
-
 MAX_LENGTH = 2000
 MAX_NODES = 500
 MAX_DEPTH = 60

@@ -10,9 +10,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
+import xarray as xr
 
 from statechart.errors import StatechartError
 from statechart.files import aside, write_atomic
@@ -21,12 +23,6 @@ from statechart.pieces import Pieces, rows
 from statechart.report import dumps
 from statechart.sampling import Samples
 from statechart.trace import Trace
-
-if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
-
-__all__ = ["events_table", "samples_table", "save", "to_xarray", "write_run"]
 
 # Names of the coordinates and dimensions, and those that the file format keeps for itself.
 _TAKEN = frozenset({"t", "j", "mode", "sample", "event"}) | frozenset(

@@ -22,8 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.errors import StatechartError
 from statechart.kernels.tapes import OPCODES, tape_table, tape_values
 
-__all__ = ["Tape", "compile_tape", "plain"]
-
 _UNARY: dict[type[sp.Basic], str] = {
     sp.exp: "exp",
     sp.log: "log",

@@ -21,37 +21,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.automaton import Automaton, Margin
-from statechart.comparison import NUDGE, Reading, Undecidable, assert_same
+from statechart.comparison import NUDGE, Undecidable, assert_same
 from statechart.compose import Mode
-from statechart.ranges import parameters, ranges
 from statechart.subject import Case, Subject
 from statechart.trace import Arc, Outcome, Trace
-
-__all__ = [
-    "Case",
-    "Property",
-    "Reading",
-    "Subject",
-    "Undecidable",
-    "assert_continuous",
-    "assert_edges",
-    "assert_ended",
-    "assert_engines_agree",
-    "assert_invariants",
-    "assert_margins",
-    "assert_ordered",
-    "assert_prefix",
-    "assert_start",
-    "dense",
-    "generic",
-    "parameters",
-    "ranges",
-]
-
-Array = NDArray[np.float64]
 
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _PER_STEP = 9

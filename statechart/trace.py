@@ -12,18 +12,6 @@ from numpy.typing import NDArray
 
 from statechart.errors import TooLong
 
-__all__ = [
-    "FAR_TOO_MANY",
-    "LARGEST",
-    "Arc",
-    "Clock",
-    "Jump",
-    "Key",
-    "Outcome",
-    "Trace",
-    "check_size",
-]
-
 LARGEST = 2**28
 """A trace may take so many bytes: with what is made of it, well below a gigabyte."""
 # A jump and its arc take so many beside what they hold in arrays.

@@ -13,8 +13,6 @@ from statechart.run import Runner
 from statechart.study import Setting, Study, fingerprint
 from statechart.study_file import load, save
 
-__all__ = ["plan", "trade"]
-
 # Tolerances of every method, as powers of ten: from where it begins to be of use to where it only
 # takes long.
 _POWERS: Mapping[str, range] = {

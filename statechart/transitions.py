@@ -10,9 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from statechart.declaration import Event, Part, check_event, parse_events
 from statechart.errors import DeclarationProblem
 from statechart.fields import NameText, RelationText
-from statechart.formula import close_matches
-
-__all__ = ["BaseTransition", "EventText", "check_listening", "check_region"]
+from statechart.syntax import close_matches
 
 
 def _checked(text: str) -> str:

@@ -23,8 +23,6 @@ from ruamel.yaml.events import (
     StreamStartEvent,
 )
 
-__all__ = ["dump", "resolve"]
-
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", re.ASCII)
 _WORDS: Mapping[str, Any] = {

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 
 from statechart.trace import Clock, Jump
 
-__all__ = ["Accumulation", "between"]
-
 # Intervals that must shrink by one ratio before their sum is taken as geometric; half as many
 # where they have shrunk to less than this part.
 _INTERVALS = 8

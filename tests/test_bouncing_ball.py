@@ -10,7 +10,8 @@ import pytest
 from runs import ENGINES, golden, outputs, run
 
 from contacts.modes import Free, Slide
-from contacts.scene import Body, Contact, Force, Point, Scene, Surface
+from contacts.parts import Body, Contact, Force, Point, Surface
+from contacts.scene import Scene
 from statechart.declaration import Stop
 from statechart.run import Runner
 from statechart.trace import Trace

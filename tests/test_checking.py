@@ -18,15 +18,9 @@ from statechart.chart import Chart
 from statechart.checking import check, examine
 from statechart.comparison import Reading
 from statechart.document import interpret, load, read_text
-from statechart.testing import (
-    Subject,
-    assert_invariants,
-    assert_margins,
-    assert_prefix,
-    dense,
-    generic,
-    ranges,
-)
+from statechart.ranges import ranges
+from statechart.subject import Subject
+from statechart.testing import assert_invariants, assert_margins, assert_prefix, dense, generic
 
 
 def model(text):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from runs import automaton, golden, number
 
-from contacts.classify import Candidate, candidates, choose
+from contacts.candidates import Candidate, candidates
+from contacts.classify import choose
 from contacts.laws import SceneLaws
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot

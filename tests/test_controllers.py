@@ -14,7 +14,7 @@ from contacts.scene import Scene
 from contacts.testing import properties
 from contacts.violations import violations
 from statechart.automaton import Automaton
-from statechart.document import dump, interpret, read_text, validate
+from statechart.document import interpret, read_text, validate
 from statechart.errors import DeclarationError, EventLoop
 from statechart.feasibility import feasibility
 from statechart.figure import figure
@@ -23,8 +23,10 @@ from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.run import Runner
 from statechart.simulate import Simulator
-from statechart.testing import Subject, generic
+from statechart.subject import Subject
+from statechart.testing import generic
 from statechart.trace import Trace
+from statechart.yaml_text import dump
 
 both = pytest.mark.parametrize("name", ENGINES)
 

@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import examples
 
-from statechart.diagram import Diagram, Link, Node, dot, mermaid, scxml, write
-from statechart.diagram.model import identifiers
-from statechart.diagram.scxml import NOTES, SCXML
-from statechart.diagram.write import SUFFIXES
+from statechart.diagram.dot import dot
+from statechart.diagram.mermaid import mermaid
+from statechart.diagram.model import Diagram, Link, Node, identifiers
+from statechart.diagram.scxml import NOTES, SCXML, scxml
+from statechart.diagram.write import SUFFIXES, write
 from statechart.errors import StatechartError
 
 

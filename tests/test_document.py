@@ -10,8 +10,9 @@ from pydantic import BaseModel, model_validator
 from statechart import document, kinds
 from statechart.chart import Chart, Region, State, Transition
 from statechart.declaration import Count, Event, Integral, Moment, Settings, Stop, Value
-from statechart.document import Document, dump, find, interpret, load, read, read_text, validate
+from statechart.document import Document, find, interpret, load, read, read_text, validate
 from statechart.errors import DeclarationError, DeclarationProblem, Position
+from statechart.yaml_text import dump
 
 STARTER = kinds.CHART.starter
 

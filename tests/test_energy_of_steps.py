@@ -8,7 +8,7 @@ import pytest
 from contacts.heap_numbers import heap_numbers, owners_of
 from contacts.heap_testing import assert_depths, assert_energy_of_steps
 from statechart.document import interpret, read_text
-from statechart.testing import Subject
+from statechart.subject import Subject
 
 HEAP = """
 kind: scene

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from runs import ENGINES, golden
 
-from contacts.classify import ContactLaw
+from contacts.candidates import ContactLaw
 from contacts.impact import Impact, impact
 from contacts.snapshot import PerContact, Snapshot
 from statechart.document import read_text

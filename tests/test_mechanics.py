@@ -7,7 +7,8 @@ import pytest
 
 from contacts.kind import automaton
 from contacts.laws import SceneLaws
-from contacts.scene import Body, Coordinate, Force, Scene
+from contacts.parts import Body, Coordinate, Force
+from contacts.scene import Scene
 
 
 def snapshot(scene: Scene, state: list[float]):

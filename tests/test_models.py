@@ -10,7 +10,7 @@ from statechart.document import load
 from statechart.engines import choose
 from statechart.engines.scipy import METHODS
 from statechart.simulate import Simulator
-from statechart.testing import Subject
+from statechart.subject import Subject
 
 NAMES = EVENT_BASED
 EXAMPLES = 6

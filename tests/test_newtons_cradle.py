@@ -19,7 +19,8 @@ from statechart.cli import main
 from statechart.comparison import Undecidable, assert_same
 from statechart.document import load
 from statechart.simulate import Simulator
-from statechart.testing import Subject, assert_engines_agree
+from statechart.subject import Subject
+from statechart.testing import assert_engines_agree
 
 MODEL = "newtons_cradle"
 SPEED = 2.0 * math.sqrt(9.81) * math.sin(0.15)  # of the first ball when it arrives

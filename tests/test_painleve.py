@@ -11,7 +11,8 @@ from runs import ENGINES, engine, golden
 from contacts.kind import automaton
 from contacts.laws import SceneLaws
 from contacts.painleve import paradoxes
-from contacts.scene import Body, Contact, Point, Scene, Surface
+from contacts.parts import Body, Contact, Point, Surface
+from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from statechart.simulate import Simulator
 from statechart.trace import Outcome, Trace

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from runs import golden, number
 
-from contacts.classify import ContactLaw
+from contacts.candidates import ContactLaw
 from contacts.collisions import collisions
 from contacts.complementarity import contact_impulses, contact_problem, enumerate_lcp
 from contacts.exact import exact_impulses

@@ -19,7 +19,7 @@ from statechart.checking import check
 from statechart.cli import main
 from statechart.comparison import Sensitivity, assert_same
 from statechart.document import interpret, load, read_text
-from statechart.testing import Subject
+from statechart.subject import Subject
 
 HEAP = """
 kind: scene

@@ -10,7 +10,8 @@ from runs import ENGINES, engine, modes
 
 from contacts.kind import automaton
 from contacts.modes import Free, Pin, Slide
-from contacts.scene import Body, Contact, Point, Scene, Surface
+from contacts.parts import Body, Contact, Point, Surface
+from contacts.scene import Scene
 from statechart.document import read_text, validate
 from statechart.errors import DeclarationError
 from statechart.simulate import Simulator

@@ -10,7 +10,8 @@ from runs import ENGINES, engine
 
 from contacts.kind import automaton
 from contacts.modes import Free, Slide
-from contacts.scene import Body, Contact, Point, Scene, Surface
+from contacts.parts import Body, Contact, Point, Surface
+from contacts.scene import Scene
 from statechart.compose import graph, product_modes
 from statechart.document import interpret, read_text
 from statechart.engines.scipy import SciPy

@@ -12,8 +12,6 @@ from statechart.diagram.model import Diagram, Link, Node
 from statechart.feasibility import Feasibility
 from statechart.trace import Key, Trace
 
-__all__ = ["build", "needs_run"]
-
 # Two contacts have nine modes as users count, and a product of more than this cannot be read.
 _MOST_MODES = 16
 # Of more regions alike than this not all are named.

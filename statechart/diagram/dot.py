@@ -9,8 +9,6 @@ from itertools import groupby
 
 from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
 
-__all__ = ["dot"]
-
 # DejaVu Sans comes with matplotlib, so it is there for png and pdf on a machine without fonts;
 # Verdana has its metrics, so the text of an svg fits where a browser has only that.
 _FONT = "DejaVu Sans,Verdana,sans-serif"

@@ -7,8 +7,6 @@ import re
 
 from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
 
-__all__ = ["mermaid"]
-
 # What Mermaid's lexer acts on inside a label (`stateDiagram.jison`): separators, comments,
 # entities, quotes, and two phrases it looks for anywhere in a line.
 _SPECIAL = re.compile(r"[^\w \n→….,()*/+=^'|!?-]|(?i:(?<=d)irection(?=\s))|(?i:(?<=e)nd note)")

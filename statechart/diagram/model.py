@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from statechart.errors import StatechartError
 
-__all__ = ["Diagram", "Link", "Node", "identifiers", "printable"]
-
 # Words that Mermaid's lexer takes for its own wherever a state's id could stand (its
 # `stateDiagram.jison`), in any case; DOT and SCXML reserve none that matters here.
 _RESERVED = {

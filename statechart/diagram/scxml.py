@@ -7,8 +7,6 @@ import xml.etree.ElementTree as ET
 
 from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
 
-__all__ = ["NOTES", "SCXML", "scxml"]
-
 SCXML = "http://www.w3.org/2005/07/scxml"
 """Namespace of the elements."""
 

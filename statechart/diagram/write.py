@@ -18,8 +18,6 @@ from statechart.diagram.scxml import scxml
 from statechart.errors import StatechartError
 from statechart.files import write_atomic
 
-__all__ = ["SUFFIXES", "write"]
-
 _TEXTS = {".dot": dot, ".mmd": mermaid, ".scxml": scxml}
 _PICTURES = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
 

@@ -8,8 +8,6 @@ from importlib.util import find_spec
 from statechart.engine import Engine
 from statechart.errors import DeclarationError
 
-__all__ = ["ENGINES", "choose"]
-
 ENGINES = ("auto", "taylor", "scipy")
 
 # Taylor's method costs little more for the last digits: its order rises with them.

@@ -6,18 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import integrate
 
+from statechart.arrays import Array
 from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.engine import Begin, Engine, Path, Steps, Watch, rates_tape
 from statechart.errors import NonFinite, StepFailure
 from statechart.tape import Tape
-
-__all__ = ["METHODS", "SciPy"]
-
-Array = NDArray[np.float64]
 
 METHODS = ("RK45", "DOP853", "Radau", "LSODA")
 

@@ -22,14 +22,10 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from statechart.arrays import Array, Ints32
 from statechart.compiled import kernel, part
 from statechart.kernels.constraints import off_by
 from statechart.kernels.search import NONE, search
-
-__all__ = ["HALVINGS", "LEAST_MOTION", "OFF", "STRAY", "Step", "taylor_flow"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 # What the loop below relies on: heyoka documents the module, not the function.
 _SIGNATURE = re.compile(
@@ -129,7 +125,7 @@ def _call(
 
 
 @part
-def _stray(row: Floats, h: float, series: Floats, s: float) -> float:
+def _stray(row: Array, h: float, series: Array, s: float) -> float:
     """How far the slope at `s` of a step is off the rate there, in parts of the motion."""
     worst, size = 0.0, LEAST_MOTION
     for v in range(row.shape[0]):
@@ -148,11 +144,11 @@ def _stray(row: Floats, h: float, series: Floats, s: float) -> float:
 @part
 def _inside(
     address: int,
-    row: Floats,
+    row: Array,
     h: float,
-    parameters: Floats,
-    clock: Floats,
-    series: Floats,
+    parameters: Array,
+    clock: Array,
+    series: Array,
     allowed: float,
     tolerance: float,
 ) -> float:
@@ -183,17 +179,17 @@ def _inside(
 @part
 def _taylor_steps(
     address: int,
-    state: Floats,
-    parameters: Floats,
-    clock: Floats,
-    series: Floats,
+    state: Array,
+    parameters: Array,
+    clock: Array,
+    series: Array,
     tolerance: float,
     duration: float,
     count: int,
     first: int,
-    times: Floats,
-    coeffs: Floats,
-    end: Floats,
+    times: Array,
+    coeffs: Array,
+    end: Array,
 ) -> tuple[int, int, float, float]:
     """Take up to `count` steps from `state`, behind the `first` ones of an arc.
 
@@ -299,36 +295,36 @@ def _taylor_steps(
 @kernel
 def taylor_flow(
     moved: bool,
-    initial: Floats,
+    initial: Array,
     address: int,
-    state: Floats,
-    heyokas: Floats,
+    state: Array,
+    heyokas: Array,
     used: NDArray[np.int64],
-    clock: Floats,
-    series: Floats,
+    clock: Array,
+    series: Array,
     tolerance: float,
     until: float,
     count: int,
     longest: int,
     first: int,
     most: int,
-    times: Floats,
-    coeffs: Floats,
-    begun: Floats,
-    end: Floats,
+    times: Array,
+    coeffs: Array,
+    begun: Array,
+    end: Array,
     near: float,
-    off_code: Ints,
-    off_constants: Floats,
-    off_outputs: Ints,
-    targets: Floats,
-    weights: Floats,
-    code: Ints,
-    constants: Floats,
-    outputs: Ints,
-    reads: Ints,
+    off_code: Ints32,
+    off_constants: Array,
+    off_outputs: Ints32,
+    targets: Array,
+    weights: Array,
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
     n_fixed: int,
-    tolerances: Floats,
-    parameters: Floats,
+    tolerances: Array,
+    parameters: Array,
     start: float,
     budget: int,
 ) -> tuple[int, int, bool, float, float, int, tuple[int, int, int, float, float, float, int]]:

@@ -16,6 +16,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.enclosure import BOXES, Verdict, as_search
@@ -24,10 +25,6 @@ from statechart.engines.stepping import HALVINGS, LEAST_MOTION, OFF, STRAY, Step
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
 from statechart.kernels.polynomials import append_steps
 from statechart.tape import Tape, compile_tape
-
-__all__ = ["LONG_DOUBLE", "Taylor", "has_long_double"]
-
-Array = NDArray[np.float64]
 
 LONG_DOUBLE = "long double"
 """Method that integrates in the processor's extended precision."""

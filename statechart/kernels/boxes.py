@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from statechart.arrays import Array, Ints32
 from statechart.compiled import kernel, part
 from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, whole, wide
 from statechart.kernels.jets import run_jets
 
-__all__ = ["Along", "enclose", "judge", "prepare"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Along = tuple[Ints, int, int, int, Ints, Floats, Floats, float]
+Along = tuple[Ints32, int, int, int, Ints32, Array, Array, float]
 """What is evaluated along what: code, the register of its first operation, the operations to run
 (from, to), reads, times, coeffs, start."""
 
 
 @kernel
-def prepare(coeffs: Floats, step: int, reads: Ints, bounds: Floats) -> bool:
+def prepare(coeffs: Array, step: int, reads: Ints32, bounds: Array) -> bool:
     """Bound the third derivative over a step; False if the step is not finite."""
     finite = True
     for r in range(reads.shape[0]):
@@ -39,7 +33,7 @@ def prepare(coeffs: Floats, step: int, reads: Ints, bounds: Floats) -> bool:
 
 @kernel
 def enclose(
-    along: Along, step: int, bounds: Floats, m: float, w: float, order: int, jets: Floats
+    along: Along, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
 ) -> None:
     """Jets of all registers over the places [m - w, m + w] of a step.
 
@@ -89,7 +83,7 @@ def enclose(
 
 
 @part
-def _lower(value: Floats, middle: Floats, slope: float, w: float) -> float:
+def _lower(value: Array, middle: Array, slope: float, w: float) -> float:
     """Lower bound of an output over a box of half width w.
 
     The best of its own enclosure `value`, of g(m) - slope w with `slope` bounding |g'|, and of
@@ -118,13 +112,13 @@ def _least_parabola(slope: float, bend: float, length: float) -> float:
 @kernel
 def judge(
     along: Along,
-    outputs: Ints,
+    outputs: Ints32,
     step: int,
-    bounds: Floats,
+    bounds: Array,
     a: float,
     b: float,
-    jets: Floats,
-    work: Floats,
+    jets: Array,
+    work: Array,
 ) -> None:
     """Evidence on the box [a, b] for every output.
 

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array, Ints32
 from statechart.compiled import kernel
 from statechart.kernels.tapes import tape_values
-
-__all__ = ["off_by"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 
 @kernel
 def off_by(
-    code: Ints,
-    constants: Floats,
-    outputs: Ints,
-    targets: Floats,
-    weights: Floats,
-    state: Floats,
-    parameters: Floats,
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    targets: Array,
+    weights: Array,
+    state: Array,
+    parameters: Array,
     time: float,
 ) -> float:
     """Largest distance of an output from its target, weighted; those without a value count not."""

@@ -12,37 +12,6 @@ import math
 
 from statechart.compiled import kernel, part
 
-__all__ = [
-    "EPS",
-    "HALF",
-    "INF",
-    "LIBM",
-    "MINUS_ONE",
-    "ONE",
-    "TINY",
-    "WHOLE",
-    "ZERO",
-    "Interval",
-    "add",
-    "cosh",
-    "div",
-    "even",
-    "exp",
-    "extrema",
-    "hull",
-    "mul",
-    "neg",
-    "power",
-    "scaled",
-    "sinh",
-    "sqrt",
-    "square",
-    "sub",
-    "wave",
-    "whole",
-    "wide",
-]
-
 Interval = tuple[float, float]
 
 EPS = 2.0**-52

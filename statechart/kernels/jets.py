@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from statechart.arrays import Array, Ints32
 from statechart.compiled import kernel, part
 from statechart.kernels.intervals import (
     HALF,
@@ -69,10 +67,6 @@ from statechart.kernels.tapes import (
     TANH,
 )
 
-__all__ = ["run_jets"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Jet = tuple[Interval, Interval, Interval]
 
 _MOST = 1024.0  # whole exponents beyond have no use
@@ -260,12 +254,12 @@ def _extreme(op: int, u: Jet, v: Jet) -> Jet:
 
 
 @part
-def _jet(jets: Floats, r: int) -> Jet:
+def _jet(jets: Array, r: int) -> Jet:
     return (jets[r, 0], jets[r, 1]), (jets[r, 2], jets[r, 3]), (jets[r, 4], jets[r, 5])
 
 
 @kernel
-def run_jets(code: Ints, first: int, last: int, base: int, jets: Floats, order: int) -> None:
+def run_jets(code: Ints32, first: int, last: int, base: int, jets: Array, order: int) -> None:
     """Run the operations [first, last) on jets: the values alone for order 0.
 
     For order -1 they are those on the part of the intervals where the operations are defined.

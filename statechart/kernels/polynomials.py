@@ -5,22 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array, Ints32
 from statechart.compiled import kernel, part
 from statechart.kernels.tapes import filled, run_tape
-
-__all__ = [
-    "append_steps",
-    "cut_steps",
-    "horner",
-    "integrate_outputs",
-    "local_time",
-    "sample_states",
-]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _NODES = (_NODES + 1.0) / 2.0
@@ -28,7 +16,7 @@ _WEIGHTS = _WEIGHTS / 2.0
 
 
 @part
-def horner(coeffs: Floats, step: int, v: int, s: float) -> float:
+def horner(coeffs: Array, step: int, v: int, s: float) -> float:
     """Value of a variable at the place s of a step."""
     value = 0.0
     for k in range(coeffs.shape[2] - 1, -1, -1):
@@ -37,7 +25,7 @@ def horner(coeffs: Floats, step: int, v: int, s: float) -> float:
 
 
 @part
-def local_time(times: Floats, step: int, s: float) -> float:
+def local_time(times: Array, step: int, s: float) -> float:
     """Local time of the place s in a step; exact at both ends."""
     if s >= 1.0:
         return times[step + 1]
@@ -46,17 +34,17 @@ def local_time(times: Floats, step: int, s: float) -> float:
 
 @kernel
 def integrate_outputs(
-    code: Ints,
-    constants: Floats,
-    outputs: Ints,
-    reads: Ints,
-    times: Floats,
-    coeffs: Floats,
-    parameters: Floats,
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
+    times: Array,
+    coeffs: Array,
+    parameters: Array,
     start: float,
     t_from: float,
     t_to: float,
-) -> Floats:
+) -> Array:
     """Integral of every output over local time [t_from, t_to], 16 Gauss nodes in a step."""
     nodes, n = _NODES.shape[0], coeffs.shape[1]
     base, regs = filled(code, constants, parameters, n, nodes)
@@ -83,7 +71,7 @@ def integrate_outputs(
 
 @kernel
 def append_steps(
-    durations: Floats, taken: int, first: int, times: Floats, coeffs: Floats, end: Floats
+    durations: Array, taken: int, first: int, times: Array, coeffs: Array, end: Array
 ) -> int:
     """Make Taylor coefficients in time those in s = time / duration, in place; fill in `times`.
 
@@ -113,7 +101,7 @@ def append_steps(
 
 
 @kernel
-def cut_steps(times: Floats, coeffs: Floats, count: int, end: float, state: Floats) -> int:
+def cut_steps(times: Array, coeffs: Array, count: int, end: float, state: Array) -> int:
     """End an arc of `count` steps at local time `end`, in place, and write the state there.
 
     Returns how many steps are kept; with none the state is left alone.
@@ -134,7 +122,7 @@ def cut_steps(times: Floats, coeffs: Floats, count: int, end: float, state: Floa
 
 
 @kernel
-def sample_states(coeffs: Floats, times: Floats, tau: Floats) -> Floats:
+def sample_states(coeffs: Array, times: Array, tau: Array) -> Array:
     """States at local times; shape (m, n)."""
     last = coeffs.shape[0] - 1
     result = np.empty((tau.shape[0], coeffs.shape[1]))

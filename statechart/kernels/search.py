@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array, Ints32
 from statechart.compiled import is_cached, kernel, part
 from statechart.kernels.boxes import Along, enclose, judge, prepare
 from statechart.kernels.intervals import EPS, INF, LIBM, TINY
 from statechart.kernels.jets import run_jets
 from statechart.kernels.polynomials import horner, local_time
 from statechart.kernels.tapes import filled, run_tape
-
-__all__ = ["BUDGET", "CROSSING", "GRAZE", "NONE", "NON_FINITE", "cached", "search"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 NONE, CROSSING, GRAZE, BUDGET, NON_FINITE = range(5)
 
@@ -32,7 +27,7 @@ def _alone(along: Along, output: int) -> Along:
 
 
 @part
-def _margin(along: Along, step: int, output: int, s: float, regs: Floats) -> float:
+def _margin(along: Along, step: int, output: int, s: float, regs: Array) -> float:
     """Value of an output at one place of a step."""
     code, base, first, last, reads, times, coeffs, start = along
     n = coeffs.shape[1]
@@ -54,7 +49,7 @@ def _root(
     shift: float,
     left: float,
     right: float,
-    regs: Floats,
+    regs: Array,
 ) -> float:
     """Last place, to a few ulp, with output + shift >= 0 before it falls in [left, right].
 
@@ -95,14 +90,14 @@ def _root(
 @part
 def _descent(
     along: Along,
-    guard: Ints,
+    guard: Ints32,
     step: int,
     left: float,
     right: float,
-    bounds: Floats,
-    regs: Floats,
-    jets: Floats,
-    work: Floats,
+    bounds: Array,
+    regs: Array,
+    jets: Array,
+    work: Array,
 ) -> tuple[int, float]:
     """Where the margin itself vanished, on the descent that ends at `right` below its tolerance.
 
@@ -140,14 +135,14 @@ def _descent(
 @part
 def _falls(
     along: Along,
-    guard: Ints,
+    guard: Ints32,
     tolerance: float,
     step: int,
     a: float,
     b: float,
-    bounds: Floats,
-    jets: Floats,
-    work: Floats,
+    bounds: Array,
+    jets: Array,
+    work: Array,
 ) -> tuple[int, float]:
     """Whether an output that falls all over [a, b] passes -tolerance there, and a sure end.
 
@@ -177,8 +172,8 @@ def _clear_at_edge(
     step: int,
     a: float,
     b: float,
-    bounds: Floats,
-    jets: Floats,
+    bounds: Array,
+    jets: Array,
 ) -> bool:
     """Whether an output is above -tolerance on [a, b] where it is defined, which is nearly all.
 
@@ -200,15 +195,15 @@ def _clear_at_edge(
 
 @kernel
 def search(
-    code: Ints,
-    constants: Floats,
-    outputs: Ints,
-    reads: Ints,
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
     n_fixed: int,
-    tolerances: Floats,
-    times: Floats,
-    coeffs: Floats,
-    parameters: Floats,
+    tolerances: Array,
+    times: Array,
+    coeffs: Array,
+    parameters: Array,
     start: float,
     first: int,
     last: int,

@@ -5,14 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from statechart.arrays import Array, Ints32
 from statechart.compiled import kernel, part
-
-__all__ = ["OPCODES", "filled", "run_tape", "tape_table", "tape_values"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
 NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21)
@@ -73,7 +68,7 @@ def _two(op: int, a: float, b: float) -> float:
 
 
 @part
-def run_tape(code: Ints, first: int, last: int, base: int, regs: Floats, count: int) -> None:
+def run_tape(code: Ints32, first: int, last: int, base: int, regs: Array, count: int) -> None:
     """Run the operations [first, last) on `count` columns of registers."""
     for k in range(first, last):
         op = code[k, 0]
@@ -113,8 +108,8 @@ def run_tape(code: Ints, first: int, last: int, base: int, regs: Floats, count: 
 
 @part
 def filled(
-    code: Ints, constants: Floats, parameters: Floats, n_variables: int, width: int
-) -> tuple[int, Floats]:
+    code: Ints32, constants: Array, parameters: Array, n_variables: int, width: int
+) -> tuple[int, Array]:
     """Return the first register of the operations, and registers with what is known filled in."""
     n_parameters = parameters.shape[0]
     base = n_variables + 1 + n_parameters + constants.shape[0]
@@ -129,13 +124,13 @@ def filled(
 
 @kernel
 def tape_values(
-    code: Ints,
-    constants: Floats,
-    outputs: Ints,
-    state: Floats,
-    parameters: Floats,
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    state: Array,
+    parameters: Array,
     time: float,
-    result: Floats,
+    result: Array,
 ) -> None:
     """Write the values (n_out,) of the outputs at one point.
 
@@ -153,14 +148,14 @@ def tape_values(
 
 @kernel
 def tape_table(
-    code: Ints,
-    constants: Floats,
-    outputs: Ints,
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
     n_fixed: int,
-    states: Floats,
-    parameters: Floats,
-    times: Floats,
-) -> Floats:
+    states: Array,
+    parameters: Array,
+    times: Array,
+) -> Array:
     """Values of the outputs at m points; shape (m, n_out)."""
     m, n = states.shape
     base, regs = filled(code, constants, parameters, n, BLOCK)
