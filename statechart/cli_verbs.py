@@ -151,7 +151,7 @@ def _study(arguments: argparse.Namespace) -> Study | None:
 
 def trade(arguments: argparse.Namespace) -> int:
     """Run a model at many settings; print what each costs and gives."""
-    from statechart.study_text import text
+    from statechart.study_text import report, text
     from statechart.trade import trade as study_of
 
     runner = _runner(arguments.file)
@@ -167,7 +167,7 @@ def trade(arguments: argparse.Namespace) -> int:
 
         pieces.attempt("tables and figure", lambda: write(arguments.output, study), None)
     if arguments.json:
-        _print_json(study.report())
+        _print_json(report(study))
     else:
         print(text(study), end="")
     if pieces.failed:

@@ -5,15 +5,46 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from statechart.automaton import Automaton
 from statechart.declaration import Declaration
 from statechart.errors import DeclarationError
 from statechart.estimate import BELOW, TIGHTER
 
-if TYPE_CHECKING:
-    from statechart.study import Study
+
+class Measurement(Protocol):
+    """An engine and a tolerance that were run."""
+
+    engine: str
+    method: str | None
+    tolerance: float | None
+
+    @property
+    def label(self) -> str:
+        """What people call it."""
+        ...
+
+
+class Measured(Protocol):
+    """What was measured of a model at many settings, as `statechart.study.Study`."""
+
+    until: float
+
+    def of(self, model: Declaration) -> bool:
+        """Whether a model is the one that was measured."""
+        ...
+
+    def choose(
+        self,
+        *,
+        accuracy: float | None,
+        budget: float | None,
+        engine: str | None,
+        method: str | None,
+    ) -> Measurement | None:
+        """Return what was seen to reach an accuracy, or the best in a time."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -90,13 +121,11 @@ class Request:
             settled = replace(settled, first=settled.accuracy * BELOW)
         return settled
 
-    def learned(self, study: Study | None, model: Declaration) -> Request:
+    def learned(self, study: Measured | None, model: Declaration) -> Request:
         """Return the request with engine and first tolerance chosen by what was measured."""
         if study is None or (self.accuracy is None and self.budget is None):
             return self
-        from statechart.study import fingerprint
-
-        if study.fingerprint != fingerprint(model):
+        if not study.of(model):
             return replace(self, basis="estimated: the study given is of another model or version")
         found = study.choose(
             accuracy=self.accuracy,

@@ -30,7 +30,7 @@ from statechart.syntax import close_matches
 from statechart.trace import Key, Outcome, Trace
 
 if TYPE_CHECKING:
-    from statechart.study import Study
+    from statechart.request import Measured
 
 
 class Runner:
@@ -76,7 +76,7 @@ class Runner:
         accuracy: float | None = None,
         step: float | None = None,
         budget: float | None = None,
-        study: Study | None = None,
+        study: Measured | None = None,
         progress: bool = False,
     ) -> None:
         began = time.perf_counter()
@@ -350,7 +350,7 @@ def run(
     accuracy: float | None = None,
     step: float | None = None,
     budget: float | None = None,
-    study: Study | None = None,
+    study: Measured | None = None,
     progress: bool = False,
     throw: bool = True,
 ) -> Result:

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
-from statechart.arrays import Array
-
-if TYPE_CHECKING:
-    from statechart.study import Point, Study
-
+from statechart.study import LEAST_POINTS, RESOLVED, Point, Study, median_slope
 
 Quantity = Literal["error", "steps"]
 
@@ -32,16 +28,11 @@ rejected falls with the tolerance. The theory of a fixed step is order 1 (Moreau
 path that a run takes: it holds whether or not its modes are those of the reference, as where
 bounces accumulate."""
 
-# What a slope of the error is fitted to: above, the error is as large as the motion; below, in
-# multiples of what the reference resolves, rounding is in the way.
-_SATURATED, _RESOLVED = 1e-1, 20.0
+# What a slope of the error is fitted to: above, the error is as large as the motion.
+_SATURATED = 1e-1
 # A slope of the steps is fitted where a flow takes at least so many: its first step and its last,
 # which an event cuts short, are no matter of the tolerance.
 _STEPS_PER_FLOW = 10.0
-_LEAST_POINTS = 3
-# An output converges with the step if its error falls with at least this power of it: theory says
-# 1, and a quarter is beyond what chance makes of three points or more.
-_CONVERGING = 0.25
 # The tolerance decides errors and steps where the finest run takes so many times the steps of the
 # coarsest. Flights along parabolas and bodies at rest take steps that no tolerance decides: at six
 # times they are no more than a sixth of all.
@@ -83,49 +74,17 @@ def slopes(study: Study) -> tuple[Slope, ...]:
     for family, theories in SLOPES.items():
         for of, theory in theories.items():
             points = fitted(study, family, of)
-            if len(points) < _LEAST_POINTS:
+            if len(points) < LEAST_POINTS:
                 continue
             x, y = np.log(np.array(points)).T
-            # The median slope of all pairs (Theil, 1950; Sen, 1968): where errors of steps and
-            # events happen to cancel, one point is far below the line.
-            slope = _median_slope(x, y)
+            # Where errors of steps and events happen to cancel, one point is far below the line.
+            slope = median_slope(x, y)
             if slope * theory <= 0.0:
                 continue
             off = y - np.median(y - slope * x) - slope * x
             scatter = math.sqrt(float(off @ off) / (len(x) - 2)) / (float(x.std()) * len(x) ** 0.5)
             found.append(Slope(family, of, slope, scatter, theory, len(points)))
     return tuple(found)
-
-
-def _median_slope(x: Array, y: Array) -> float:
-    i, j = np.triu_indices(len(x), 1)
-    return float(np.median((y[j] - y[i]) / (x[j] - x[i])))
-
-
-def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
-    """Return the outputs whose error does not fall with the step -> error at the shortest.
-
-    Parameters
-    ----------
-    points : sequence of Point
-        Of fixed steps.
-    least : float
-        Errors below `_RESOLVED` times this cannot be told.
-    """
-    found = {}
-    for name in dict.fromkeys(name for point in points for name in point.errors.named):
-        pairs = sorted(
-            (point.setting.fineness, point.errors.named[name])
-            for point in points
-            if name in point.errors.named
-        )
-        large = [(h, e) for h, e in pairs if e > max(_RESOLVED * least, float(np.finfo(float).eps))]
-        if len(large) < _LEAST_POINTS or large[0] != pairs[0]:
-            continue
-        x, y = np.log(np.array(large)).T
-        if _median_slope(x, y) < _CONVERGING:
-            found[name] = pairs[0][1]
-    return found
 
 
 def unfitted(study: Study) -> dict[str, str]:
@@ -139,9 +98,9 @@ def unfitted(study: Study) -> dict[str, str]:
                 continue
             if study.parted is not None and of == "error":
                 why = "there are no errors"
-            elif len(fitted(study, family, of)) >= _LEAST_POINTS:
+            elif len(fitted(study, family, of)) >= LEAST_POINTS:
                 why = "it does not fall: it is rounding, or these runs take another course"
-            elif len(_same(study, family)) < _LEAST_POINTS:
+            elif len(_same(study, family)) < LEAST_POINTS:
                 why = "few runs take the modes of the reference"
             elif not _grown(study, family, of):
                 why = "the tolerance hardly decides the steps"
@@ -150,7 +109,7 @@ def unfitted(study: Study) -> dict[str, str]:
             else:
                 why = (
                     f"few runs have an error below {_SATURATED:g} and above what can be told "
-                    f"({_RESOLVED * study.least:.0e})"
+                    f"({RESOLVED * study.least:.0e})"
                 )
             found[f"{of} of {family}"] = why
     return found
@@ -179,6 +138,6 @@ def fitted(study: Study, family: str, of: Quantity) -> list[tuple[float, float]]
             for p in points
             if p.steps >= _STEPS_PER_FLOW * p.flows
         ]
-    least = _RESOLVED * max(study.least, float(np.finfo(float).eps))
+    least = RESOLVED * max(study.least, float(np.finfo(float).eps))
     pairs = [(p.setting.fineness, study.error(p)) for p in points]
     return [(x, e) for x, e in pairs if e is not None and least < e < _SATURATED]

@@ -7,16 +7,25 @@ import json
 import math
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import asdict
 from importlib.metadata import version
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from statechart.arrays import Array
 from statechart.declaration import Declaration
-from statechart.slopes import slopes, unfitted, unsettled
 
 _Time = Annotated[float, Field(ge=0)]
+
+RESOLVED = 20.0
+"""Errors below so many times what the reference resolves are rounding."""
+LEAST_POINTS = 3
+"""Of a slope."""
+
+# An output converges with the step if its error falls with at least this power of it: theory says
+# 1, and a quarter is beyond what chance makes of three points or more.
+_CONVERGING = 0.25
 
 
 class _Record(BaseModel):
@@ -208,6 +217,10 @@ class Study(_Record):
     points: tuple[Point, ...] = ()
     left_out: dict[str, str] = {}
 
+    def of(self, model: Declaration) -> bool:
+        """Whether a model is the one that was measured, by this version."""
+        return self.fingerprint == fingerprint(model)
+
     @property
     def complete(self) -> bool:
         """Whether every setting was run or left out for a reason."""
@@ -319,26 +332,6 @@ class Study(_Record):
                 best = (rank, setting)
         return None if best is None else best[1]
 
-    def report(self) -> dict[str, Any]:
-        """Return the study as one plain object, with what follows from its points."""
-        shown = self.model_dump(mode="json")
-        shown["least"] = self.least
-        front = self.front()
-        for point, plain in zip(self.points, shown["points"], strict=True):
-            plain["label"] = point.setting.label
-            plain["error"] = self.error(point)
-            plain["kept"] = self.kept(point)
-            plain["on_front"] = point in front
-        shown["complete"] = self.complete
-        shown["missed"] = {
-            family: {"missed": missed, "of": count}
-            for family, (missed, count) in self.missed().items()
-        }
-        shown["slopes"] = [asdict(slope) for slope in slopes(self)]
-        shown["no_slope"] = unfitted(self)
-        shown["unsettled"] = self.unsettled()
-        return shown
-
 
 def fingerprint(model: Declaration) -> str:
     """Return what tells a model from any other, and from itself run by another version.
@@ -354,3 +347,35 @@ def ordered(points: Sequence[Point]) -> list[Point]:
     """Return points family by family, from coarse to fine."""
     families = list(dict.fromkeys(point.setting.family for point in points))
     return sorted(points, key=lambda p: (families.index(p.setting.family), -p.setting.fineness))
+
+
+def median_slope(x: Array, y: Array) -> float:
+    """Return the median slope of all pairs of points (Theil, 1950; Sen, 1968)."""
+    i, j = np.triu_indices(len(x), 1)
+    return float(np.median((y[j] - y[i]) / (x[j] - x[i])))
+
+
+def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
+    """Return the outputs whose error does not fall with the step -> error at the shortest.
+
+    Parameters
+    ----------
+    points : sequence of Point
+        Of fixed steps.
+    least : float
+        Errors below `RESOLVED` times this cannot be told.
+    """
+    found = {}
+    for name in dict.fromkeys(name for point in points for name in point.errors.named):
+        pairs = sorted(
+            (point.setting.fineness, point.errors.named[name])
+            for point in points
+            if name in point.errors.named
+        )
+        large = [(h, e) for h, e in pairs if e > max(RESOLVED * least, float(np.finfo(float).eps))]
+        if len(large) < LEAST_POINTS or large[0] != pairs[0]:
+            continue
+        x, y = np.log(np.array(large)).T
+        if median_slope(x, y) < _CONVERGING:
+            found[name] = pairs[0][1]
+    return found

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from typing import Any
+
 from statechart.slopes import slopes, unfitted
 from statechart.study import Point, Study
 from statechart.summary import table
@@ -117,3 +120,24 @@ def _number(value: float | None) -> str:
 
 def _seconds(value: float) -> str:
     return f"{value * 1e3:.3g} ms" if value < 1.0 else f"{value:.3g} s"
+
+
+def report(study: Study) -> dict[str, Any]:
+    """Return a study as one plain object, with what follows from its points."""
+    shown = study.model_dump(mode="json")
+    shown["least"] = study.least
+    front = study.front()
+    for point, plain in zip(study.points, shown["points"], strict=True):
+        plain["label"] = point.setting.label
+        plain["error"] = study.error(point)
+        plain["kept"] = study.kept(point)
+        plain["on_front"] = point in front
+    shown["complete"] = study.complete
+    shown["missed"] = {
+        family: {"missed": missed, "of": count}
+        for family, (missed, count) in study.missed().items()
+    }
+    shown["slopes"] = [asdict(slope) for slope in slopes(study)]
+    shown["no_slope"] = unfitted(study)
+    shown["unsettled"] = study.unsettled()
+    return shown

@@ -19,7 +19,7 @@ from statechart.slopes import slopes
 from statechart.study import Errors, Point, Setting, Study, fingerprint
 from statechart.study_figure import figure, write
 from statechart.study_file import load, save
-from statechart.study_text import text
+from statechart.study_text import report, text
 from statechart.trade import plan, trade
 
 # One event in a long smooth motion, so that the integrator decides the error.
@@ -231,9 +231,9 @@ def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: 
     assert "leaves it at" in text(found)
     assert found.front() == ()
     write(tmp_path, found)
-    report = found.report()
-    assert report["points"][0]["error"] is None
-    json.dumps(report, allow_nan=False)
+    shown = report(found)
+    assert shown["points"][0]["error"] is None
+    json.dumps(shown, allow_nan=False)
 
 
 def test_before_it_becomes_chaotic_the_same_motion_has_an_accuracy() -> None:
@@ -421,7 +421,7 @@ def test_outputs_that_do_not_converge_with_the_step_are_named_and_spoil_no_error
     assert found.unsettled() == {"V_max": pytest.approx(0.020001)}
     assert [found.error(p) for p in found.points] == pytest.approx(steps)
     assert "V_max does not converge with the step" in text(found)
-    assert list(found.report()["unsettled"]) == ["V_max"]
+    assert list(report(found)["unsettled"]) == ["V_max"]
     (slope,) = slopes(found)
     assert slope.slope == pytest.approx(1.0)
     # What rounding hides from three steps on is not told.
