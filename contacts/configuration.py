@@ -7,18 +7,18 @@ from itertools import product
 
 import numpy as np
 
-from contacts.controllers import ControlledLaws
 from contacts.feasibility import DRIVEN, feasible_modes, without_direction
-from contacts.laws import SceneLaws
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot
 from statechart.arrays import Array
-from statechart.automaton import Automaton, Setup
+from statechart.automaton import Region
 from statechart.errors import StatechartError
 from statechart.feasibility import Feasibility
 
 
-def feasibility(automaton: Automaton, setup: Setup, state: Array, time: float) -> Feasibility:
+def judged(
+    regions: Sequence[Region], setup: SceneSetup, snapshot: Snapshot, failing: Sequence[str]
+) -> Feasibility:
     """Judge every product mode of a scene by the velocities that it asks for.
 
     Contacts that do not touch at the configuration, or are off, are judged as if they did and were
@@ -26,18 +26,20 @@ def feasibility(automaton: Automaton, setup: Setup, state: Array, time: float) -
 
     Parameters
     ----------
-    automaton, setup, state, time
-        As for `statechart.feasibility.feasibility`; of the state only the positions count.
+    regions : sequence of Region
+        Of the scene.
+    setup : SceneSetup
+        The numbers of the run.
+    snapshot : Snapshot
+        At the configuration; of its state only the positions count.
+    failing : sequence of str
+        Of every contact the condition that keeps it off; "" where none does.
 
     Raises
     ------
     StatechartError
         If a contact has no direction there (a point at the centre of a circle).
     """
-    laws = automaton.laws
-    assert isinstance(laws, SceneLaws | ControlledLaws)
-    assert isinstance(setup, SceneSetup)
-    snapshot = laws.snapshot(setup, state, time)
     names = [law.name for law in setup.contacts]
     options = [law.states for law in setup.contacts]
     jacobians = snapshot.jacobians
@@ -53,17 +55,16 @@ def feasibility(automaton: Automaton, setup: Setup, state: Array, time: float) -
         raise StatechartError(
             "the contacts have no direction at this configuration: give another one"
         )
-    judged = feasible_modes(jacobians, options, names)
+    found = feasible_modes(jacobians, options, names)
     count = len(setup.contacts)
-    directed = {mode.states[:count]: mode.reason for mode in judged}
-    undirected = {key[:count]: reason for key, reason in without_direction(judged).items()}
-    places = [[region.name for region in automaton.regions].index(n) for n in names[:count]]
-    regions = automaton.regions
+    directed = {mode.states[:count]: mode.reason for mode in found}
+    undirected = {key[:count]: reason for key, reason in without_direction(found).items()}
+    places = [[region.name for region in regions].index(n) for n in names[:count]]
     declared = (dict.fromkeys(map(region.declared, region.states)) for region in regions)
     return Feasibility(
         {k: directed[tuple(k[i] for i in places)] for k in product(*(r.states for r in regions))},
         {k: undirected[tuple(k[i] for i in places)] for k in product(*declared)},
-        _remarks(setup, snapshot, laws.failing(setup, state, time)),
+        _remarks(setup, snapshot, failing),
     )
 
 

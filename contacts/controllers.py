@@ -22,11 +22,12 @@ from contacts.mechanics import Mechanics
 from contacts.modes import OPEN
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
-from contacts.snapshot import Snapshot, SnapshotTape
+from contacts.snapshot import SnapshotTape
 from statechart.arrays import Array
 from statechart.automaton import CAPTURED, Edge, Flow, Margin, Region, Setup, State, plain
 from statechart.constraints import Constraints
 from statechart.course import Courses
+from statechart.feasibility import Feasibility
 from statechart.firing import Guard, Listening, Watch, considered, guards
 from statechart.trace import Clock, Jump, Key
 
@@ -113,10 +114,6 @@ class ControlledLaws:
         self._considered = {r.name: considered(r) for r in regions if r.name in self._controllers}
         self._listening = listening(mechanics.scene, regions)
 
-    def setup(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
-        """Evaluate parameters, initial state, scales and tolerances."""
-        return self._contacts.setup(overrides, relative)
-
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode; transitions that are due there are taken at once."""
         assert isinstance(setup, SceneSetup)
@@ -191,13 +188,11 @@ class ControlledLaws:
         """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
         return self._contacts.constraints(setup, flow[: self._count], start, anchor)
 
-    def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
-        """Return the numbers at a state, the controllers in their initial states."""
-        return self._contacts.snapshot(setup, state, time)
-
-    def failing(self, setup: Setup, state: Array, time: float) -> tuple[str, ...]:
-        """Return, for every contact, the condition that keeps it off; "" where none does."""
-        return self._contacts.failing(setup, state, time)
+    def feasibility(
+        self, regions: Sequence[Region], setup: Setup, state: Array, time: float
+    ) -> Feasibility:
+        """Judge every product mode by the velocities that it asks for; controllers ask for none."""
+        return self._contacts.feasibility(regions, setup, state, time)
 
     def _at(self, states: Key) -> SceneLaws:
         """Return the contacts' laws as long as the controllers are in `states`."""

@@ -28,8 +28,7 @@ from contacts.shapes import check_shapes
 from contacts.step_kernels import smoothed
 from contacts.stepped_scene import softened_remark, widened
 from statechart.arrays import Array
-from statechart.automaton import Automaton, Edge, Flow, Margin, Region, Setup, State
-from statechart.constraints import Constraints
+from statechart.automaton import Automaton, Edge, Margin, Region, State
 from statechart.declaration import TIME
 from statechart.errors import (
     DeclarationProblem,
@@ -37,12 +36,11 @@ from statechart.errors import (
     SimulationError,
     StepTooLarge,
     UnsolvedImpulses,
-    Unsupported,
 )
 from statechart.formula import parse, parse_relation
 from statechart.parameters import Parameters
 from statechart.tape import compile_tape
-from statechart.trace import Clock, Jump, Key, Trace
+from statechart.trace import Key, Trace
 
 STATES = ("free", "slide", "pin")
 CAUSES = ("touchdown", "impact", "liftoff", "slip", "stick")
@@ -58,10 +56,6 @@ _CROSSED, _FALLEN = 0.1, 0.02
 _PER_BODY = 24
 # Unknowns of a step solved outside its kernel.
 _MOST_GIVEN = 4096
-_ONLY_IMPULSE = (
-    "bodies that collide by their shapes run on the engine impulse alone: say --engine impulse "
-    "--step 1e-3, or write settings: {engine: impulse, step: 1e-3}"
-)
 
 
 def heap(scene: Scene) -> Automaton:
@@ -102,7 +96,8 @@ def heap(scene: Scene) -> Automaton:
         regions=tuple(Region(name, STATES, lambda state: State(), _EDGES) for name in bodies),
         stops=stops,
         observables=observables,
-        laws=_ImpulseOnly(stepper),
+        setup=lambda overrides, _: stepper().setup(overrides),
+        laws=None,
         stepper=stepper,
         own_step=lambda: stepper().own_step(),
     )
@@ -126,32 +121,6 @@ def _energy(scene: Scene, mechanics: Mechanics, known: Mapping[str, sp.Expr]) ->
         terms.append(mass * (dx**2 + dy**2) / 2 + known[f"{name}.inertia"] * turn**2 / 2)
         terms.append(-mass * (gx * x + gy * y))
     return sp.Add(*terms)
-
-
-class _ImpulseOnly:
-    """Laws of a scene that no engine with events can run: they say so where one begins."""
-
-    def __init__(self, stepper: Callable[[], HeapStepper]) -> None:
-        self._stepper = stepper
-
-    def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
-        return self._stepper().setup(overrides)
-
-    def begin(self, setup: Setup) -> tuple[Flow, Array]:
-        raise Unsupported(_ONLY_IMPULSE)
-
-    def jump(
-        self, setup: Setup, clock: Clock, j: int, flow: Flow, state: Array, fired: tuple[str, ...]
-    ) -> tuple[Jump, Flow] | None:
-        raise Unsupported(_ONLY_IMPULSE)
-
-    def accumulate(
-        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
-    ) -> tuple[Jump, Flow] | None:
-        raise Unsupported(_ONLY_IMPULSE)
-
-    def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
-        raise Unsupported(_ONLY_IMPULSE)
 
 
 class HeapStepper:

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from typing import TYPE_CHECKING
 
+from contacts.fields import SceneFields
 from contacts.parts import Path
 from statechart.declaration import TIME
 from statechart.derived import check_derived
 from statechart.document import Loc
 from statechart.formula import parse
 from statechart.kinks import PIECES, check_smooth
-
-if TYPE_CHECKING:
-    from contacts.scene import Scene
-
 
 _SURFACES = (
     "declare a surface and a contact for each smooth piece: that is all for the higher of them "
@@ -25,7 +21,7 @@ _SMOOTH = "a velocity that jumps takes an impact without cause: write a smooth f
 Text = str | int | float
 
 
-def check_kinks(scene: Scene) -> None:
+def check_kinks(scene: SceneFields) -> None:
     """Check that surfaces, paths and positions have the derivatives that are taken of them.
 
     Forces, and what controllers set them to, are smooth as long as a state lasts; derivatives are
@@ -47,7 +43,7 @@ def check_kinks(scene: Scene) -> None:
         check_smooth(text, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
 
 
-def _forces(scene: Scene) -> tuple[Collection[str], list[tuple[Loc, Text]]]:
+def _forces(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, Text]]]:
     """Return the names that change as the scene flows, and the formulas of its forces."""
     found: list[tuple[Loc, Text]] = []
     for name, force in scene.forces.items():
@@ -75,7 +71,7 @@ def _forces(scene: Scene) -> tuple[Collection[str], list[tuple[Loc, Text]]]:
 
 
 def _differentiated(
-    scene: Scene,
+    scene: SceneFields,
 ) -> Iterator[tuple[Loc, Text, Collection[str]]]:
     """Yield where a formula stands, it, and the names that it is differentiated by."""
     for name, surface in scene.surfaces.items():

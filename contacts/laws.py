@@ -15,6 +15,7 @@ from contacts.bounces import opens_in_vain, rests_of_bounces, stands_for_bounces
 from contacts.candidates import ContactLaw
 from contacts.classify import Choice, Considered
 from contacts.closing import check_joints
+from contacts.configuration import judged
 from contacts.dead_points import dead_point
 from contacts.decision import check_listed, decide, explained
 from contacts.gates import Gates, hidden
@@ -28,9 +29,10 @@ from contacts.snapshot import Snapshot, SnapshotTape
 from contacts.starting import check_start
 from contacts.usual import usual_mode
 from statechart.arrays import Array
-from statechart.automaton import CAPTURED, UNBOUNDED, Flow, Margin, Setup, plain, uncaptured
+from statechart.automaton import CAPTURED, UNBOUNDED, Flow, Region, Setup, plain, uncaptured
 from statechart.constraints import Constraints
 from statechart.errors import DeclarationProblem, NoConsistentMode, SingularMode
+from statechart.feasibility import Feasibility
 from statechart.parameters import Parameters
 from statechart.trace import Clock, Jump, Key
 
@@ -60,20 +62,18 @@ class SceneLaws:
         The scene's equations.
     parameters : Parameters
         From `contacts.setup.scene_parameters`.
-    stops : mapping
-        Stop condition -> margin.
+    numbers : SceneNumbers
+        From the values of the parameters to the numbers of a run.
     """
 
-    def __init__(
-        self, mechanics: Mechanics, parameters: Parameters, stops: Mapping[str, Margin]
-    ) -> None:
+    def __init__(self, mechanics: Mechanics, parameters: Parameters, numbers: SceneNumbers) -> None:
         symbols = list(parameters.symbols.values())
         self._mechanics = mechanics
         self._modes = mechanics.scene.modes
         self._simultaneous = mechanics.scene.simultaneous
         self._paradox = mechanics.scene.paradox
         self._names = tuple(mechanics.scene.contacts)
-        self.numbers = SceneNumbers(mechanics, parameters, stops)
+        self.numbers = numbers
         self._tape = SnapshotTape(mechanics, symbols)
         self._gates = self.numbers.gates
         # Without joints and conditions, an instant may be a usual one.
@@ -86,17 +86,9 @@ class SceneLaws:
         laws._tape, laws._gates = tape, gates
         return laws
 
-    def setup(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
-        """Evaluate parameters, initial state, scales and tolerances."""
-        return self.numbers.at(overrides, relative)
-
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
         """Return the scene's numbers at a state."""
         return self._tape.at(setup.values, state, time)
-
-    def failing(self, setup: Setup, state: Array, time: float) -> tuple[str, ...]:
-        """Return, for every contact, the condition that keeps it off; "" where none does."""
-        return self.numbers.gates.failing(setup.values, state, time)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode, checked against the declared one."""
@@ -361,6 +353,14 @@ class SceneLaws:
         return self._projection.constraints(
             plain(flow), start, anchor, setup.values, setup.tolerances, setup.scales
         )
+
+    def feasibility(
+        self, regions: Sequence[Region], setup: Setup, state: Array, time: float
+    ) -> Feasibility:
+        """Judge every product mode by the velocities that it asks for."""
+        assert isinstance(setup, SceneSetup)
+        failing = self._gates.failing(setup.values, state, time)
+        return judged(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _impact(
         self,

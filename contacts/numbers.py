@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
+from contacts.fields import SceneFields
 from contacts.parts import Point
 from statechart.document import Loc
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, problem
 from statechart.formula import parse
 
-if TYPE_CHECKING:
-    from contacts.scene import Scene
 
-
-def check_physical(scene: Scene, values: Mapping[str, float]) -> None:
+def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check masses, inertias, friction, restitution, radii and inclines.
 
     Parameters
     ----------
-    scene : Scene
+    scene : SceneFields
         As declared.
     values : mapping of str to float
         Of its parameters.
@@ -60,12 +57,12 @@ def check_physical(scene: Scene, values: Mapping[str, float]) -> None:
                 )
 
 
-def check_finite(scene: Scene, values: Mapping[str, float]) -> None:
+def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check that places, gravity and the initial state are finite, and that lines have two ends.
 
     Parameters
     ----------
-    scene : Scene
+    scene : SceneFields
         As declared.
     values : mapping of str to float
         Of its parameters.
@@ -103,7 +100,7 @@ def _pair(texts: Sequence[FormulaText], *loc: str | int) -> Iterator[tuple[Loc, 
     yield from (((*loc, index), text) for index, text in enumerate(texts))
 
 
-def _places(scene: Scene) -> Iterator[tuple[Loc, FormulaText]]:
+def _places(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
     """Yield the formulas of parameters alone, and where they stand."""
     if isinstance(scene.gravity, tuple):
         yield from _pair(scene.gravity, "gravity")
@@ -135,7 +132,7 @@ def _places(scene: Scene) -> Iterator[tuple[Loc, FormulaText]]:
 
 
 def _in_states(
-    scene: Scene, text: FormulaText, values: Mapping[str, float]
+    scene: SceneFields, text: FormulaText, values: Mapping[str, float]
 ) -> Iterator[tuple[str, Mapping[str, float]]]:
     """Yield the values that a contact's coefficient may see, and in which state."""
     controls = scene.controlled

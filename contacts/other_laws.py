@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import pairwise
 
+from contacts.fields import SceneFields
 from contacts.parts import MOREAU, Contact, Point
-from contacts.scene import Scene
 from statechart.formula import parse
 
 
-def replaced(scene: Scene, values: Mapping[str, float]) -> dict[str, str]:
+def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
     """Return what a run by time stepping does without: a declared law -> what is done instead.
 
     Parameters
     ----------
-    scene : Scene
+    scene : SceneFields
     values : mapping of str to float
         Parameters.
     """
@@ -33,7 +33,7 @@ def replaced(scene: Scene, values: Mapping[str, float]) -> dict[str, str]:
     return found
 
 
-def _meet(scene: Scene) -> bool:
+def _meet(scene: SceneFields) -> bool:
     """Whether a body has several contacts, or bodies may feel those of others."""
     linked = bool(scene.joints) or any(body.position is not None for body in scene.bodies.values())
     touched = sorted(
@@ -45,7 +45,7 @@ def _meet(scene: Scene) -> bool:
     return len(scene.contacts) > 1 and (linked or any(a == b for a, b in pairwise(touched)))
 
 
-def _agrees(scene: Scene, contact: Contact, values: Mapping[str, float]) -> bool:
+def _agrees(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
     """Whether all laws are one: no friction, or a particle whose push moves it along the push."""
     if contact.friction is not None:
         friction = parse(contact.friction)

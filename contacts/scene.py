@@ -3,36 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Literal, Self
+from typing import Self, get_args
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from contacts.controls import Controller, Controls
+from contacts.fields import SceneFields, copies
 from contacts.kinks import check_kinks
 from contacts.numbers import check_finite, check_physical
-from contacts.parts import (
-    Body,
-    Contact,
-    Coordinate,
-    Force,
-    Gravity,
-    Joint,
-    Path,
-    Point,
-    Resolution,
-    Simultaneous,
-    Surface,
-)
-from contacts.shapes import INDEX, Collision, check_collisions, check_copies, copies
-from statechart.declaration import TIME, Declaration, check_names
+from contacts.other_laws import replaced
+from contacts.parts import Path, Point, Simultaneous
+from contacts.shapes import INDEX, check_collisions, check_copies
+from statechart.declaration import TIME, check_names
 from statechart.errors import DeclarationProblem
-from statechart.fields import FormulaText, NameText
+from statechart.fields import FormulaText
 from statechart.formula import parse, parse_relation
 from statechart.syntax import close_matches
 from statechart.transitions import check_listening
 
 
-class Scene(Declaration):
+class Scene(SceneFields):
     """Rigid bodies in contact.
 
     Formulas of forces, stop conditions and outputs may use ``time``, the parameters, the
@@ -42,111 +31,35 @@ class Scene(Declaration):
     point).
     """
 
-    kind: Literal["scene"] = "scene"
-    gravity: Gravity = Field(
-        default=0, description="Acceleration downwards, or its two components."
-    )
-    coordinates: dict[NameText, Coordinate] = Field(default={})
-    bodies: dict[NameText, Body] = Field(min_length=1)
-    surfaces: dict[NameText, Surface] = Field(default={})
-    contacts: dict[NameText, Contact] = Field(default={})
-    joints: dict[NameText, Joint] = Field(default={})
-    forces: dict[NameText, Force] = Field(default={})
-    collisions: dict[NameText, Collision] = Field(
-        default={}, description="Which bodies with shapes collide; on the engine impulse alone."
-    )
-    simultaneous: Simultaneous = Field(
-        default="capped",
-        description="What contacts do that are hit together: plastic, Moreau's law as far as the "
-        "energy allows (capped), or one after another by their own laws (sequential).",
-    )
-    paradox: Resolution = Field(
-        default="impact",
-        description="What follows where no mode of a sliding contact agrees with the state "
-        "(Painleve): an impact without collision, or the end of the run.",
-    )
-    controls: dict[NameText, FormulaText] = Field(
-        default={},
-        description="What states of regions set, to be used in forces and in coefficients of "
-        "contacts: name to its value where no state sets it.",
-    )
-    regions: dict[NameText, Controller] = Field(
-        default={}, description="Controllers: regions beside the contacts."
-    )
-    modes: dict[str, Literal["free", "slide", "slide+", "slide-", "pin", "off"]] = Field(
-        default={}, description="Initial modes, checked; found from the state where not given."
-    )
+    def alternatives(self) -> Mapping[str, Self]:
+        """Return the scene under the other meanings of simultaneous impacts."""
+        if len(self.contacts) < 2:
+            return {}
+        return {
+            f"simultaneous: {choice}": self.model_copy(update={"simultaneous": choice})
+            for choice in get_args(Simultaneous)
+            if choice != self.simultaneous
+        }
 
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """Names of all coordinates."""
-        own = [f"{n}.{c}" for n, b in self.single_bodies().items() for c in b.coordinates]
-        return (*self.coordinates, *own)
-
-    def single_bodies(self, overrides: Mapping[str, float] | None = None) -> dict[str, Body]:
-        """Return the bodies, copies one by one; all alike but for the index in their start."""
-        if all(body.copies is None for body in self.bodies.values()):
-            return self.bodies
-        result: dict[str, Body] = {}
-        for name, count in copies(self, self.values(overrides)).items():
-            if count is None:
-                result[name] = self.bodies[name]
-                continue
-            for index in range(count):
-                result[f"{name}{index}"] = self.bodies[name].numbered(index)
-        return result
-
-    @property
-    def whole(self) -> frozenset[str]:
-        """Parameters that count copies of bodies."""
-        counts = [b.copies for b in self.bodies.values() if b.copies is not None]
-        used = frozenset[str]().union(*(parse(text).names for text in counts))
-        return used & frozenset(self.parameters)
-
-    def variant(self, overrides: Mapping[str, float]) -> Self:
-        """Return the scene itself, or the one with as many copies as `overrides` make."""
-        if copies(self, self.values()) == copies(self, self.values(overrides)):
-            return self
-        return self.model_copy(update={"parameters": {**self.parameters, **overrides}})
-
-    def rate_name(self, coordinate: str) -> str:
-        """Return the name of the rate of `coordinate`: stick.x -> stick.dx, theta -> dtheta."""
-        *owner, name = coordinate.split(".")
-        return ".".join([*owner, f"d{name}"])
-
-    def jams(self, contact: str) -> bool:
-        """Whether a contact may see an impact without collision.
-
-        It rubs, and its point turns or others can wedge it.
-        """
-        declared = self.contacts[contact]
-        body = self.bodies[declared.point.body]
-        rubs = "slide" in declared.kinds and not declared.frictionless
-        turns = body.inertia is not None or body.position is not None
-        return rubs and (turns or len(self.contacts) > 1) and self.paradox == "impact"
-
-    def bounces(self, contact: str) -> bool:
-        """Whether impacts may accumulate: its own, or in turn with those elsewhere on its body."""
-        declared = self.contacts[contact]
-        beside = sum(other.point.body == declared.point.body for other in self.contacts.values())
-        return "free" in declared.kinds and (declared.restitution != 0 or beside > 1)
-
-    @property
-    def controlled(self) -> Controls:
-        """The controls and the regions that set them."""
-        return Controls(self.controls, self.regions)
-
-    @property
-    def kinematic_names(self) -> frozenset[str]:
-        """What formulas of controls, and with them those of forces, may use."""
-        rates = map(self.rate_name, self.variables)
-        return frozenset((TIME, *self.parameters, *self.variables, *rates))
-
-    def gate(self, contact: str) -> str:
-        """Return the conditions without which a contact is off, as text; "" for none."""
-        declared = self.contacts[contact]
-        ends = self.surfaces[declared.surface].edge is not None
-        return " and ".join((*declared.enabled, *(["within its edge"] if ends else [])))
+    def omitted(self, values: Mapping[str, float], *, stepped: bool) -> Mapping[str, str]:
+        """Return what a run of the scene does without, and why."""
+        found = replaced(self, values) if stepped else {}
+        for name, body in self.bodies.items():
+            if body.position is None and body.inertia is None:
+                found[f"the angle of {name}"] = "it has no inertia declared: a particle"
+            elif body.position is not None:
+                found[f"coordinates of {name}"] = "its position follows from those of the scene"
+        for name, contact in self.contacts.items():
+            missing = [mode for mode in ("free", "slide", "pin") if mode not in contact.kinds]
+            for mode in missing:
+                found[f"{mode} of {name}"] = "not among its modes"
+            if contact.frictionless:
+                found[f"friction of {name}"] = "frictionless: one slide, without direction"
+            elif "slide" not in contact.kinds:
+                found[f"the coefficient of friction of {name}"] = "it may not slide"
+            if "free" not in contact.kinds:
+                found[f"restitution of {name}"] = "it is never free"
+        return found
 
     def check_values(self, values: Mapping[str, float]) -> None:
         """Check that numbers are physical, finite and, of copies, whole, too."""

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from contacts.fields import SceneFields
 from statechart.declaration import Part, check_names
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, problem
 from statechart.formula import parse
 from statechart.syntax import close_matches
 
-if TYPE_CHECKING:
-    from contacts.scene import Scene
-
-
 INDEX = "index"
 """What formulas of a body's start call the number of a copy, from 0."""
 
-_MOST = 1000
 _Pair = tuple[FormulaText, FormulaText]
 
 
@@ -52,33 +48,7 @@ class Collision(Part):
     restitution: FormulaText = Field(description="Of velocities, in Moreau's law of impact.")
 
 
-def copies(scene: Scene, values: Mapping[str, float]) -> dict[str, int | None]:
-    """Return how many copies there are of every body; None where it is declared as one.
-
-    Raises
-    ------
-    DeclarationProblem
-        If a number of copies is not whole, or too large.
-    """
-    found: dict[str, int | None] = {}
-    for name, body in scene.bodies.items():
-        found[name] = None
-        if body.copies is None:
-            continue
-        loc = ("bodies", name, "copies")
-        try:
-            number = parse(body.copies).value(values)
-        except FormulaError as error:
-            raise problem(error, *loc) from None
-        if not (1 <= number <= _MOST and number == int(number)):
-            raise DeclarationProblem(
-                f"must be a whole number from 1 to {_MOST}, not {number:g}", loc=loc
-            )
-        found[name] = int(number)
-    return found
-
-
-def check_copies(scene: Scene) -> None:
+def check_copies(scene: SceneFields) -> None:
     """Check what copies of bodies need.
 
     Raises
@@ -111,7 +81,7 @@ def check_copies(scene: Scene) -> None:
             )
 
 
-def check_collisions(scene: Scene, values: Mapping[str, float]) -> None:
+def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check the collisions of a scene.
 
     Raises
@@ -166,7 +136,7 @@ def check_collisions(scene: Scene, values: Mapping[str, float]) -> None:
                 )
 
 
-def check_shapes(scene: Scene, values: Mapping[str, float]) -> None:
+def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check the numbers of shapes and collisions for `values` of the parameters.
 
     Raises
@@ -192,7 +162,7 @@ def check_shapes(scene: Scene, values: Mapping[str, float]) -> None:
                 )
 
 
-def _check_shape(scene: Scene, name: str, shape: Shape, values: Mapping[str, float]) -> None:
+def _check_shape(scene: SceneFields, name: str, shape: Shape, values: Mapping[str, float]) -> None:
     at = ("bodies", name, "shape")
     if shape.disc is not None:
         check_names(parse(shape.disc), scene.parameters, *at, "disc")

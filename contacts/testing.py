@@ -150,7 +150,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
         # At rest there is no energy to be relative to: what a force does over the gap's tolerance.
         names = mechanics.scene.parameters
         overrides = {name: trace.parameters[name] for name in names}
-        setup = subject.automaton.laws.setup(overrides, trace.tolerance)
+        setup = subject.automaton.setup(overrides, trace.tolerance)
         assert isinstance(setup, SceneSetup)
         allowed = _ENERGY * error * size + setup.scales.force * trace.tolerances["gap"]
     no_growth(points, allowed, growth)

@@ -40,7 +40,7 @@ def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, floa
     if not scene.contacts:
         return {"constraint": 0.0, "cone": 0.0}
     values = {name: trace.parameters[name] for name in scene.parameters}
-    setup = observer.automaton.laws.setup(values, 1e-12)
+    setup = observer.automaton.setup(values, 1e-12)
     assert isinstance(setup, SceneSetup)
     steps = sum(len(arc.coefficients) for arc in trace.arcs)
     names = [f"{name}.{what}" for name in scene.contacts for what in ("gap", "V", "H")]

@@ -5,22 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel
-
 from statechart.accuracy import difference
-from statechart.declaration import Declaration
-from statechart.kinds import kind
 from statechart.report import json_safe
 
 if TYPE_CHECKING:
     from statechart.result import Result
-
-
-def variants(model: Declaration) -> Mapping[str, Declaration]:
-    """Return the model under every other choice that its kind knows of; name -> model."""
-    offered = kind(str(getattr(model, "kind", ""))).alternatives
-    found: Mapping[str, BaseModel] = {} if offered is None else offered(model)
-    return {name: other for name, other in found.items() if isinstance(other, Declaration)}
 
 
 def compared(result: Result, others: Mapping[str, Result]) -> list[dict[str, Any]]:

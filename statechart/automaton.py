@@ -18,12 +18,15 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from statechart.arrays import Array
+from statechart.errors import Unsupported
 from statechart.trace import Clock, Jump, Key
 
 if TYPE_CHECKING:
     from statechart.compose import Mode
     from statechart.constraints import Constraints
     from statechart.declaration import Declaration
+    from statechart.feasibility import Feasibility
     from statechart.stepping import TimeStepper
 
 
@@ -285,10 +288,6 @@ class Flow(NamedTuple):
 class Laws(Protocol):
     """What happens at the instants between flows; the executor knows nothing else."""
 
-    def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
-        """Evaluate parameters, initial state and tolerances."""
-        ...
-
     def begin(self, setup: Setup) -> tuple[Flow, NDArray[np.float64]]:
         """Return the first mode and the state to start from."""
         ...
@@ -341,6 +340,15 @@ class Laws(Protocol):
         """
         ...
 
+    def feasibility(
+        self, regions: Sequence[Region], setup: Setup, state: Array, time: float
+    ) -> Feasibility | None:
+        """Judge every product mode of the regions at a configuration.
+
+        None where there is no reason against any; see `statechart.feasibility.feasibility`.
+        """
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Automaton:
@@ -371,8 +379,10 @@ class Automaton:
         Stop condition -> margin that falls when it becomes true.
     observables : mapping
         Name -> expression; what outputs, tables and figures can show.
-    laws : Laws
-        Initial mode, jumps, projection.
+    setup : callable
+        From overrides of parameters and a relative tolerance to the numbers of a run.
+    laws : Laws or None
+        Initial mode, jumps, projection; None where only steps can run the model.
     idle : bool
         True where an unknown that no state sets is zero (a chart's variable without a flow).
     controls : tuple of Symbol
@@ -397,11 +407,28 @@ class Automaton:
     regions: tuple[Region, ...]
     stops: Mapping[str, Margin]
     observables: Mapping[str, sp.Expr]
-    laws: Laws
+    setup: Callable[[Mapping[str, float], float], Setup]
+    laws: Laws | None
     idle: bool = False
     controls: tuple[sp.Symbol, ...] = ()
     stepper: Callable[[], TimeStepper] | None = None
     own_step: Callable[[], float] | None = None
+
+    @property
+    def laws_of_events(self) -> Laws:
+        """The laws, for those who cannot do without.
+
+        Raises
+        ------
+        Unsupported
+            If only steps can run the model.
+        """
+        if self.laws is None:
+            raise Unsupported(
+                f"{self.name!r} runs on the engine impulse alone: say --engine impulse "
+                "--step 1e-3, or write settings: {engine: impulse, step: 1e-3}"
+            )
+        return self.laws
 
     @property
     def modes_total(self) -> int:

@@ -18,7 +18,7 @@ from statechart.engine import Engine
 from statechart.engines import choose
 from statechart.errors import SimulationError, StatechartError
 from statechart.estimate import BELOW, BRIEF, Answer, Cost, tighten
-from statechart.kinds import kind
+from statechart.kinds import offered
 from statechart.nudge import nudged, widened
 from statechart.observe import Observer
 from statechart.outputs import Outputs
@@ -286,8 +286,8 @@ class Bench:
             size = float(np.abs(theirs).max()) or 1.0
             energy = float(np.abs(ours - theirs).max()) / size
         same = found.diverged is None
-        offered = kind(str(getattr(self.model, "kind", ""))).violations
-        violated = {} if offered is None else offered(self.model, run.observer, run.trace)
+        violations = offered("statechart.violations", self.model.kind)
+        violated = {} if violations is None else violations(self.model, run.observer, run.trace)
         errors = Errors(
             state=found.state if found.state < math.inf else None,
             times=found.times if same else None,

@@ -66,6 +66,7 @@ def automaton(chart: Chart) -> Automaton:
             for label, text in chart.stop.conditions.items()
         },
         observables=symbols.known,
+        setup=symbols.setup,
         laws=ChartLaws(chart, symbols, regions),
         idle=True,
     )
@@ -90,6 +91,16 @@ class _Symbols:
             **self.parameters.symbols,
             TIME: self.time,
         }
+
+    def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
+        """Evaluate parameters and the initial state; guards get tolerances with every flow."""
+        values, initial = self.parameters.values(overrides)
+        for name, value in zip(self.variables, initial, strict=True):
+            if not np.isfinite(value):
+                raise DeclarationProblem(
+                    f"the initial value of {name!r} is not finite", loc=("variables", name)
+                )
+        return Setup(values, initial, {"plain": 0.0}, relative, math.sqrt(relative))
 
 
 def _region(name: str, declared: DeclaredRegion, symbols: _Symbols) -> Region:
@@ -173,16 +184,6 @@ class ChartLaws:
             {t.source: i for i, t in reversed(list(enumerate(region.transitions))) if t.on_zeno}
             for region in self._chart.regions.values()
         )
-
-    def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
-        """Evaluate parameters and the initial state; guards get tolerances with every flow."""
-        values, initial = self._symbols.parameters.values(overrides)
-        for name, value in zip(self._chart.variables, initial, strict=True):
-            if not np.isfinite(value):
-                raise DeclarationProblem(
-                    f"the initial value of {name!r} is not finite", loc=("variables", name)
-                )
-        return Setup(values, initial, {"plain": 0.0}, relative, math.sqrt(relative))
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the initial states; guards that are true there fire at once."""
@@ -286,6 +287,11 @@ class ChartLaws:
     def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
         """Return nothing: a chart has no constraints."""
         return NO_CONSTRAINTS
+
+    def feasibility(
+        self, regions: Sequence[Region], setup: Setup, state: Array, time: float
+    ) -> None:
+        """Return None: every mode of a chart is possible somewhere."""
 
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
         watch = self._watch(flow.flow)

@@ -10,7 +10,7 @@ from typing import Any
 from statechart.comparison import Undecidable
 from statechart.declaration import Declaration
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
-from statechart.kinds import kind
+from statechart.kinds import offered
 from statechart.ranges import parameters, ranges
 from statechart.subject import Case, Subject
 from statechart.testing import Property, generic
@@ -192,7 +192,7 @@ def check(
     subject = Subject(model)
     if model.stop.time is None:
         subject.end({})
-    of_kind = kind(model.kind).properties  # type: ignore[attr-defined]
+    of_kind = offered("statechart.properties", model.kind)
     properties = (*generic(subject), *(of_kind(model) if of_kind else ()))
     if seed is None:
         seed = random.SystemRandom().randrange(2**32)

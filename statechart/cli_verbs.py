@@ -181,11 +181,11 @@ def trade(arguments: argparse.Namespace) -> int:
 def _alternatives(
     runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
-    from statechart.alternatives import compared, variants
+    from statechart.alternatives import compared
     from statechart.run import Runner
 
     others = {}
-    for choice, model in variants(runner.model).items():
+    for choice, model in runner.model.alternatives().items():
         other = Runner(
             model,
             engine=arguments.engine,
@@ -230,7 +230,7 @@ def modes(arguments: argparse.Namespace) -> int:
         built=built,
         time=time,
         state=dict(zip(automaton.names, state.tolist(), strict=True)),
-        found=feasibility(runner.model, automaton, setup, state, time),
+        found=feasibility(automaton, setup, state, time),
     )
     if arguments.json:
         _print_json(listed)
@@ -260,7 +260,7 @@ def draw(arguments: argparse.Namespace) -> int:
             _warn([f"the run ended early: {trace.outcome.name}, {trace.message}"])
             code = 1
     setup = runner.setup()
-    found = feasibility(runner.model, runner.automaton, setup, setup.initial, 0.0)
+    found = feasibility(runner.automaton, setup, setup.initial, 0.0)
     write(build(runner.automaton, start, trace, found), path)
     print(path)
     return code
@@ -321,7 +321,7 @@ def new(arguments: argparse.Namespace) -> int:
     path = Path(f"{name}.yaml")
     if path.exists() or path.is_symlink():
         raise DeclarationError(f"{path} exists already", advice="choose another name")
-    text = kind("scene").starter.replace("NAME", name)
+    text = kind("scene").starter.read_text(encoding="utf-8").replace("NAME", name)
     interpret(read_text(text, str(path)))
     write_atomic(path, text.encode())
     print(f"{path} written; run it with: statechart run {path}")

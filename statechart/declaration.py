@@ -230,8 +230,9 @@ class Settings(Part):
 
 
 class Declaration(Part):
-    """Base of the documents' models."""
+    """Base of the documents' models; `kind` is the word that a document of it begins with."""
 
+    kind: str
     name: NameText
     doc: str = Field(default="", description="What the model is, in a line.")
     parameters: dict[NameText, FormulaText] = Field(
@@ -268,6 +269,22 @@ class Declaration(Part):
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the model that runs with `overrides`: another where they change what it has."""
         return self
+
+    def alternatives(self) -> Mapping[str, Self]:
+        """Return the model under the other choices that its laws leave open, by their names."""
+        return {}
+
+    def omitted(self, values: Mapping[str, float], *, stepped: bool) -> Mapping[str, str]:
+        """Return what a run does without, and why.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            Parameters of the run.
+        stepped : bool
+            Whether it was by time stepping.
+        """
+        return {}
 
     def check_values(self, values: Mapping[str, float]) -> None:
         """Check what the values of the parameters decide.

@@ -4,19 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import numpy as np
-
+from statechart.arrays import Array
 from statechart.automaton import Automaton, Setup
-from statechart.kinds import kind
 from statechart.trace import Key
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from statechart.declaration import Declaration
-
 
 MOST_MODES = 4096
 """Products of more modes than this, six contacts' for one, are never enumerated."""
@@ -42,16 +33,14 @@ class Feasibility:
 
 
 def feasibility(
-    model: Declaration, automaton: Automaton, setup: Setup, state: NDArray[np.float64], time: float
+    automaton: Automaton, setup: Setup, state: Array, time: float
 ) -> Feasibility | None:
     """Judge every product mode at a configuration.
 
     Parameters
     ----------
-    model : Declaration
-        As read.
     automaton : Automaton
-        Composed of it.
+        Whose modes.
     setup : Setup
         Values of the parameters.
     state : (n,) array
@@ -62,15 +51,14 @@ def feasibility(
     Returns
     -------
     Feasibility or None
-        None where the kind of the model knows no reason against any mode (a chart, bodies that
-        collide), or there are more modes than `MOST_MODES`.
+        None where the laws know no reason against any mode (a chart, bodies that collide), or
+        there are more modes than `MOST_MODES`.
 
     Raises
     ------
     StatechartError
         If the modes cannot be judged there.
     """
-    judge = kind(str(getattr(model, "kind", ""))).feasibility
-    if judge is None or automaton.modes_total > MOST_MODES:
+    if automaton.laws is None or automaton.modes_total > MOST_MODES:
         return None
-    return judge(automaton, setup, state, time)
+    return automaton.laws.feasibility(automaton.regions, setup, state, time)

@@ -54,8 +54,6 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
 
 def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     """Return what a run did without: `what`, and `why`."""
-    from statechart.kinds import kind
-
     found = []
     total, made = automaton.modes_total, trace.counts.get("modes_built", 0)
     if trace.step is not None:
@@ -78,10 +76,5 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
                 "why": "the run did not enter them",
             }
         )
-    omitted = kind(str(getattr(automaton.declaration, "kind", ""))).omitted
-    if omitted is not None:
-        found += [
-            {"what": what, "why": why}
-            for what, why in omitted(automaton.declaration, trace).items()
-        ]
-    return found
+    omitted = automaton.declaration.omitted(trace.parameters, stepped=trace.step is not None)
+    return found + [{"what": what, "why": why} for what, why in omitted.items()]

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from statechart.arrays import Array
-from statechart.automaton import Automaton, Flow, Laws, Setup
-from statechart.constraints import Constraints
-from statechart.trace import Clock, Jump, Key
+from statechart.automaton import Automaton, Setup
 
 # A few units in the last place: what a run of many steps adds up to.
 _LEAST = 8.0 * float(np.finfo(float).eps)
@@ -28,12 +25,12 @@ def nudged(automaton: Automaton) -> Automaton:
     """
 
     def setup(overrides: Mapping[str, float], relative: float) -> Setup:
-        own = automaton.laws.setup(overrides, relative)
+        own = automaton.setup(overrides, relative)
         initial = own.initial * (1.0 + max(relative, _LEAST))
         tolerances = _wider(own.tolerances, force=2.0, gap=_WIDER)
         return replace(own, initial=initial, tolerances=tolerances)
 
-    return replace(automaton, laws=_Changed(automaton.laws, setup))
+    return replace(automaton, setup=setup)
 
 
 def widened(automaton: Automaton) -> Automaton:
@@ -44,10 +41,10 @@ def widened(automaton: Automaton) -> Automaton:
     """
 
     def setup(overrides: Mapping[str, float], relative: float) -> Setup:
-        own = automaton.laws.setup(overrides, relative)
+        own = automaton.setup(overrides, relative)
         return replace(own, tolerances=_wider(own.tolerances, force=2.0))
 
-    return replace(automaton, laws=_Changed(automaton.laws, setup))
+    return replace(automaton, setup=setup)
 
 
 def loosened(automaton: Automaton, relative: float) -> Automaton:
@@ -57,39 +54,10 @@ def loosened(automaton: Automaton, relative: float) -> Automaton:
     """
 
     def setup(overrides: Mapping[str, float], _: float) -> Setup:
-        return automaton.laws.setup(overrides, relative)
+        return automaton.setup(overrides, relative)
 
-    return replace(automaton, laws=_Changed(automaton.laws, setup))
+    return replace(automaton, setup=setup)
 
 
 def _wider(tolerances: Mapping[str, float], **factors: float) -> dict[str, float]:
     return {kind: size * factors.get(kind, 1.0) for kind, size in tolerances.items()}
-
-
-class _Changed:
-    """Laws of `laws`, from another setup."""
-
-    def __init__(self, laws: Laws, setup: Callable[[Mapping[str, float], float], Setup]) -> None:
-        self._laws, self.setup = laws, setup
-
-    def begin(self, setup: Setup) -> tuple[Flow, Array]:
-        return self._laws.begin(setup)
-
-    def jump(
-        self,
-        setup: Setup,
-        clock: Clock,
-        j: int,
-        flow: Flow,
-        state: Array,
-        fired: tuple[str, ...],
-    ) -> tuple[Jump | None, Flow] | None:
-        return self._laws.jump(setup, clock, j, flow, state, fired)
-
-    def accumulate(
-        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
-    ) -> tuple[Jump, Flow] | None:
-        return self._laws.accumulate(setup, clock, flow, jumps, rest)
-
-    def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
-        return self._laws.constraints(setup, flow, start, anchor)

@@ -202,7 +202,7 @@ class Runner:
         self._check(overrides)
         relative = math.nan if self.step is not None else self._engine.tolerance
         with located(self.document, overrides):
-            return self.automaton.laws.setup(overrides, relative)
+            return self.automaton.setup(overrides, relative)
 
     def _choose(self, tolerance: float | None) -> tuple[Engine, str]:
         asked = self._request
@@ -335,7 +335,7 @@ class Runner:
                 self._check(overrides)
                 return self.automaton.stepper().start(overrides)
             setup = self.setup(overrides)
-            flow, _ = self.automaton.laws.begin(setup)
+            flow, _ = self.automaton.laws_of_events.begin(setup)
         return flow.mode, (*setup.warnings, flow.warning)
 
 
@@ -384,7 +384,7 @@ def _declaration(document: Document) -> Declaration:
 
 
 def _automaton(model: Declaration) -> Automaton:
-    automaton = kind(str(getattr(model, "kind", ""))).automaton(model)
+    automaton = kind(model.kind).automaton(model)
     if not isinstance(automaton, Automaton):
         raise TypeError(f"a kind must build an Automaton, not {type(automaton).__name__}")
     return automaton

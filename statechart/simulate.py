@@ -104,7 +104,7 @@ class Simulator:
         SimulationError
             With the trace so far, where the run cannot go on and `throw` is set.
         """
-        setup = self.automaton.laws.setup(parameters or {}, self.engine.tolerance)
+        setup = self.automaton.setup(parameters or {}, self.engine.tolerance)
         setup = replace(setup, modes=partial(self._mode, zeros=setup.zeros))
         self.engine.sizes = setup.sizes
         run = _Run(self, setup, until, max_jumps)
@@ -238,7 +238,7 @@ class _Run:
         self.outcome, self.message = outcome, message
 
     def loop(self) -> None:
-        laws = self.simulator.automaton.laws
+        laws = self.simulator.automaton.laws_of_events
         self.flow, self.state = laws.begin(self.setup)
         self.started_mode, self.started_state = self.flow.mode, self.state
         self._warn()
@@ -279,7 +279,7 @@ class _Run:
             special[name] if name in special else tolerances[kind]
             for name, kind in compiled.watched
         ]
-        laws, path = self.simulator.automaton.laws, self.simulator.path
+        laws, path = self.simulator.automaton.laws_of_events, self.simulator.path
         constraints = laws.constraints(setup, flow.flow, start, self.state)
         reached = advance(
             self.simulator.engine,
@@ -413,7 +413,7 @@ class _Run:
 
     def _settle(self, fired: tuple[str, ...]) -> bool:
         """Jump until the mode holds; True when the run ends here."""
-        laws = self.simulator.automaton.laws
+        laws = self.simulator.automaton.laws_of_events
         moved = False
         for _ in range(_JUMPS_AT_ONCE):
             assert self.flow is not None
@@ -474,7 +474,7 @@ class _Run:
             return
         assert self.flow is not None
         recent = self.jumps[-_JUMPS_AT_ONCE:]
-        made = self.simulator.automaton.laws.accumulate(
+        made = self.simulator.automaton.laws_of_events.accumulate(
             self.setup, self.clock, self.flow, recent, rest
         )
         if made is not None:

@@ -6,7 +6,6 @@ import math
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 import sympy as sp
@@ -44,10 +43,7 @@ class Subject:
     """
 
     def __init__(self, model: Declaration, automaton: Automaton | None = None) -> None:
-        self.automaton = automaton or cast(
-            Automaton,
-            kind(model.kind).automaton(model),  # type: ignore[attr-defined]
-        )
+        self.automaton = automaton or kind(model.kind).automaton(model)
         self.simulators: dict[str, Simulator | SteppingSimulator] = {}
         self.missing: dict[str, str] = {}
         asked = Request().settled(model, self.automaton)

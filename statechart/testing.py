@@ -82,8 +82,7 @@ def assert_ended(case: Case) -> None:
 def assert_start(case: Case) -> None:
     """Check that runs start in the declared state, but for rounding on constraints."""
     for trace in case.traces.values():
-        laws = case.subject.automaton.laws
-        declared = laws.setup(case.parameters, trace.tolerance).initial
+        declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
         projected = _projected(trace)
         size = np.abs(declared).max(initial=0.0)
         off = np.abs(trace.initial - declared)

@@ -46,7 +46,7 @@ def number(value: Any) -> float:
 def automaton(model: str) -> Automaton:
     """Return the automaton of a shipped model."""
     loaded = load(model)
-    built = kind(loaded.kind).automaton(loaded)  # type: ignore[attr-defined]
+    built = kind(loaded.kind).automaton(loaded)
     assert isinstance(built, Automaton)
     return built
 

@@ -21,9 +21,10 @@ NAMES = {"slip+": "slide+", "slip-": "slide-", "stick": "pin", "lift_off": "free
 
 def rod(phi: float, omega: float, speed: float, mu: float, inertia: float) -> tuple:
     """Return the stick's snapshot and numbers where it leans by phi, its tip moving at speed."""
-    laws = automaton("toppling_stick").laws
+    built = automaton("toppling_stick")
+    laws = built.laws
     assert isinstance(laws, SceneLaws)
-    setup = laws.setup({"mu": mu, "I_G": inertia}, 2.2e-16)
+    setup = built.setup({"mu": mu, "I_G": inertia}, 2.2e-16)
     assert isinstance(setup, SceneSetup)
     s, c = math.sin(phi), math.cos(phi)
     # The lean is clockwise, the body's angle counter-clockwise.

@@ -512,8 +512,8 @@ regions:
 def test_every_mode_of_contacts_is_possible_with_every_state_of_controllers() -> None:
     held = ICE.replace("friction: 2*grip, restitution: 0", "modes: [slide, pin], friction: 2*grip")
     built = compose(held)
-    setup = built.laws.setup({}, 1e-9)
-    found = feasibility(built.declaration, built, setup, setup.initial, 0.0)
+    setup = built.setup({}, 1e-9)
+    found = feasibility(built, setup, setup.initial, 0.0)
     assert found is not None
     assert found.declared == {(m, w): "" for m in ("slide", "pin") for w in ("dry", "icy", "wet")}
 

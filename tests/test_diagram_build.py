@@ -115,7 +115,7 @@ def test_a_jump_of_several_regions_at_once_is_a_link_of_its_own() -> None:
 def test_modes_that_are_not_possible_say_why_unless_the_run_went_there() -> None:
     runner = Runner(read_text(BAR))
     setup = runner.setup()
-    found = feasibility(runner.model, runner.automaton, setup, setup.initial, 0.0)
+    found = feasibility(runner.automaton, setup, setup.initial, 0.0)
     start = runner.start()[0]
     diagram = build(runner.automaton, start, None, found)
     refused = {node.name: node.infeasible for node in diagram.nodes if node.infeasible}

@@ -7,14 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, model_validator
 
-from statechart import document, kinds
+from statechart import document
 from statechart.chart import Chart, Region, State, Transition
 from statechart.declaration import Count, Event, Integral, Moment, Settings, Stop, Value
 from statechart.document import Document, find, interpret, load, read, read_text, validate
 from statechart.errors import DeclarationError, DeclarationProblem, Position
+from statechart.kinds import CHART, kind, kinds
 from statechart.yaml_text import dump
 
-STARTER = kinds.CHART.starter
+STARTER = CHART.starter.read_text(encoding="utf-8")
 
 BALL = """\
 kind: chart
@@ -312,7 +313,7 @@ def _installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
     groups = {
         "statechart.kinds": [
-            entry("chart", "statechart.kinds", kinds.CHART),
+            entry("chart", "statechart.kinds", CHART),
             entry("scene", "contacts.kind", None),
         ],
         "statechart.models": [entry("shipped", "math", None)],
@@ -326,8 +327,8 @@ def _installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("_installed")
 def test_the_kind_is_looked_up_and_no_other_imported() -> None:
     assert interpret(read_text(BALL)) == ball()
-    assert set(kinds.kinds()) == {"chart", "scene"}
-    assert kinds.kind("chart") is kinds.CHART
+    assert set(kinds()) == {"chart", "scene"}
+    assert kind("chart") is CHART
     assert isinstance(interpret(read_text(STARTER)), Chart)
 
 

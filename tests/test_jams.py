@@ -88,7 +88,7 @@ def test_stop_says_that_the_force_grew_without_bound() -> None:
 
 def test_a_flow_that_ends_for_another_reason_is_no_jam() -> None:
     built = simulator(ROD, "taylor").automaton
-    setup = built.laws.setup({}, 2.2e-16)
+    setup = built.setup({}, 2.2e-16)
     flow, state = built.laws.begin(setup)
     assert flow.mode == ("slide+",)
     assert built.laws.jump(setup, Clock(), 0, Flow(*flow), state, (UNBOUNDED,)) is None

@@ -65,7 +65,7 @@ def test_its_picture_has_the_modes_visited_and_one_chart_for_all_contacts() -> N
     start, _ = runner.start()
     assert needs_run(runner.automaton)
     setup = runner.setup()
-    found = feasibility.feasibility(runner.model, runner.automaton, setup, setup.initial, 0.0)
+    found = feasibility.feasibility(runner.automaton, setup, setup.initial, 0.0)
     assert found is None
     diagram = build(runner.automaton, start, runner.run().trace, found)
     assert [node.label for node in diagram.groups["modes of the run"]] == [

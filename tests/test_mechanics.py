@@ -12,9 +12,10 @@ from contacts.scene import Scene
 
 
 def snapshot(scene: Scene, state: list[float]):
-    laws = automaton(scene).laws
+    built = automaton(scene)
+    laws = built.laws
     assert isinstance(laws, SceneLaws)
-    setup = laws.setup({}, 1e-16)
+    setup = built.setup({}, 1e-16)
     return laws._tape.at(setup.values, np.array(state), 0.3)
 
 

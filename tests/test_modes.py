@@ -147,13 +147,13 @@ def test_modes_of_many_contacts_are_counted_and_never_enumerated(listed, capsys,
 def test_a_chart_knows_no_reason_against_a_mode(listed) -> None:
     runner = Runner("bouncing_ball_chart")
     setup = runner.setup()
-    assert feasibility(runner.model, runner.automaton, setup, setup.initial, 0.0) is None
+    assert feasibility(runner.automaton, setup, setup.initial, 0.0) is None
 
 
 def test_every_product_mode_is_judged_once() -> None:
     runner = Runner(read_text(BAR))
     setup = runner.setup()
-    found = feasibility(runner.model, runner.automaton, setup, setup.initial, 0.0)
+    found = feasibility(runner.automaton, setup, setup.initial, 0.0)
     assert found is not None
     assert len(found.modes) == runner.automaton.modes_total
     assert len(found.declared) == runner.automaton.modes_declared

@@ -68,7 +68,7 @@ def start(case: dict) -> dict[str, float]:
 def test_p_b_and_the_critical_friction_are_the_reference_ones(case: dict) -> None:
     laws = ROD.laws
     assert isinstance(laws, SceneLaws)
-    setup = laws.setup(start(case), 1e-15)
+    setup = ROD.setup(start(case), 1e-15)
     assert isinstance(setup, SceneSetup)
     snapshot = laws._tape.at(setup.values, setup.initial, 0.0)
     found = paradoxes(snapshot, setup.contacts, [True], 1e-12)

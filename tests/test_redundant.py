@@ -64,9 +64,10 @@ def run(scene: Scene, name: str = "taylor", until: float = 3.0) -> Trace:
 
 
 def numbers(scene: Scene, time: float = 0.0) -> tuple[Snapshot, SceneSetup]:
-    laws = automaton(scene).laws
+    built = automaton(scene)
+    laws = built.laws
     assert isinstance(laws, SceneLaws)
-    setup = laws.setup({}, 2.2e-16)
+    setup = built.setup({}, 2.2e-16)
     return laws._tape.at(setup.values, setup.initial, time), setup
 
 

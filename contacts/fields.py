@@ -1,0 +1,164 @@
+"""The fields of a scene, and what follows from them alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, Self
+
+from pydantic import Field
+
+from contacts.controls import Controller, Controls
+from contacts.parts import (
+    Body,
+    Contact,
+    Coordinate,
+    Force,
+    Gravity,
+    Joint,
+    Resolution,
+    Simultaneous,
+    Surface,
+)
+from contacts.shapes import Collision
+from statechart.declaration import TIME, Declaration
+from statechart.errors import DeclarationProblem, FormulaError
+from statechart.fields import FormulaText, NameText, problem
+from statechart.formula import parse
+
+_MOST_COPIES = 1000
+
+
+class SceneFields(Declaration):
+    """What a scene declares, before it is checked (see `contacts.scene.Scene`)."""
+
+    kind: Literal["scene"] = "scene"
+    gravity: Gravity = Field(
+        default=0, description="Acceleration downwards, or its two components."
+    )
+    coordinates: dict[NameText, Coordinate] = Field(default={})
+    bodies: dict[NameText, Body] = Field(min_length=1)
+    surfaces: dict[NameText, Surface] = Field(default={})
+    contacts: dict[NameText, Contact] = Field(default={})
+    joints: dict[NameText, Joint] = Field(default={})
+    forces: dict[NameText, Force] = Field(default={})
+    collisions: dict[NameText, Collision] = Field(
+        default={}, description="Which bodies with shapes collide; on the engine impulse alone."
+    )
+    simultaneous: Simultaneous = Field(
+        default="capped",
+        description="What contacts do that are hit together: plastic, Moreau's law as far as the "
+        "energy allows (capped), or one after another by their own laws (sequential).",
+    )
+    paradox: Resolution = Field(
+        default="impact",
+        description="What follows where no mode of a sliding contact agrees with the state "
+        "(Painleve): an impact without collision, or the end of the run.",
+    )
+    controls: dict[NameText, FormulaText] = Field(
+        default={},
+        description="What states of regions set, to be used in forces and in coefficients of "
+        "contacts: name to its value where no state sets it.",
+    )
+    regions: dict[NameText, Controller] = Field(
+        default={}, description="Controllers: regions beside the contacts."
+    )
+    modes: dict[str, Literal["free", "slide", "slide+", "slide-", "pin", "off"]] = Field(
+        default={}, description="Initial modes, checked; found from the state where not given."
+    )
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of all coordinates."""
+        own = [f"{n}.{c}" for n, b in self.single_bodies().items() for c in b.coordinates]
+        return (*self.coordinates, *own)
+
+    def single_bodies(self, overrides: Mapping[str, float] | None = None) -> dict[str, Body]:
+        """Return the bodies, copies one by one; all alike but for the index in their start."""
+        if all(body.copies is None for body in self.bodies.values()):
+            return self.bodies
+        result: dict[str, Body] = {}
+        for name, count in copies(self, self.values(overrides)).items():
+            if count is None:
+                result[name] = self.bodies[name]
+                continue
+            for index in range(count):
+                result[f"{name}{index}"] = self.bodies[name].numbered(index)
+        return result
+
+    @property
+    def whole(self) -> frozenset[str]:
+        """Parameters that count copies of bodies."""
+        counts = [b.copies for b in self.bodies.values() if b.copies is not None]
+        used = frozenset[str]().union(*(parse(text).names for text in counts))
+        return used & frozenset(self.parameters)
+
+    def variant(self, overrides: Mapping[str, float]) -> Self:
+        """Return the scene itself, or the one with as many copies as `overrides` make."""
+        if copies(self, self.values()) == copies(self, self.values(overrides)):
+            return self
+        return self.model_copy(update={"parameters": {**self.parameters, **overrides}})
+
+    def rate_name(self, coordinate: str) -> str:
+        """Return the name of the rate of `coordinate`: stick.x -> stick.dx, theta -> dtheta."""
+        *owner, name = coordinate.split(".")
+        return ".".join([*owner, f"d{name}"])
+
+    def jams(self, contact: str) -> bool:
+        """Whether a contact may see an impact without collision.
+
+        It rubs, and its point turns or others can wedge it.
+        """
+        declared = self.contacts[contact]
+        body = self.bodies[declared.point.body]
+        rubs = "slide" in declared.kinds and not declared.frictionless
+        turns = body.inertia is not None or body.position is not None
+        return rubs and (turns or len(self.contacts) > 1) and self.paradox == "impact"
+
+    def bounces(self, contact: str) -> bool:
+        """Whether impacts may accumulate: its own, or in turn with those elsewhere on its body."""
+        declared = self.contacts[contact]
+        beside = sum(other.point.body == declared.point.body for other in self.contacts.values())
+        return "free" in declared.kinds and (declared.restitution != 0 or beside > 1)
+
+    @property
+    def controlled(self) -> Controls:
+        """The controls and the regions that set them."""
+        return Controls(self.controls, self.regions)
+
+    @property
+    def kinematic_names(self) -> frozenset[str]:
+        """What formulas of controls, and with them those of forces, may use."""
+        rates = map(self.rate_name, self.variables)
+        return frozenset((TIME, *self.parameters, *self.variables, *rates))
+
+    def gate(self, contact: str) -> str:
+        """Return the conditions without which a contact is off, as text; "" for none."""
+        declared = self.contacts[contact]
+        ends = self.surfaces[declared.surface].edge is not None
+        return " and ".join((*declared.enabled, *(["within its edge"] if ends else [])))
+
+
+def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | None]:
+    """Return how many copies there are of every body; None where it is declared as one.
+
+    Raises
+    ------
+    DeclarationProblem
+        If a number of copies is not whole, or too large.
+    """
+    found: dict[str, int | None] = {}
+    for name, body in scene.bodies.items():
+        found[name] = None
+        if body.copies is None:
+            continue
+        loc = ("bodies", name, "copies")
+        try:
+            number = parse(body.copies).value(values)
+        except FormulaError as error:
+            raise problem(error, *loc) from None
+        if not (1 <= number <= _MOST_COPIES and number == int(number)):
+            raise DeclarationProblem(
+                f"must be a whole number from 1 to {_MOST_COPIES}, not {number:g}", loc=loc
+            )
+        found[name] = int(number)
+    return found
