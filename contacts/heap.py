@@ -18,17 +18,17 @@ from contacts.heap_numbers import heap_numbers, owners_of
 from contacts.impulse import Stepping
 from contacts.kernels import FREE
 from contacts.mechanics import Mechanics
-from contacts.numbers import check_finite, check_physical
+from contacts.numbers import check_finite, check_physical, check_shapes
 from contacts.other_laws import replaced
 from contacts.recognise import Chunk
+from contacts.regions import BODY_EDGES, BODY_STATES
 from contacts.scales import Scales, check_range
 from contacts.scene import Scene
 from contacts.setup import SceneSetup, scene_parameters
-from contacts.shapes import check_shapes
 from contacts.step_kernels import smoothed
 from contacts.stepped_scene import softened_remark, widened
 from statechart.arrays import Array
-from statechart.automaton import Automaton, Edge, Margin, Region, State
+from statechart.automaton import Automaton, Margin, Region, State
 from statechart.declaration import TIME
 from statechart.errors import (
     DeclarationProblem,
@@ -41,9 +41,6 @@ from statechart.formula import parse, parse_relation
 from statechart.parameters import Parameters
 from statechart.tape import compile_tape
 from statechart.trace import Key, Trace
-
-STATES = ("free", "slide", "pin")
-CAUSES = ("touchdown", "impact", "liftoff", "slip", "stick")
 
 _RELATIVE = 1e-9
 # Bodies may overlap at the start by this part of the scene.
@@ -93,7 +90,9 @@ def heap(scene: Scene) -> Automaton:
         unknowns=mechanics.a,
         rates=(*mechanics.v, *mechanics.a),
         equations=(),
-        regions=tuple(Region(name, STATES, lambda state: State(), _EDGES) for name in bodies),
+        regions=tuple(
+            Region(name, BODY_STATES, lambda state: State(), BODY_EDGES) for name in bodies
+        ),
         stops=stops,
         observables=observables,
         setup=lambda overrides, _: stepper().setup(overrides),
@@ -101,15 +100,6 @@ def heap(scene: Scene) -> Automaton:
         stepper=stepper,
         own_step=lambda: stepper().own_step(),
     )
-
-
-_EDGES = (
-    *(Edge("touchdown", "free", s, "an impulse acts on the body") for s in STATES),
-    *(Edge("impact", s, t, "another contact strikes") for s in STATES[1:] for t in STATES),
-    *(Edge("liftoff", s, "free", "no impulse acts on the body") for s in STATES[1:]),
-    Edge("stick", "slide", "pin", "a contact has no slip"),
-    Edge("slip", "pin", "slide", "all contacts slip"),
-)
 
 
 def _energy(scene: Scene, mechanics: Mechanics, known: Mapping[str, sp.Expr]) -> sp.Expr:

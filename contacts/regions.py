@@ -12,6 +12,21 @@ from contacts.parts import Contact
 from statechart.automaton import Edge, Margin, Region, State
 
 # Longer conditions would drown the diagram: every state has an edge with them.
+BODY_STATES = ("free", "slide", "pin")
+"""Of a body that collides by its shape."""
+BODY_CAUSES = ("touchdown", "impact", "liftoff", "slip", "stick")
+BODY_EDGES = (
+    *(Edge("touchdown", "free", s, "an impulse acts on the body") for s in BODY_STATES),
+    *(
+        Edge("impact", s, t, "another contact strikes")
+        for s in BODY_STATES[1:]
+        for t in BODY_STATES
+    ),
+    *(Edge("liftoff", s, "free", "no impulse acts on the body") for s in BODY_STATES[1:]),
+    Edge("stick", "slide", "pin", "a contact has no slip"),
+    Edge("slip", "pin", "slide", "all contacts slip"),
+)
+
 _LONGEST_GATE = 40
 _DIRECTIONS = {"slide+": 1, "slide-": -1, "slide": 0}
 

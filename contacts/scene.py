@@ -9,10 +9,11 @@ from pydantic import model_validator
 
 from contacts.fields import SceneFields, copies
 from contacts.kinks import check_kinks
-from contacts.numbers import check_finite, check_physical
+from contacts.numbers import check_collisions, check_copies, check_finite, check_physical
 from contacts.other_laws import replaced
 from contacts.parts import Path, Point, Simultaneous
-from contacts.shapes import INDEX, check_collisions, check_copies
+from contacts.regions import BODY_CAUSES, BODY_STATES, edges, states
+from contacts.shapes import INDEX
 from statechart.declaration import TIME, check_names
 from statechart.errors import DeclarationProblem
 from statechart.fields import FormulaText
@@ -241,8 +242,6 @@ class Scene(SceneFields):
 
     @model_validator(mode="after")
     def _uses_exist(self) -> Self:
-        from contacts.regions import edges, states
-
         quantities = ("gap", "slip", "V", "H")
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
@@ -260,10 +259,8 @@ class Scene(SceneFields):
             for c, x in self.contacts.items()
         } | {name: {t.name for t in region.transitions} for name, region in self.regions.items()}
         if self.collisions:
-            from contacts.heap import CAUSES, STATES
-
-            found |= {body: {*STATES} for body in self.single_bodies()}
-            causes |= {body: {*CAUSES} for body in self.single_bodies()}
+            found |= {body: {*BODY_STATES} for body in self.single_bodies()}
+            causes |= {body: {*BODY_CAUSES} for body in self.single_bodies()}
         self.check_uses(names, found, causes)
         for name, region in self.regions.items():
             check_listening(name, region.transitions, causes, found)

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, model_validator
 
-from statechart import document
 from statechart.chart import Chart, Region, State, Transition
 from statechart.declaration import Count, Event, Integral, Moment, Settings, Stop, Value
 from statechart.document import Document, find, interpret, load, read, read_text, validate
@@ -395,8 +394,3 @@ def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
     found: Document = read(path)
     assert found.data == {"a": 1}
     assert found.source == str(path)
-
-
-def test_public_names_exist() -> None:
-    for module in (document, kinds):
-        assert all(hasattr(module, name) for name in module.__all__)
