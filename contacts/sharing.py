@@ -63,7 +63,7 @@ class Share:
     violation: float
 
     def flow(self, states: Sequence[str]) -> tuple[str, ...]:
-        """Return `states` with what of their equations to use (see `contacts.modes.shared`)."""
+        """Return `states` with what of their equations to use, for `shared` to read."""
         whole = {"pin": "nt", "free": "", OFF: ""}
         coordinates = ",".join(map(str, self.coordinates))
         first = next(k for k, zone in enumerate(self.zones) if zone != OWN)

@@ -15,7 +15,7 @@ _ROUNDING = 1e-9
 
 @kernel
 def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed: bool) -> int:
-    """Return the mode of a contact that bears an impulse, as `contacts.kernels` numbers them.
+    """Return the number of the mode of a contact that bears an impulse.
 
     Parameters
     ----------

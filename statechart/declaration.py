@@ -175,7 +175,7 @@ class Stop(Part):
     """When a run ends: at a time, or when a condition becomes true."""
 
     time: FormulaText | None = None
-    conditions: dict[Label, RelationText] = {}
+    conditions: dict[Label, RelationText] = Field(default={})
 
 
 class Settings(Part):
@@ -242,7 +242,7 @@ class Declaration(Part):
         default={}, description="What checks vary: parameter to least and greatest value."
     )
     stop: Stop = Stop()
-    outputs: dict[NameText, Output] = {}
+    outputs: dict[NameText, Output] = Field(default={})
     settings: Settings = Settings()
 
     def values(self, overrides: Mapping[str, float] | None = None) -> dict[str, float]:

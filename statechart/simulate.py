@@ -338,7 +338,7 @@ class _Run:
 
     def _unbounded(self) -> bool:
         """Whether rates have grown without bound towards here, and a jump resolves it."""
-        flow, laws = self.flow, self.simulator.automaton.laws
+        flow, laws = self.flow, self.simulator.automaton.laws_of_events
         if flow is None or flow.terms is None or not self.arcs:
             return False
         sizes = np.abs(self.arcs[-1].coefficients[:, :, 0]).max(axis=0)

@@ -97,7 +97,7 @@ class SteppingSimulator:
         max_jumps: int = 100_000,
         throw: bool = True,
     ) -> Trace:
-        """Run from the declared initial state; see `statechart.simulate.Simulator.run`."""
+        """Run from the declared initial state, as `Simulator.run` does."""
         from statechart.simulate import Progress, error_of
         from statechart.trace import Outcome
 
