@@ -13,12 +13,12 @@ from contacts.classify import Choice
 from contacts.decision import decide
 from contacts.gates import hidden
 from contacts.jams import Jam
-from contacts.modes import OPEN
 from contacts.parts import Resolution
 from contacts.projection import landed, on_constraints
 from contacts.setup import SceneSetup
 from contacts.simultaneous import impacts
 from contacts.snapshot import PerContact, Snapshot, solve_kkt
+from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton import Flow, plain
 from statechart.errors import NoConsistentMode, SingularMode

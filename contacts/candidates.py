@@ -24,33 +24,20 @@ from contacts.complementarity import (
 from contacts.kernels import (
     AGAINST,
     CONTRADICTORY,
-    FREE,
     INTO,
     OUTSIDE,
-    PIN,
     PULLS,
     REDUNDANT,
-    SLIDE,
-    SLIDE_MINUS,
-    SLIDE_PLUS,
     SOLVED,
     UNDETERMINED,
     solve_modes,
 )
-from contacts.modes import OFF
 from contacts.scales import Scales
 from contacts.sharing import Share, share
 from contacts.snapshot import Snapshot
+from contacts.states import CODES, FREE, PIN
 from statechart.arrays import Array
 
-CODES = {
-    "free": FREE,
-    OFF: FREE,
-    "pin": PIN,
-    "slide": SLIDE,
-    "slide+": SLIDE_PLUS,
-    "slide-": SLIDE_MINUS,
-}
 _WORDS = {
     INTO: "it would accelerate at {:.3g} into the surface",
     PULLS: "V = {:.3g} < 0",

@@ -24,10 +24,10 @@ from contacts.candidates import (
     openness,
     same_motion,
 )
-from contacts.modes import OFF, OPEN
 from contacts.scales import Scales
 from contacts.sharing import OWN, Share
 from contacts.snapshot import PerContact, Snapshot
+from contacts.states import OFF, OPEN
 from statechart.errors import AmbiguousMode, NoConsistentMode
 
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.

@@ -24,9 +24,10 @@ from contacts.complementarity import (
     solve_lcp,
 )
 from contacts.exact import exact_impulses
-from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SOLVED, solve_modes
+from contacts.kernels import SOLVED, solve_modes
 from contacts.redundancy import connected, into_cone, mode_columns, rank, smallest
 from contacts.snapshot import Snapshot
+from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.work import work_of
 from statechart.arrays import Array
 

@@ -19,10 +19,10 @@ from contacts.controls import Controller, Transition
 from contacts.gates import Gates
 from contacts.laws import SceneLaws
 from contacts.mechanics import Mechanics
-from contacts.modes import OPEN
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.snapshot import SnapshotTape
+from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton import CAPTURED, Edge, Flow, Margin, Region, Setup, State, plain
 from statechart.constraints import Constraints

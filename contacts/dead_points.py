@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from contacts.candidates import ContactLaw
-from contacts.modes import OPEN
 from contacts.snapshot import Snapshot
+from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.trace import Key
 

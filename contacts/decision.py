@@ -10,11 +10,11 @@ import numpy as np
 from contacts.candidates import ContactLaw
 from contacts.classify import Choice, choose
 from contacts.jams import Jam, jammed
-from contacts.modes import OFF
 from contacts.painleve import paradoxes
 from contacts.parts import Resolution
 from contacts.setup import SceneSetup
 from contacts.snapshot import PerContact, Snapshot
+from contacts.states import OFF
 from contacts.usual_kernels import ENDLESS
 from statechart.errors import NoConsistentMode
 

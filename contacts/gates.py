@@ -13,8 +13,8 @@ import numpy as np
 import sympy as sp
 
 from contacts.mechanics import Mechanics
-from contacts.modes import OFF
 from contacts.snapshot import Snapshot
+from contacts.states import OFF
 from statechart.arrays import Array
 from statechart.tape import compile_tape
 from statechart.trace import Key

@@ -16,7 +16,6 @@ from contacts import impulse
 from contacts.heap_kernels import DONE, FULL, HARD, MEMORY, NOT_FINITE, step_heap
 from contacts.heap_numbers import heap_numbers, owners_of
 from contacts.impulse import Stepping
-from contacts.kernels import FREE
 from contacts.mechanics import Mechanics
 from contacts.numbers import check_finite, check_physical, check_shapes
 from contacts.other_laws import replaced
@@ -25,6 +24,7 @@ from contacts.regions import BODY_EDGES, BODY_STATES
 from contacts.scales import Scales, check_range
 from contacts.scene import Scene
 from contacts.setup import SceneSetup, scene_parameters
+from contacts.states import FREE
 from contacts.step_kernels import smoothed
 from contacts.stepped_scene import softened_remark, widened
 from statechart.arrays import Array

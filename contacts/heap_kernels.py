@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.island_kernels import compliance, island_of, push, swept, velocity
-from contacts.kernels import FREE, PIN, SLIDE
 from contacts.polygons import FOUND, against_surface, between, place
+from contacts.states import FREE, PIN, SLIDE
 from contacts.step_kernels import UNKNOWNS, solve_impacts, steady_impulses
 from statechart.arrays import Array, Ints
 from statechart.compiled import kernel

@@ -15,10 +15,10 @@ import numpy as np
 from contacts.candidates import ContactLaw
 from contacts.collisions import Collision, collisions
 from contacts.impact import impact
-from contacts.modes import OFF
 from contacts.painleve import paradoxes
 from contacts.simultaneous import Impacts, groups
 from contacts.snapshot import PerContact, Snapshot
+from contacts.states import OFF
 from statechart.errors import NoConsistentMode
 from statechart.trace import Key
 

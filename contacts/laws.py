@@ -21,12 +21,12 @@ from contacts.decision import check_listed, decide, explained
 from contacts.gates import Gates, hidden
 from contacts.jams import Jam, closed_state, listed, unbounded, without_collision
 from contacts.mechanics import Mechanics
-from contacts.modes import OFF, OPEN
 from contacts.projection import Projection, landed, on_constraints
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.simultaneous import Impacts, impacts
 from contacts.snapshot import Snapshot, SnapshotTape
 from contacts.starting import check_start
+from contacts.states import OFF, OPEN
 from contacts.usual import usual_mode
 from statechart.arrays import Array
 from statechart.automaton import CAPTURED, UNBOUNDED, Flow, Region, Setup, plain, uncaptured

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import sympy as sp
 from pydantic import Field
 
+from contacts.states import OFF
 from statechart.automaton import Loads, Margin, State
 from statechart.declaration import Part
 
@@ -97,10 +98,7 @@ class Pin(Part):
         return State((contact.normal_acceleration, contact.tangential_acceleration), tuple(margins))
 
 
-OFF = "off"
 """The state of a contact whose conditions fail; no mode that a contact lists."""
-
-OPEN = ("free", OFF)
 """States without force."""
 
 

@@ -11,9 +11,9 @@ import sympy as sp
 from contacts.dead_points import dependent
 from contacts.joints import JointNumbers, well_posed
 from contacts.mechanics import Mechanics
-from contacts.modes import OPEN
 from contacts.scales import Scales
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
+from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.constraints import Constraints
 from statechart.errors import NoConsistentMode, SingularMode

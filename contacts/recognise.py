@@ -16,21 +16,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from statechart.arrays import Array, Ints
 from statechart.trace import Arc, Clock, Jump, Key
 
 TERMS = 3
 """Terms of the polynomial of a step."""
-
-STATES = {
-    FREE: "free",
-    PIN: "pin",
-    SLIDE: "slide",
-    SLIDE_PLUS: "slide+",
-    SLIDE_MINUS: "slide-",
-    OFF_CODE: "off",
-}
 """Mode of a region, as `contacts.kernels` numbers them, to its state."""
 
 

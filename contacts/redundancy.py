@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import FREE, PIN, SLIDE, SLIDE_PLUS
+from contacts.states import FREE, PIN, SLIDE, SLIDE_PLUS
 from statechart.arrays import Array
 
 # Columns this close to dependent are.

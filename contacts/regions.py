@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import sympy as sp
 
-from contacts.modes import OFF, OPEN, ContactSymbols, Free, Pin, Slide, off, shared
+from contacts.modes import ContactSymbols, Free, Pin, Slide, off, shared
 from contacts.parts import Contact
+from contacts.states import OFF, OPEN
 from statechart.automaton import Edge, Margin, Region, State
 
 # Longer conditions would drown the diagram: every state has an edge with them.

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import FREE, OFF_CODE, PIN, SLIDE
+from contacts.states import FREE, OFF_CODE, PIN, SLIDE
 from contacts.step_equations import CONTACT, JOINT, back, factored
 from contacts.step_forces import borne_mode, jammed, resting, shared_forces
 from contacts.step_kernels import (

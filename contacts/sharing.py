@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, independent
-from contacts.modes import OFF
+from contacts.kernels import independent
 from contacts.redundancy import directions, mode_columns, unseen
 from contacts.snapshot import Snapshot
 from contacts.springs import APEX, INSIDE, LOWER, UPPER, springs
+from contacts.states import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array
 
 OWN = "own"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from contacts.candidates import ContactLaw
-from contacts.modes import OFF
+from contacts.states import OFF
 from statechart.errors import DeclarationProblem
 
 

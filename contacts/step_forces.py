@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.kernels import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, independent
+from contacts.kernels import independent
 from contacts.springs import springs
+from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.compiled import kernel
 

@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from contacts import impulse
 from contacts.closing import check_joints
 from contacts.impulse import Stepping
-from contacts.kernels import FREE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.mechanics import Mechanics
-from contacts.modes import OFF
 from contacts.other_laws import replaced
-from contacts.recognise import STATES
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.snapshot import SnapshotTape
 from contacts.starting import check_start
+from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.stepped_control import StepControl, SteppedTapes
 from contacts.stepped_scene import SteppedScene
 from statechart.automaton import Margin, Region

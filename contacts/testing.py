@@ -14,9 +14,9 @@ import sympy as sp
 from pydantic import ValidationError
 
 from contacts.mechanics import Mechanics
-from contacts.modes import OFF, OPEN
 from contacts.scene import Scene
 from contacts.setup import SceneSetup, cones, scene_parameters
+from contacts.states import OFF, OPEN
 from contacts.symmetry import mirrored, rescaled
 from contacts.violations import cone_edges
 from statechart.arrays import Array

@@ -11,12 +11,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.candidates import CODES, cones
-from contacts.kernels import FREE
-from contacts.modes import OFF, OPEN
+from contacts.candidates import cones
 from contacts.projection import landing
 from contacts.setup import SceneSetup
 from contacts.snapshot import SnapshotTape
+from contacts.states import CODES, FREE, OFF, OPEN
 from contacts.usual_kernels import usual
 from statechart.arrays import Array
 from statechart.trace import Key

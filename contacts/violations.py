@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from contacts.modes import OFF
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
+from contacts.states import OFF
 from statechart.fields import FormulaText
 from statechart.formula import parse
 from statechart.observe import Observer

@@ -1,4 +1,8 @@
-"""Charts as a value, and its renderers: DOT, Mermaid, SCXML, and pictures by suffix."""
+"""Statecharts as pictures and as text.
+
+`build` makes a `model` of a diagram, of an automaton and perhaps a run; `dot`, `mermaid` and
+`scxml` render it as text, `write` as files and pictures.
+"""
 
 from statechart.diagram.dot import dot
 from statechart.diagram.mermaid import mermaid

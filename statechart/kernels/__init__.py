@@ -1,4 +1,7 @@
-"""The compiled half of tapes and enclosures: one set of numba kernels for every model.
+"""Compiled numerics: data in, numbers out, one set of kernels for every model.
 
-A tape (`statechart.tape`) is data, so these kernels are compiled once, whatever the model.
+`jit` compiles with numba and keeps what it compiled. `tapes` runs straight-line programs on
+floats; `intervals` and `jets` enclose their values and time derivatives, `boxes` says what is
+known of them over a piece of a step, and `search` finds the first fall of a margin by branch and
+bound. `polynomials` is dense output, `constraints` the distance of a state from constraints.
 """

@@ -1,0 +1,31 @@
+"""States of a contact: the one place for their words, and the numbers that kernels know them by."""
+
+from __future__ import annotations
+
+FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF_CODE = range(6)
+
+
+OFF = "off"
+
+
+CODES = {
+    "free": FREE,
+    OFF: FREE,
+    "pin": PIN,
+    "slide": SLIDE,
+    "slide+": SLIDE_PLUS,
+    "slide-": SLIDE_MINUS,
+}
+
+
+OPEN = ("free", OFF)
+
+
+STATES = {
+    FREE: "free",
+    PIN: "pin",
+    SLIDE: "slide",
+    SLIDE_PLUS: "slide+",
+    SLIDE_MINUS: "slide-",
+    OFF_CODE: "off",
+}
