@@ -17,7 +17,7 @@ from contacts.polygons import FOUND, against_surface, between, place
 from contacts.states import FREE, PIN, SLIDE
 from contacts.step_kernels import UNKNOWNS, solve_impacts, steady_impulses
 from statechart.arrays import Array, Ints
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 
 DONE, HARD, NOT_FINITE, FULL = range(4)
 

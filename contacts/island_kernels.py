@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from contacts.step_kernels import UNKNOWNS, capped
 from statechart.arrays import Array, Ints
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 
 _SWEEPS = 2000
 # Largest change of a velocity in a sweep that ends it, relative to the velocities; and in the last

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array
-from statechart.compiled import kernel, part
+from statechart.kernels.jit import kernel, part
 
 SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY, UNDETERMINED = range(6)
 INTO, PULLS, OUTSIDE, AGAINST = range(4)

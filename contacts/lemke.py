@@ -8,7 +8,7 @@ import numpy as np
 
 from contacts.kernels import SOLVED, saddle
 from statechart.arrays import Array, Bools, Ints
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 
 FOUND, RAY, SPENT = range(3)
 # Of a pivot relative to the largest entry of its column: smaller ones are rounding.

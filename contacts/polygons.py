@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 
 FOUND = 5
 """Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""

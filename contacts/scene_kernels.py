@@ -24,7 +24,7 @@ from contacts.step_kernels import (
     steady_impulses,
 )
 from statechart.arrays import Array
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 DONE, HARD, BAD_INERTIA, NOT_FINITE = range(4)

@@ -11,7 +11,7 @@ import numpy as np
 
 from contacts.kernels import SOLVED, independent, saddle
 from statechart.arrays import Array, Ints
-from statechart.compiled import kernel, part
+from statechart.kernels.jit import kernel, part
 
 INSIDE, UPPER, LOWER, APEX = range(4)
 """Where ``w = J y`` is: inside the cone; off it, nearest to its edge with H > 0, with H < 0; off

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 
 CONTACT = 6
 """Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition."""

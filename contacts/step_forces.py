@@ -8,7 +8,7 @@ from contacts.kernels import independent
 from contacts.springs import springs
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 
 # Velocities below this part of what they are sums of are zero.
 _ROUNDING = 1e-9

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from contacts.lemke import FOUND, lemke, on_support
 from statechart.arrays import Array, Bools
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 
 UNKNOWNS = 4
 """Of a contact: normal impulse, tangential one to either side, slip speed."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from contacts.kernels import solve_modes
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Ints32
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 # In the scene's forces: beyond, a sliding contact may bear what only rounding keeps finite.

@@ -9,7 +9,7 @@ import sys
 import pytest
 from numba import njit
 
-from statechart.compiled import is_cached
+from statechart.kernels.jit import is_cached
 
 LOWER = """\
 from statechart.compiled import {decorator}
@@ -20,7 +20,7 @@ def lower(x):
 """
 UPPER = """\
 from lower_kernels import lower
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 
 @kernel
 def upper(x):
@@ -52,7 +52,7 @@ def test_numba_still_has_the_stamp_that_kernels_replace():
     file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     assert hasattr(file, "_source_stamp"), (
         "this numba keeps the age of a cached kernel's source elsewhere: find where, and let "
-        "statechart.compiled.kernel replace it there"
+        "statechart.kernels.jit.kernel replace it there"
     )
 
 

@@ -17,8 +17,8 @@ import xarray as xr
 from contacts.stepped_scene import SteppedScene
 from statechart import interrupts
 from statechart.cli import main
-from statechart.compiled import kernel
 from statechart.errors import StatechartError
+from statechart.kernels.jit import kernel
 from statechart.pieces import SOME, Pieces, rows
 from statechart.run import Runner, run
 from statechart.tables import write_run

@@ -23,8 +23,8 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
-from statechart.compiled import kernel, part
 from statechart.kernels.constraints import off_by
+from statechart.kernels.jit import kernel, part
 from statechart.kernels.search import NONE, search
 
 # What the loop below relies on: heyoka documents the module, not the function.

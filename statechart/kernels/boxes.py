@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from statechart.arrays import Array, Ints32
-from statechart.compiled import kernel, part
 from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, whole, wide
 from statechart.kernels.jets import run_jets
+from statechart.kernels.jit import kernel, part
 
 Along = tuple[Ints32, int, int, int, Ints32, Array, Array, float]
 """What is evaluated along what: code, the register of its first operation, the operations to run

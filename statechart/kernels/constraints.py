@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.compiled import kernel
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 

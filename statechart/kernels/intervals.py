@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from statechart.compiled import kernel, part
+from statechart.kernels.jit import kernel, part
 
 Interval = tuple[float, float]
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 from statechart.arrays import Array, Ints32
-from statechart.compiled import kernel, part
 from statechart.kernels.intervals import (
     HALF,
     INF,
@@ -39,6 +38,7 @@ from statechart.kernels.intervals import (
     whole,
     wide,
 )
+from statechart.kernels.jit import kernel, part
 from statechart.kernels.tapes import (
     ABS,
     ACOS,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.compiled import kernel, part
+from statechart.kernels.jit import kernel, part
 from statechart.kernels.tapes import filled, run_tape
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.compiled import is_cached, kernel, part
 from statechart.kernels.boxes import Along, enclose, judge, prepare
 from statechart.kernels.intervals import EPS, INF, LIBM, TINY
 from statechart.kernels.jets import run_jets
+from statechart.kernels.jit import is_cached, kernel, part
 from statechart.kernels.polynomials import horner, local_time
 from statechart.kernels.tapes import filled, run_tape
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.compiled import kernel, part
+from statechart.kernels.jit import kernel, part
 
 ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
 NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21)
