@@ -34,8 +34,8 @@ from contacts.parts import Body, Contact, Coordinate, Point, Surface
 from contacts.scene import Scene
 from statechart.enclosure import lowest
 from statechart.engines import choose
+from statechart.formulas.tape import Tape, compile_tape
 from statechart.simulate import Simulator
-from statechart.tape import Tape, compile_tape
 from statechart.trace import Outcome, Trace
 
 Numbers = Mapping[str, float]

@@ -13,8 +13,8 @@ from pydantic import Field, model_validator
 from statechart.declaration import Part, check_names
 from statechart.errors import DeclarationProblem
 from statechart.fields import FormulaText, NameText
-from statechart.formula import parse
-from statechart.syntax import close_matches
+from statechart.formulas.formula import parse
+from statechart.formulas.syntax import close_matches
 from statechart.transitions import BaseTransition, check_region
 
 

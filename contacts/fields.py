@@ -23,7 +23,7 @@ from contacts.shapes import Collision
 from statechart.declaration import TIME, Declaration
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, NameText, problem
-from statechart.formula import parse
+from statechart.formulas.formula import parse
 
 _MOST_COPIES = 1000
 

@@ -37,9 +37,9 @@ from statechart.errors import (
     StepTooLarge,
     UnsolvedImpulses,
 )
-from statechart.formula import parse, parse_relation
-from statechart.parameters import Parameters
-from statechart.tape import compile_tape
+from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.parameters import Parameters
+from statechart.formulas.tape import compile_tape
 from statechart.trace import Key, Trace
 
 _RELATIVE = 1e-9

@@ -13,7 +13,7 @@ from contacts.fields import copies
 from contacts.scene import Scene
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
-from statechart.formula import parse
+from statechart.formulas.formula import parse
 
 
 @dataclass(frozen=True, eq=False)

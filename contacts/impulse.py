@@ -34,7 +34,7 @@ from contacts.setup import SceneSetup
 from statechart import interrupts
 from statechart.arrays import Array
 from statechart.errors import SimulationError, StepTooLarge, TooLong
-from statechart.tape import Tape
+from statechart.formulas.tape import Tape
 from statechart.trace import FAR_TOO_MANY, LARGEST, Arc, Jump, Key, Outcome, Trace, check_size
 
 # Steps of regions at once: they take up to a quarter of a second, in which no signal is seen.

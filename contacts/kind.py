@@ -23,7 +23,7 @@ def automaton(scene: Scene) -> Automaton:
     from contacts.setup import SceneNumbers, cones, scene_parameters
     from contacts.stepper import SceneStepper
     from statechart.automaton import Laws, Margin
-    from statechart.formula import parse_relation
+    from statechart.formulas.formula import parse_relation
 
     if scene.collisions:
         from contacts.heap import heap

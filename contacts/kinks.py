@@ -7,10 +7,10 @@ from collections.abc import Collection, Iterator
 from contacts.fields import SceneFields
 from contacts.parts import Path
 from statechart.declaration import TIME
-from statechart.derived import check_derived
 from statechart.document import Loc
-from statechart.formula import parse
-from statechart.kinks import PIECES, check_smooth
+from statechart.formulas.derived import check_derived
+from statechart.formulas.formula import parse
+from statechart.formulas.kinks import PIECES, check_smooth
 
 _SURFACES = (
     "declare a surface and a contact for each smooth piece: that is all for the higher of them "

@@ -33,7 +33,7 @@ from statechart.automaton import CAPTURED, UNBOUNDED, Flow, Region, Setup, plain
 from statechart.constraints import Constraints
 from statechart.errors import DeclarationProblem, NoConsistentMode, SingularMode
 from statechart.feasibility import Feasibility
-from statechart.parameters import Parameters
+from statechart.formulas.parameters import Parameters
 from statechart.trace import Clock, Jump, Key
 
 _EPS = float(np.finfo(float).eps)

@@ -18,8 +18,8 @@ from contacts.parts import Body, Contact, Pair, Path, Point, Surface
 from contacts.scene import Scene
 from statechart.automaton import Margin
 from statechart.declaration import TIME
-from statechart.formula import parse, parse_relation
-from statechart.linear import Definition
+from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.linear import Definition
 
 COEFFICIENTS = ("friction", "cone_n", "cone_t")
 """Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""

@@ -14,8 +14,8 @@ from statechart.declaration import check_names
 from statechart.document import Loc
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, problem
-from statechart.formula import parse
-from statechart.syntax import close_matches
+from statechart.formulas.formula import parse
+from statechart.formulas.syntax import close_matches
 
 
 def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:

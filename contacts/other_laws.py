@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from contacts.fields import SceneFields
 from contacts.parts import MOREAU, Contact, Point
-from statechart.formula import parse
+from statechart.formulas.formula import parse
 
 
 def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:

@@ -12,7 +12,7 @@ from contacts.shapes import INDEX, Shape
 from statechart.declaration import Part
 from statechart.errors import DeclarationProblem
 from statechart.fields import FiniteText, FormulaText, RelationText
-from statechart.formula import parse
+from statechart.formulas.formula import parse
 
 Pair = tuple[FiniteText, FiniteText]
 """Two components, along x and y."""

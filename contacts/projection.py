@@ -17,7 +17,7 @@ from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.constraints import Constraints
 from statechart.errors import NoConsistentMode, SingularMode
-from statechart.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape, compile_tape
 from statechart.trace import Key
 
 # A state is brought onto the constraints of the mode entered from this part of their tolerance on.

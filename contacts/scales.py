@@ -14,8 +14,8 @@ from contacts.kernels import largest_sizes
 from contacts.mechanics import Mechanics
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
-from statechart.formula import parse
-from statechart.tape import compile_tape
+from statechart.formulas.formula import parse
+from statechart.formulas.tape import compile_tape
 
 _EPS = float(np.finfo(float).eps)
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.

@@ -17,8 +17,8 @@ from contacts.shapes import INDEX
 from statechart.declaration import TIME, check_names
 from statechart.errors import DeclarationProblem
 from statechart.fields import FormulaText
-from statechart.formula import parse, parse_relation
-from statechart.syntax import close_matches
+from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.syntax import close_matches
 from statechart.transitions import check_listening
 
 

@@ -21,9 +21,9 @@ from statechart.arrays import Array
 from statechart.automaton import Margin, Setup
 from statechart.errors import DeclarationProblem
 from statechart.fields import FormulaText
-from statechart.formula import parse
-from statechart.parameters import Parameters
-from statechart.tape import compile_tape
+from statechart.formulas.formula import parse
+from statechart.formulas.parameters import Parameters
+from statechart.formulas.tape import compile_tape
 
 _Reader = Callable[[Sequence[float]], ContactLaw]
 

@@ -15,7 +15,7 @@ from contacts.kernels import INEXACT, SINGULAR, saddle
 from contacts.mechanics import Mechanics
 from statechart.arrays import Array
 from statechart.errors import SingularMode
-from statechart.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape, compile_tape
 
 # Of a contact, besides its Jacobian and biases: gap, its rate, slip, point, tangent.
 _SCALARS = 7

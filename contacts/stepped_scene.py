@@ -20,7 +20,7 @@ from contacts.step_equations import CONTACT
 from contacts.step_kernels import LOOSEST, UNKNOWNS, problem, smoothed, step_residual
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, UnsolvedImpulses
-from statechart.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape, compile_tape
 
 _CODES = {state: code for code, state in STATES.items()}
 

@@ -22,8 +22,8 @@ from contacts.stepped_control import StepControl, SteppedTapes
 from contacts.stepped_scene import SteppedScene
 from statechart.automaton import Margin, Region
 from statechart.errors import SimulationError
-from statechart.parameters import Parameters
-from statechart.tape import compile_tape
+from statechart.formulas.parameters import Parameters
+from statechart.formulas.tape import compile_tape
 from statechart.trace import Key, Trace
 
 # The modes at the start are those of a step this short, in the scene's own time.

@@ -20,8 +20,8 @@ from contacts.shapes import Shape
 from statechart.comparison import Reading
 from statechart.declaration import TIME, Stop
 from statechart.fields import FormulaText
-from statechart.formula import Formula, Relation, parse, parse_relation
-from statechart.syntax import names_in
+from statechart.formulas.formula import Formula, Relation, parse, parse_relation
+from statechart.formulas.syntax import names_in
 
 # Powers of two: scaling is exact, so that what differs is a number that does not scale.
 LENGTH = 2.0**20

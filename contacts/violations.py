@@ -10,7 +10,7 @@ from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.states import OFF
 from statechart.fields import FormulaText
-from statechart.formula import parse
+from statechart.formulas.formula import parse
 from statechart.observe import Observer
 from statechart.trace import Key, Trace
 

@@ -15,9 +15,9 @@ from statechart.compose import Mode
 from statechart.enclosure import Crossing, Search, Verdict, search
 from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Watch
 from statechart.errors import NonFinite, SimulationError, StepFailure, TooLong, Undecided
+from statechart.formulas.series import size_at
+from statechart.formulas.tape import Tape, compile_tape
 from statechart.kernels.polynomials import cut_steps, sample_states
-from statechart.series import size_at
-from statechart.tape import Tape, compile_tape
 
 _FIRST_CHUNK = 4
 # A chunk may end this far off its constraints, in tolerances; inside it may be farther.

@@ -8,12 +8,12 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from statechart.declaration import TIME, Declaration, Part, check_names
-from statechart.derived import check_derived
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FiniteText, Label, NameText, RelationText, problem
-from statechart.formula import parse, parse_relation
-from statechart.kinks import PIECES, check_smooth
-from statechart.syntax import close_matches
+from statechart.formulas.derived import check_derived
+from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.kinks import PIECES, check_smooth
+from statechart.formulas.syntax import close_matches
 from statechart.transitions import BaseTransition, check_listening, check_region
 
 

@@ -24,9 +24,9 @@ from statechart.course import Courses
 from statechart.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.firing import Guard, Listening, Watch, considered, guards, size_of
-from statechart.formula import parse, parse_relation
-from statechart.parameters import Parameters
-from statechart.tape import Tape, compile_tape
+from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.parameters import Parameters
+from statechart.formulas.tape import Tape, compile_tape
 from statechart.trace import Clock, Jump, Key
 from statechart.zeno import between
 

@@ -206,7 +206,7 @@ def _number(text: str) -> float:
     import argparse
 
     from statechart.errors import FormulaError
-    from statechart.formula import parse
+    from statechart.formulas.formula import parse
 
     try:
         return parse(text).value({})

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from statechart import interrupts
 from statechart.errors import DeclarationError, SimulationError, StatechartError
+from statechart.formulas.syntax import close_matches
 from statechart.pieces import Pieces
-from statechart.syntax import close_matches
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -309,8 +309,8 @@ def new(arguments: argparse.Namespace) -> int:
     """Write a scene to start from."""
     from statechart.document import interpret, read_text
     from statechart.files import write_atomic
+    from statechart.formulas.syntax import NAME, RESERVED
     from statechart.kinds import kind
-    from statechart.syntax import NAME, RESERVED
 
     name = arguments.name
     if not NAME.fullmatch(name) or name in RESERVED:

@@ -10,7 +10,7 @@ import networkx as nx
 import sympy as sp
 
 from statechart.automaton import CAPTURED, Automaton, Loads, Margin, uncaptured
-from statechart.linear import Definition, solve_linear
+from statechart.formulas.linear import Definition, solve_linear
 from statechart.trace import Key
 
 

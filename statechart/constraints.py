@@ -9,8 +9,8 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array
+from statechart.formulas.tape import Tape, compile_tape
 from statechart.kernels.constraints import off_by
-from statechart.tape import Tape, compile_tape
 
 
 class Constraints(NamedTuple):

@@ -11,9 +11,9 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton import Setup
 from statechart.compose import Mode
-from statechart.linear import Singular
-from statechart.series import Series, expand
-from statechart.tape import Tape, compile_tape
+from statechart.formulas.linear import Singular
+from statechart.formulas.series import Series, expand
+from statechart.formulas.tape import Tape, compile_tape
 from statechart.trace import Key
 
 # Derivatives up to this order are looked at; a margin that has none there stays where it is.

@@ -22,8 +22,14 @@ from pydantic import (
 
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.fields import FormulaText, Label, NameText, Real, RelationText, problem
-from statechart.formula import Formula, Relation, evaluate_parameters, parse, parse_relation
-from statechart.syntax import close_matches
+from statechart.formulas.formula import (
+    Formula,
+    Relation,
+    evaluate_parameters,
+    parse,
+    parse_relation,
+)
+from statechart.formulas.syntax import close_matches
 
 TIME = "time"
 """What formulas call the time since the start."""

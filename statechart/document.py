@@ -35,10 +35,10 @@ from ruamel.yaml.events import (
 from ruamel.yaml.reader import ReaderError
 
 from statechart.errors import DeclarationError, Position
+from statechart.formulas.syntax import close_matches
 from statechart.kinds import kind, kinds
 from statechart.offered import module
 from statechart.problems import declaration_error
-from statechart.syntax import close_matches
 from statechart.yaml_text import resolve
 
 Loc = tuple[str | int, ...]

@@ -19,10 +19,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from statechart.formulas.tape import Tape, plain
 from statechart.kernels.polynomials import integrate_outputs, sample_states
 from statechart.kernels.search import BUDGET, CROSSING, GRAZE, NON_FINITE, NONE
 from statechart.kernels.search import search as kernel
-from statechart.tape import Tape, plain
 
 BOXES = 100_000
 """Most boxes of a search; one that is decided takes a handful a step."""

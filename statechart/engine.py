@@ -14,7 +14,7 @@ from statechart.compose import Mode
 from statechart.constraints import Constraints
 from statechart.enclosure import Search
 from statechart.errors import StepFailure, TooLong
-from statechart.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape, compile_tape
 from statechart.trace import LARGEST
 
 LONGEST_CHUNK = 64

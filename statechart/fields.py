@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from statechart.derived import check_derived
 from statechart.errors import DeclarationProblem, FormulaError
-from statechart.formula import parse, parse_relation
-from statechart.syntax import NAME, RESERVED, Binary
+from statechart.formulas.derived import check_derived
+from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.syntax import NAME, RESERVED, Binary
 
 
 def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:

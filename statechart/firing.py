@@ -27,8 +27,8 @@ from statechart.arrays import Array
 from statechart.automaton import Region, Setup
 from statechart.declaration import Event
 from statechart.events import happened
-from statechart.formula import Relation, parse_relation
-from statechart.tape import compile_tape
+from statechart.formulas.formula import Relation, parse_relation
+from statechart.formulas.tape import compile_tape
 from statechart.trace import Jump, Key
 from statechart.transitions import BaseTransition
 

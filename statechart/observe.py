@@ -20,12 +20,12 @@ from statechart.arrays import Array
 from statechart.automaton import Automaton, Setup
 from statechart.compose import Mode, build_mode
 from statechart.enclosure import integrals
-from statechart.formula import parse
-from statechart.linear import Singular
+from statechart.formulas.formula import parse
+from statechart.formulas.linear import Singular
+from statechart.formulas.tape import Tape, compile_tape
 from statechart.sampling import Points, Samples, along, at_times, extremes, subdivided
 from statechart.simulate import Simulator
 from statechart.stepping import SteppingSimulator
-from statechart.tape import Tape, compile_tape
 from statechart.trace import Arc, Jump, Key, Trace
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, Tag, ValidationError
 
 from statechart.errors import DeclarationError, DeclarationProblem
-from statechart.syntax import close_matches
+from statechart.formulas.syntax import close_matches
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from statechart.declaration import Declaration
-from statechart.formula import parse
+from statechart.formulas.formula import parse
 
 if TYPE_CHECKING:
     from hypothesis.strategies import SearchStrategy

@@ -17,7 +17,8 @@ from statechart.engine import Engine
 from statechart.engines import choose
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.estimate import Answer, Cost, tighten, within
-from statechart.formula import parse
+from statechart.formulas.formula import parse
+from statechart.formulas.syntax import close_matches
 from statechart.kinds import kind
 from statechart.locating import located
 from statechart.nudge import nudged
@@ -26,7 +27,6 @@ from statechart.request import Request
 from statechart.result import Asked, Result
 from statechart.simulate import Simulator, error_of
 from statechart.stepping import SteppingSimulator
-from statechart.syntax import close_matches
 from statechart.trace import Key, Outcome, Trace
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Any
 from pydantic.json_schema import models_json_schema
 
 from statechart.errors import DeclarationError
+from statechart.formulas.syntax import close_matches
 from statechart.kinds import kind, kinds
-from statechart.syntax import close_matches
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

@@ -28,7 +28,7 @@ from statechart.automaton import (
 from statechart.compose import Mode, build_mode, captured
 from statechart.engine import Engine, Path, Watch
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
-from statechart.series import size_at
+from statechart.formulas.series import size_at
 from statechart.trace import FAR_TOO_MANY, Arc, Clock, Jump, Key, Outcome, Trace, check_size
 from statechart.zeno import Accumulation, between
 

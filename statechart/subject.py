@@ -18,14 +18,14 @@ from statechart.condition import conditions
 from statechart.declaration import Declaration
 from statechart.engines import choose
 from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
-from statechart.formula import parse
+from statechart.formulas.formula import parse
+from statechart.formulas.tape import Tape, compile_tape
 from statechart.kinds import kind
 from statechart.nudge import loosened
 from statechart.observe import Observer
 from statechart.request import Request
 from statechart.simulate import Simulator
 from statechart.stepping import SteppingSimulator
-from statechart.tape import Tape, compile_tape
 from statechart.trace import Arc, Outcome, Trace
 
 _KEPT = 64  # cases whose runs are kept for the next property

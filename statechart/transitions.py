@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from statechart.declaration import Event, Part, check_event, parse_events
 from statechart.errors import DeclarationProblem
 from statechart.fields import NameText, RelationText
-from statechart.syntax import close_matches
+from statechart.formulas.syntax import close_matches
 
 
 def _checked(text: str) -> str:

@@ -11,11 +11,11 @@ from strategies import examples
 from test_tape import P, T, X, Y, expressions, tape_of
 
 from statechart.enclosure import Verdict, first_crossing, integrals, lowest, sample
+from statechart.formulas.tape import compile_tape, plain
 from statechart.kernels.boxes import enclose, judge, prepare
 from statechart.kernels.intervals import wave
 from statechart.kernels.jets import run_jets
 from statechart.kernels.tapes import OPCODES
-from statechart.tape import compile_tape, plain
 
 NAMES = list(OPCODES)
 

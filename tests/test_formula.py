@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart.errors import DeclarationError, FormulaError, Position, StatechartError
-from statechart.formula import evaluate_parameters, order_parameters, parse, parse_relation
-from statechart.syntax import FUNCTIONS
+from statechart.formulas.formula import evaluate_parameters, order_parameters, parse, parse_relation
+from statechart.formulas.syntax import FUNCTIONS
 
 # The right-hand sides are Python's own arithmetic, an implementation independent of the reader.
 CASES = {

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from statechart.chart import Chart
 from statechart.document import MAX_BYTES, MAX_DEPTH, MAX_VALUES, Document, read_text, validate
 from statechart.errors import DeclarationError, FormulaError
-from statechart.formula import parse, parse_relation
-from statechart.syntax import MAX_LENGTH
+from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.syntax import MAX_LENGTH
 
 # Each would run code, reach an object's inside or exhaust memory in some reader of formulas.
 ESCAPES = [

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from strategies import examples
 
 from statechart.errors import SingularMode
-from statechart.linear import Definition, solve_linear
-from statechart.tape import compile_tape
+from statechart.formulas.linear import Definition, solve_linear
+from statechart.formulas.tape import compile_tape
 
 
 def values(

@@ -7,9 +7,9 @@ from strategies import examples
 
 from statechart.enclosure import first_crossing
 from statechart.errors import StatechartError
+from statechart.formulas.tape import compile_tape
 from statechart.kernels.search import search
 from statechart.kernels.tapes import OPCODES, tape_table, tape_values
-from statechart.tape import compile_tape
 
 X, Y, P, Q, T = sp.symbols("x y p q t", real=True)
 POSITIVE = [

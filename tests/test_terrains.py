@@ -8,7 +8,7 @@ import pytest
 import sympy as sp
 
 from statechart.enclosure import Verdict, first_crossing
-from statechart.tape import compile_tape
+from statechart.formulas.tape import compile_tape
 
 X, Y, T, A, K, PHASE, C, W = sp.symbols("x y t A k phase c w")
 HILLS = compile_tape(

@@ -13,7 +13,7 @@ from statechart.automaton import Automaton
 from statechart.compose import Mode
 from statechart.engine import Begin, Engine, Path, Steps, Watch, rates_tape
 from statechart.errors import NonFinite, StepFailure
-from statechart.tape import Tape
+from statechart.formulas.tape import Tape
 
 METHODS = ("RK45", "DOP853", "Radau", "LSODA")
 

@@ -23,8 +23,8 @@ from statechart.enclosure import BOXES, Verdict, as_search
 from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Steps, Watch
 from statechart.engines.stepping import HALVINGS, LEAST_MOTION, OFF, STRAY, Step, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
+from statechart.formulas.tape import Tape, compile_tape
 from statechart.kernels.polynomials import append_steps
-from statechart.tape import Tape, compile_tape
 
 LONG_DOUBLE = "long double"
 """Method that integrates in the processor's extended precision."""

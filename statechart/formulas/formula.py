@@ -17,7 +17,7 @@ from functools import cached_property
 import sympy as sp
 
 from statechart.errors import FormulaError, Position
-from statechart.syntax import (
+from statechart.formulas.syntax import (
     FUNCTIONS,
     RELATIONS,
     Binary,

@@ -10,9 +10,9 @@ import sympy as sp
 
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
-from statechart.formula import Formula, evaluate_parameters, order_parameters, parse
-from statechart.syntax import close_matches
-from statechart.tape import Tape, compile_tape
+from statechart.formulas.formula import Formula, evaluate_parameters, order_parameters, parse
+from statechart.formulas.syntax import close_matches
+from statechart.formulas.tape import Tape, compile_tape
 
 _NO_VARIABLES = np.zeros(0)
 _TIME = sp.Symbol("time", real=True)

@@ -1,7 +1,7 @@
 """The language of formulas: its syntax tree, its reader, its evaluation in floats.
 
 Reading never runs the text. Length, number of nodes, nesting and powers are bounded, so that a
-formula from an unknown file costs a bounded time. `statechart.formula` is the public side.
+formula from an unknown file costs a bounded time. `statechart.formulas.formula` is the public side.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from statechart.arrays import Array
+from statechart.formulas.tape import Tape
 from statechart.kernels.tapes import OPCODES
-from statechart.tape import Tape
 
 _NAMES = {code: name for name, code in OPCODES.items()}
 # A coefficient is zero below so many roundings of its size.

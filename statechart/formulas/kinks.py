@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from statechart.errors import DeclarationProblem
-from statechart.formula import parse
-from statechart.syntax import Call, names_in, nodes
+from statechart.formulas.formula import parse
+from statechart.formulas.syntax import Call, names_in, nodes
 
 _KINKED = ("abs", "sign", "min", "max")
 

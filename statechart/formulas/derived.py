@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from statechart.errors import DeclarationProblem
-from statechart.syntax import Binary, Call, Name, Node, Unary, children
+from statechart.formulas.syntax import Binary, Call, Name, Node, Unary, children
 
 MAX_DERIVED = 7_000
 """Operations of a formula's derivative; to build so many takes about two seconds."""
