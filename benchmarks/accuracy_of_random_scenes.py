@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from statechart.accuracy import difference
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.errors import StatechartError
 from statechart.outputs import Outputs
 from statechart.result import Result

@@ -24,7 +24,8 @@ import numpy as np
 from contacts.scene import Scene
 from contacts.testing import properties
 from statechart.comparison import Undecidable
-from statechart.document import read_text, validate
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.ranges import ranges
 from statechart.subject import Case, Subject

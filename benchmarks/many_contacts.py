@@ -103,7 +103,7 @@ def imports(modules: list[str]) -> dict[str, object]:
                 importlib.import_module(name)
             except ImportError:
                 continue  # made by another module on its way
-    from statechart.document import read_text
+    from statechart.documents.yaml_reader import read_text
     from statechart.run import Runner
 
     Runner(read_text(BALL)).run()

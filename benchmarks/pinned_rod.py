@@ -18,7 +18,8 @@ import numpy as np
 
 from contacts.kind import automaton
 from contacts.scene import Scene
-from statechart.document import read_text, validate
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import read_text
 from statechart.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from statechart import simulate
-from statechart.document import load
+from statechart.documents.yaml_reader import load
 from statechart.engines import taylor
 from statechart.engines.taylor import Taylor
 from statechart.kinds import kind

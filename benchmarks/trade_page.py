@@ -16,8 +16,8 @@ from pathlib import Path
 from accuracy_of_random_scenes import ACCURACY, BAR, requests, table
 from PIL import Image
 
-from statechart.document import read_text
-from statechart.files import write_atomic
+from statechart.documents.files import write_atomic
+from statechart.documents.yaml_reader import read_text
 from statechart.run import Runner
 from statechart.slopes import slopes
 from statechart.study import Point, Study

@@ -10,9 +10,8 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from statechart.declaration import Part, check_names
+from statechart.documents.fields import FormulaText, NameText, Part, check_names
 from statechart.errors import DeclarationProblem
-from statechart.fields import FormulaText, NameText
 from statechart.formulas.formula import parse
 from statechart.formulas.syntax import close_matches
 from statechart.transitions import BaseTransition, check_region

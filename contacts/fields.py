@@ -20,9 +20,9 @@ from contacts.parts import (
     Surface,
 )
 from contacts.shapes import Collision
-from statechart.declaration import TIME, Declaration
+from statechart.documents.declaration import TIME, Declaration
+from statechart.documents.fields import FormulaText, NameText, problem
 from statechart.errors import DeclarationProblem, FormulaError
-from statechart.fields import FormulaText, NameText, problem
 from statechart.formulas.formula import parse
 
 _MOST_COPIES = 1000

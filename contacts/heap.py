@@ -29,7 +29,7 @@ from contacts.step_kernels import smoothed
 from contacts.stepped_scene import softened_remark, widened
 from statechart.arrays import Array
 from statechart.automaton import Automaton, Margin, Region, State
-from statechart.declaration import TIME
+from statechart.documents.declaration import TIME
 from statechart.errors import (
     DeclarationProblem,
     NonFinite,

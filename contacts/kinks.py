@@ -6,8 +6,8 @@ from collections.abc import Collection, Iterator
 
 from contacts.fields import SceneFields
 from contacts.parts import Path
-from statechart.declaration import TIME
-from statechart.document import Loc
+from statechart.documents.declaration import TIME
+from statechart.documents.document import Loc
 from statechart.formulas.derived import check_derived
 from statechart.formulas.formula import parse
 from statechart.formulas.kinks import PIECES, check_smooth

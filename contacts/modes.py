@@ -10,7 +10,7 @@ from pydantic import Field
 
 from contacts.states import OFF
 from statechart.automaton import Loads, Margin, State
-from statechart.declaration import Part
+from statechart.documents.fields import Part
 
 
 @dataclass(frozen=True, eq=False)

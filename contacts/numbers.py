@@ -10,10 +10,9 @@ import numpy as np
 from contacts.fields import SceneFields
 from contacts.parts import Point
 from contacts.shapes import INDEX, Shape
-from statechart.declaration import check_names
-from statechart.document import Loc
+from statechart.documents.document import Loc
+from statechart.documents.fields import FormulaText, check_names, problem
 from statechart.errors import DeclarationProblem, FormulaError
-from statechart.fields import FormulaText, problem
 from statechart.formulas.formula import parse
 from statechart.formulas.syntax import close_matches
 

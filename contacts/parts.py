@@ -9,9 +9,8 @@ from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag
 
 from contacts.modes import ContactMode, Free, Pin, Slide, as_mode
 from contacts.shapes import INDEX, Shape
-from statechart.declaration import Part
+from statechart.documents.fields import FiniteText, FormulaText, Part, RelationText
 from statechart.errors import DeclarationProblem
-from statechart.fields import FiniteText, FormulaText, RelationText
 from statechart.formulas.formula import parse
 
 Pair = tuple[FiniteText, FiniteText]

@@ -14,9 +14,9 @@ from contacts.other_laws import replaced
 from contacts.parts import Path, Point, Simultaneous
 from contacts.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.shapes import INDEX
-from statechart.declaration import TIME, check_names
+from statechart.documents.declaration import TIME
+from statechart.documents.fields import FormulaText, check_names
 from statechart.errors import DeclarationProblem
-from statechart.fields import FormulaText
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.syntax import close_matches
 from statechart.transitions import check_listening

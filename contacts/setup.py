@@ -19,8 +19,8 @@ from contacts.scales import Scales, ScaleTape
 from contacts.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton import Margin, Setup
+from statechart.documents.fields import FormulaText
 from statechart.errors import DeclarationProblem
-from statechart.fields import FormulaText
 from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import compile_tape

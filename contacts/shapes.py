@@ -6,9 +6,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from statechart.declaration import Part
+from statechart.documents.fields import FormulaText, Part
 from statechart.errors import DeclarationProblem
-from statechart.fields import FormulaText
 
 INDEX = "index"
 """What formulas of a body's start call the number of a copy, from 0."""

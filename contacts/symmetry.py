@@ -18,8 +18,8 @@ from contacts.parts import Body, Contact, Force, Joint, Pair, Path, Point, Surfa
 from contacts.scene import Scene
 from contacts.shapes import Shape
 from statechart.comparison import Reading
-from statechart.declaration import TIME, Stop
-from statechart.fields import FormulaText
+from statechart.documents.declaration import TIME, Stop
+from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
 from statechart.formulas.syntax import names_in
 

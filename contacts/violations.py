@@ -9,7 +9,7 @@ import numpy as np
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.states import OFF
-from statechart.fields import FormulaText
+from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import parse
 from statechart.observe import Observer
 from statechart.trace import Key, Trace

@@ -25,7 +25,7 @@ from statechart.trace import Clock, Jump, Key
 if TYPE_CHECKING:
     from statechart.compose import Mode
     from statechart.constraints import Constraints
-    from statechart.declaration import Declaration
+    from statechart.documents.declaration import Declaration
     from statechart.feasibility import Feasibility
     from statechart.stepping import TimeStepper
 

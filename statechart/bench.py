@@ -13,7 +13,7 @@ import numpy as np
 from statechart.accuracy import compare, distance, paired, parted
 from statechart.arrays import Array
 from statechart.automaton import Automaton
-from statechart.declaration import Declaration
+from statechart.documents.declaration import Declaration
 from statechart.engine import Engine
 from statechart.engines import choose
 from statechart.errors import SimulationError, StatechartError

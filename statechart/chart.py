@@ -7,9 +7,17 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from statechart.declaration import TIME, Declaration, Part, check_names
+from statechart.documents.declaration import TIME, Declaration
+from statechart.documents.fields import (
+    FiniteText,
+    Label,
+    NameText,
+    Part,
+    RelationText,
+    check_names,
+    problem,
+)
 from statechart.errors import DeclarationProblem, FormulaError
-from statechart.fields import FiniteText, Label, NameText, RelationText, problem
 from statechart.formulas.derived import check_derived
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.kinks import PIECES, check_smooth

@@ -21,7 +21,7 @@ from statechart.chart import Chart, Transition
 from statechart.chart import Region as DeclaredRegion
 from statechart.constraints import NO_CONSTRAINTS, Constraints
 from statechart.course import Courses
-from statechart.declaration import TIME
+from statechart.documents.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.firing import Guard, Listening, Watch, considered, guards, size_of
 from statechart.formulas.formula import parse, parse_relation

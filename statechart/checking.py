@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from statechart.comparison import Undecidable
-from statechart.declaration import Declaration
+from statechart.documents.declaration import Declaration
+from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.kinds import offered
 from statechart.ranges import parameters, ranges
 from statechart.subject import Case, Subject
 from statechart.testing import Property, generic
-from statechart.yaml_text import dump
 
 
 @dataclass(frozen=True)

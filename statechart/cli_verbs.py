@@ -269,7 +269,7 @@ def draw(arguments: argparse.Namespace) -> int:
 def check(arguments: argparse.Namespace) -> int:
     """Test the properties of a model over its ranges; write a model that fails, if one does."""
     from statechart.checking import check as check_model
-    from statechart.files import write_atomic
+    from statechart.documents.files import write_atomic
 
     runner = _runner(arguments.file)
     runner.start()
@@ -307,8 +307,8 @@ def schema(arguments: argparse.Namespace) -> int:
 
 def new(arguments: argparse.Namespace) -> int:
     """Write a scene to start from."""
-    from statechart.document import interpret, read_text
-    from statechart.files import write_atomic
+    from statechart.documents.files import write_atomic
+    from statechart.documents.yaml_reader import interpret, read_text
     from statechart.formulas.syntax import NAME, RESERVED
     from statechart.kinds import kind
 

@@ -22,7 +22,8 @@
         Unsupported           the model has what the engine lacks
 
 `DeclarationProblem` stands outside the tree: it is what a validator of a pydantic model raises to
-point at the field concerned; `statechart.document.validate` turns it into a `DeclarationError`.
+point at the field concerned; `statechart.documents.validation.validate` turns it into a
+`DeclarationError`.
 """
 # ruff: noqa: N818 -- the outcomes of a run are named after what happened, as users read them.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from statechart.automaton import Region
-from statechart.declaration import Event
+from statechart.documents.outputs import Event
 from statechart.trace import Jump
 
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton import Automaton
+from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
-from statechart.files import write_atomic
 from statechart.observe import Observer
 from statechart.sampling import Samples
 from statechart.trace import Trace

@@ -25,7 +25,7 @@ import sympy as sp
 
 from statechart.arrays import Array
 from statechart.automaton import Region, Setup
-from statechart.declaration import Event
+from statechart.documents.outputs import Event
 from statechart.events import happened
 from statechart.formulas.formula import Relation, parse_relation
 from statechart.formulas.tape import compile_tape

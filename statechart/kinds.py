@@ -11,7 +11,7 @@ from typing import Any
 
 from statechart.automaton import Automaton
 from statechart.chart import Chart
-from statechart.declaration import Declaration
+from statechart.documents.declaration import Declaration
 from statechart.offered import load
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from statechart.declaration import Count, Event, Integral, Maximum, Minimum, Value
+from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Value
 from statechart.events import happened
 from statechart.observe import Observer
 from statechart.trace import Jump, Trace

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from statechart.declaration import Declaration
+from statechart.documents.declaration import Declaration
 from statechart.formulas.formula import parse
 
 if TYPE_CHECKING:

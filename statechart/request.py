@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from statechart.automaton import Automaton
-from statechart.declaration import Declaration
+from statechart.documents.declaration import Declaration
 from statechart.errors import DeclarationError
 from statechart.estimate import BELOW, TIGHTER
 

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from statechart.automaton import Automaton, Setup
 from statechart.budget import Allowance, Limited
-from statechart.declaration import Declaration
-from statechart.document import Document, find, interpret, read
+from statechart.documents.declaration import Declaration
+from statechart.documents.document import Document
+from statechart.documents.validation import located
+from statechart.documents.yaml_reader import find, interpret, read
 from statechart.engine import Engine
 from statechart.engines import choose
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
@@ -20,7 +22,6 @@ from statechart.estimate import Answer, Cost, tighten, within
 from statechart.formulas.formula import parse
 from statechart.formulas.syntax import close_matches
 from statechart.kinds import kind
-from statechart.locating import located
 from statechart.nudge import nudged
 from statechart.observe import Observer
 from statechart.request import Request

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from statechart.arrays import Array
-from statechart.declaration import Declaration
+from statechart.documents.declaration import Declaration
 
 _Time = Annotated[float, Field(ge=0)]
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 from statechart.figure import LINES, STYLE, render
-from statechart.files import write_atomic
 from statechart.slopes import Slope, fitted, slopes
 from statechart.study import Point, Study
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from statechart.documents.files import made, write_atomic
 from statechart.errors import DeclarationError, StatechartError
-from statechart.files import made, write_atomic
 from statechart.study import Study
 
 NAME = "trade.json"

@@ -15,7 +15,7 @@ from statechart.automaton import Automaton, Setup
 from statechart.comparison import NUDGE, Sensitivity, Undecidable
 from statechart.compose import Mode
 from statechart.condition import conditions
-from statechart.declaration import Declaration
+from statechart.documents.declaration import Declaration
 from statechart.engines import choose
 from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
 from statechart.formulas.formula import parse

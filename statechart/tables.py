@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from statechart.documents.files import aside, write_atomic
 from statechart.errors import StatechartError
-from statechart.files import aside, write_atomic
 from statechart.observe import Observer
 from statechart.pieces import Pieces, rows
 from statechart.report import dumps

@@ -7,9 +7,9 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from statechart.declaration import Event, Part, check_event, parse_events
+from statechart.documents.fields import NameText, Part, RelationText
+from statechart.documents.outputs import Event, check_event, parse_events
 from statechart.errors import DeclarationProblem
-from statechart.fields import NameText, RelationText
 from statechart.formulas.syntax import close_matches
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import models
 from statechart.automaton import Automaton
-from statechart.document import load
+from statechart.documents.yaml_reader import load
 from statechart.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.run import Runner
 

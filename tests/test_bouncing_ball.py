@@ -12,7 +12,7 @@ from runs import ENGINES, golden, outputs, run
 from contacts.modes import Free, Slide
 from contacts.parts import Body, Contact, Force, Point, Surface
 from contacts.scene import Scene
-from statechart.declaration import Stop
+from statechart.documents.declaration import Stop
 from statechart.run import Runner
 from statechart.trace import Trace
 

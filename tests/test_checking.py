@@ -17,7 +17,7 @@ from statechart.automaton import State
 from statechart.chart import Chart
 from statechart.checking import check, examine
 from statechart.comparison import Reading
-from statechart.document import interpret, load, read_text
+from statechart.documents.yaml_reader import interpret, load, read_text
 from statechart.ranges import ranges
 from statechart.subject import Subject
 from statechart.testing import assert_invariants, assert_margins, assert_prefix, dense, generic

@@ -14,7 +14,9 @@ from contacts.scene import Scene
 from contacts.testing import properties
 from contacts.violations import violations
 from statechart.automaton import Automaton
-from statechart.document import interpret, read_text, validate
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import interpret, read_text
+from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, EventLoop
 from statechart.feasibility import feasibility
 from statechart.figure import figure
@@ -26,7 +28,6 @@ from statechart.simulate import Simulator
 from statechart.subject import Subject
 from statechart.testing import generic
 from statechart.trace import Trace
-from statechart.yaml_text import dump
 
 both = pytest.mark.parametrize("name", ENGINES)
 

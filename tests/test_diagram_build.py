@@ -9,7 +9,7 @@ from runs import automaton, run
 
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.feasibility import feasibility
 from statechart.run import Runner
 

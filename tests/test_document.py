@@ -8,11 +8,14 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, model_validator
 
 from statechart.chart import Chart, Region, State, Transition
-from statechart.declaration import Count, Event, Integral, Moment, Settings, Stop, Value
-from statechart.document import Document, find, interpret, load, read, read_text, validate
+from statechart.documents.declaration import Settings, Stop
+from statechart.documents.document import Document
+from statechart.documents.outputs import Count, Event, Integral, Moment, Value
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import find, interpret, load, read, read_text
+from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem, Position
 from statechart.kinds import CHART, kind, kinds
-from statechart.yaml_text import dump
 
 STARTER = CHART.starter.read_text(encoding="utf-8")
 

@@ -16,12 +16,13 @@ from contacts.scene import Scene
 from contacts.symmetry import mirrored, rescaled
 from contacts.testing import properties
 from statechart.comparison import assert_same
-from statechart.document import read_text, validate
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import read_text
+from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.simulate import Simulator
 from statechart.subject import Subject
 from statechart.trace import Trace
-from statechart.yaml_text import dump
 
 
 def _scene(surface: Surface, start: dict[str, Any], **contact: Any) -> Scene:

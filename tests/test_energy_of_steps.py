@@ -7,7 +7,7 @@ import pytest
 
 from contacts.heap_numbers import heap_numbers, owners_of
 from contacts.heap_testing import assert_depths, assert_energy_of_steps
-from statechart.document import interpret, read_text
+from statechart.documents.yaml_reader import interpret, read_text
 from statechart.subject import Subject
 
 HEAP = """

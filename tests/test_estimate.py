@@ -17,7 +17,7 @@ from runs import golden
 from statechart.accuracy import compare, paired, parted
 from statechart.budget import Allowance
 from statechart.cli import main
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.errors import OutOfBudget
 from statechart.estimate import Once, tighten, within
 from statechart.run import Runner, run

@@ -9,7 +9,7 @@ import pytest
 from runs import SOUND, run
 
 from statechart.cli import main
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.explanation import explanation
 from statechart.run import Runner
 

@@ -8,7 +8,7 @@ import math
 import pytest
 from runs import ENGINES, outputs, run
 
-from statechart.document import load, read_text
+from statechart.documents.yaml_reader import load, read_text
 from statechart.errors import DeclarationProblem
 from statechart.result import Result
 from statechart.run import Runner

@@ -8,7 +8,7 @@ import pytest
 from contacts.kind import automaton
 from contacts.scene import Scene
 from statechart.automaton import Automaton
-from statechart.document import load
+from statechart.documents.yaml_reader import load
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
 from statechart.figure import figure, render

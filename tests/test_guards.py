@@ -16,7 +16,7 @@ from test_chart import compose, go, region, times
 
 from contacts.scene import Scene
 from statechart.automaton import Automaton
-from statechart.document import interpret, read_text
+from statechart.documents.yaml_reader import interpret, read_text
 from statechart.kinds import kind
 from statechart.run import run as run_model
 from statechart.simulate import Simulator

@@ -12,7 +12,7 @@ from strategies import examples
 
 from contacts.polygons import FOUND, between, place
 from statechart.cli import main
-from statechart.document import interpret, read_text
+from statechart.documents.yaml_reader import interpret, read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.run import Runner
 from statechart.trace import Outcome

@@ -9,7 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart.chart import Chart
-from statechart.document import MAX_BYTES, MAX_DEPTH, MAX_VALUES, Document, read_text, validate
+from statechart.documents.document import Document
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import MAX_BYTES, MAX_DEPTH, MAX_VALUES, read_text
 from statechart.errors import DeclarationError, FormulaError
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.syntax import MAX_LENGTH

@@ -11,7 +11,7 @@ from runs import ENGINES, golden
 from contacts.candidates import ContactLaw
 from contacts.impact import Impact, impact
 from contacts.snapshot import PerContact, Snapshot
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.run import Runner
 
 GOLDEN = golden("impacts_and_timestepping")["impacts"]

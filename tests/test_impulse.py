@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from statechart.cli import main
-from statechart.document import interpret, read_text
+from statechart.documents.yaml_reader import interpret, read_text
 from statechart.errors import DeclarationError
 from statechart.run import Runner, run
 from statechart.trace import Outcome

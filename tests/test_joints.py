@@ -18,7 +18,9 @@ from contacts.setup import cones, scene_parameters
 from contacts.symmetry import mirrored, rescaled
 from contacts.testing import assert_energy
 from statechart.comparison import assert_same
-from statechart.document import read_text, validate
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import read_text
+from statechart.documents.yaml_text import dump
 from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationError, DeclarationProblem, NoConsistentMode
 from statechart.observe import Observer
@@ -27,7 +29,6 @@ from statechart.run import Runner
 from statechart.simulate import Simulator
 from statechart.subject import Subject
 from statechart.trace import Outcome, Trace
-from statechart.yaml_text import dump
 
 # A crank of length 1, a coupler of length 2, ends on the x axis: angles at the start.
 _CRANK = 0.6

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import pytest
 
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.run import Runner, run
 from statechart.trace import Clock
 

@@ -14,7 +14,8 @@ from strategies import examples
 
 from contacts.kind import automaton
 from contacts.scene import Scene
-from statechart.document import read_text, validate
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import read_text
 from statechart.run import run
 from statechart.simulate import Simulator
 

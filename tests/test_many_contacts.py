@@ -7,7 +7,7 @@ import pytest
 from statechart import compose, feasibility
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.run import Runner
 
 COUNT = 20

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from statechart.cli import main
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.feasibility import feasibility
 from statechart.run import Runner
 

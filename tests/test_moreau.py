@@ -21,7 +21,7 @@ from strategies import examples
 
 from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
-from statechart.declaration import Stop
+from statechart.documents.declaration import Stop
 from statechart.run import Runner
 
 # What is left of steps after an impact, all of one step long: the error is of this order.

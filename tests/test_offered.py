@@ -13,7 +13,7 @@ from statechart.errors import StatechartError
 from statechart.kinds import kind
 
 SCRIPT = """\
-from statechart.document import find
+from statechart.documents.yaml_reader import find
 import models
 assert models.MINE
 print(find("dice").name)

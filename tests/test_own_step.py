@@ -7,7 +7,7 @@ import json
 import pytest
 
 from statechart.cli import main
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.run import Runner
 

@@ -14,7 +14,7 @@ from runs import ENGINES
 from scipy.integrate import quad, solve_ivp
 from strategies import examples
 
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.run import Runner, run
 from statechart.trace import Outcome
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from runs import ENGINES
 from strategies import examples
 
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.run import Runner
 
 BAR = """\

@@ -10,7 +10,7 @@ from typing import Any
 from contacts.scene import Scene
 from models import names, path
 from statechart.cli import main
-from statechart.document import interpret, read_text
+from statechart.documents.yaml_reader import interpret, read_text
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -13,7 +13,7 @@ from runs import SOUND
 import models
 from statechart.accuracy import difference
 from statechart.chart import Chart
-from statechart.document import load, read_text
+from statechart.documents.yaml_reader import load, read_text
 from statechart.engine import Path as Steps
 from statechart.engines import choose
 from statechart.errors import DeclarationError, SimulationError, StepFailure, Unsupported

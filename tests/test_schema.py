@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 
 import models
-from statechart.document import read
+from statechart.documents.yaml_reader import read
 from statechart.errors import DeclarationError
 from statechart.schema import schema
 

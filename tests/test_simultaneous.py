@@ -17,7 +17,7 @@ from contacts.exact import exact_impulses
 from contacts.impact import impact
 from contacts.simultaneous import Impacts, impacts
 from contacts.snapshot import PerContact, Snapshot
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.run import Runner
 
 CHOICES = ("plastic", "capped", "sequential")

@@ -6,7 +6,8 @@ import pytest
 
 from contacts.scene import Scene
 from statechart.chart import Chart
-from statechart.document import read_text, validate
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.run import run
 

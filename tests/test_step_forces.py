@@ -13,7 +13,8 @@ from strategies import examples
 
 from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
-from statechart.declaration import Integral, Maximum, Stop, Value
+from statechart.documents.declaration import Stop
+from statechart.documents.outputs import Integral, Maximum, Value
 from statechart.run import Runner
 
 MASS = 1.3

@@ -18,7 +18,7 @@ from contacts.testing import assert_cone, assert_in_cone
 from statechart.checking import check
 from statechart.cli import main
 from statechart.comparison import Sensitivity, assert_same
-from statechart.document import interpret, load, read_text
+from statechart.documents.yaml_reader import interpret, load, read_text
 from statechart.subject import Subject
 
 HEAP = """

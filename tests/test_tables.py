@@ -16,8 +16,9 @@ import xarray as xr
 
 from contacts.kind import automaton
 from contacts.scene import Scene
-from statechart import files, study_file, tables
-from statechart.document import load
+from statechart import study_file, tables
+from statechart.documents import files
+from statechart.documents.yaml_reader import load
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
 from statechart.observe import Observer

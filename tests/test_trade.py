@@ -12,7 +12,7 @@ import pytest
 
 from statechart.accuracy import distance
 from statechart.cli import main
-from statechart.document import read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.run import Runner
 from statechart.slopes import slopes

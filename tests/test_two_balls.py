@@ -11,7 +11,8 @@ from runs import ENGINES, outputs, run
 
 from contacts.kind import automaton
 from contacts.scene import Scene
-from statechart.document import read_text, validate
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import read_text
 from statechart.simulate import Simulator
 
 MODEL = "two_balls"

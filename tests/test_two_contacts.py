@@ -13,7 +13,7 @@ from contacts.modes import Free, Slide
 from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
 from statechart.compose import graph, product_modes
-from statechart.document import interpret, read_text
+from statechart.documents.yaml_reader import interpret, read_text
 from statechart.engines.scipy import SciPy
 from statechart.run import Runner
 from statechart.simulate import Simulator

@@ -15,7 +15,8 @@ from strategies import examples
 from contacts.kind import automaton
 from contacts.scene import Scene
 from statechart.cli import main
-from statechart.document import read_text, validate
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import read_text
 from statechart.engines.scipy import SciPy
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.run import Runner

@@ -15,7 +15,7 @@ from models import path
 from statechart.automaton import Automaton
 from statechart.chart import Chart
 from statechart.chart_automaton import automaton
-from statechart.document import load
+from statechart.documents.yaml_reader import load
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.errors import SimulationError

@@ -15,8 +15,8 @@ from statechart.diagram.dot import dot
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Diagram
 from statechart.diagram.scxml import scxml
+from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
-from statechart.files import write_atomic
 
 _TEXTS = {".dot": dot, ".mmd": mermaid, ".scxml": scxml}
 _PICTURES = {".svg": "svg", ".png": "png", ".pdf": "pdf"}

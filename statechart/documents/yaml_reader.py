@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import importlib.metadata
 import io
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import (
@@ -34,14 +33,14 @@ from ruamel.yaml.events import (
 )
 from ruamel.yaml.reader import ReaderError
 
+from statechart.documents.document import Document, Loc
+from statechart.documents.validation import validate
+from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Position
 from statechart.formulas.syntax import close_matches
 from statechart.kinds import kind, kinds
 from statechart.offered import module
-from statechart.problems import declaration_error
-from statechart.yaml_text import resolve
 
-Loc = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
 # The YAML parser takes about 40 us a value and 3 us a character of text: these bounds keep the
@@ -49,61 +48,6 @@ Model = TypeVar("Model", bound=BaseModel)
 MAX_BYTES = 256 * 1024
 MAX_VALUES = 20_000
 MAX_DEPTH = 32
-
-
-@dataclass(frozen=True)
-class Document:
-    """A YAML document as plain data, with the place of everything in it.
-
-    Attributes
-    ----------
-    source : str
-        The file's path, or a name in angle brackets.
-    data : dict
-        Mappings, lists, text, numbers, booleans and None.
-    """
-
-    source: str
-    data: dict[str, Any]
-    _values: Mapping[Loc, Position]
-    _keys: Mapping[Loc, Position]
-
-    def position(self, loc: Loc, *, key: bool = False) -> Position:
-        """Return where the value at `loc` stands, or its nearest ancestor that exists.
-
-        Parts of `loc` that the data does not have on the way are skipped: pydantic puts the
-        names of the members of a union there.
-
-        Parameters
-        ----------
-        loc : tuple of str or int
-            Keys and indices from the top.
-        key : bool
-            Whether to return the place of the key instead of that of its value.
-        """
-        at = self.existing(loc)
-        return self._keys.get(at, self._values[at]) if key else self._values[at]
-
-    def where(self, text: str) -> Loc:
-        """Return the place of the first value that is `text`; the top if none is."""
-
-        def of(value: Any) -> Any:
-            for part in loc:
-                value = value[part]
-            return value
-
-        for loc in self._values:
-            if of(self.data) == text:
-                return loc
-        return ()
-
-    def existing(self, loc: Loc) -> Loc:
-        """Return the parts of `loc` that lead down the data."""
-        at: Loc = ()
-        for part in loc:
-            if (*at, part) in self._values:
-                at = (*at, part)
-        return at
 
 
 def read(path: Path) -> Document:
@@ -291,28 +235,6 @@ class _Builder:
         raise DeclarationError(
             message, advice=advice, source=at.source, line=at.line, column=at.column
         )
-
-
-def validate(document: Document, model: type[Model]) -> Model:
-    """Build `model` from a document.
-
-    Parameters
-    ----------
-    document : Document
-        What was read.
-    model : type of pydantic.BaseModel
-        What it should be.
-
-    Raises
-    ------
-    DeclarationError
-        With the place of the first wrong field; its `others` are the further ones.
-    """
-    try:
-        # A document uses the documented spelling of a field (`from`), never its Python name.
-        return model.model_validate(document.data, by_alias=True, by_name=False)
-    except ValidationError as error:
-        raise declaration_error(error, document, model) from None
 
 
 def interpret(document: Document) -> BaseModel:

@@ -3,177 +3,38 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Discriminator,
-    Field,
-    StrictBool,
-    StrictInt,
-    Tag,
-    model_validator,
+from pydantic import Field, StrictInt, model_validator
+
+from statechart.documents.fields import (
+    FormulaText,
+    Label,
+    NameText,
+    Part,
+    Real,
+    RelationText,
+    check_names,
+    problem,
 )
-
+from statechart.documents.outputs import (
+    Count,
+    Event,
+    Integral,
+    Maximum,
+    Minimum,
+    Output,
+    Value,
+    _check_member,
+    check_event,
+)
 from statechart.errors import DeclarationProblem, FormulaError
-from statechart.fields import FormulaText, Label, NameText, Real, RelationText, problem
-from statechart.formulas.formula import (
-    Formula,
-    Relation,
-    evaluate_parameters,
-    parse,
-    parse_relation,
-)
+from statechart.formulas.formula import evaluate_parameters, parse, parse_relation
 from statechart.formulas.syntax import close_matches
 
 TIME = "time"
 """What formulas call the time since the start."""
-
-_EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*)", re.ASCII)
-
-
-class Part(BaseModel):
-    """Base of every model of a document: immutable, unknown keys refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """A cause of jumps, of one region or (None) of any; or the state of a region being entered."""
-
-    region: str | None
-    cause: str
-
-
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """When an output is taken: `start`, `end`, or at the `first`, `last` or `each` of events."""
-
-    when: str
-    events: tuple[Event, ...] = ()
-
-
-def parse_events(text: str) -> tuple[Event, ...]:
-    """Return the events of a text such as ``tip.slip or tip.reverse``.
-
-    Raises
-    ------
-    DeclarationProblem
-        If it is not one.
-    """
-    events = []
-    for part in text.split(" or "):
-        match = _EVENT.fullmatch(part.strip())
-        if match is None:
-            raise DeclarationProblem(
-                f"{part!r} is not an event",
-                advice="write a cause, or region.cause or region.state as in tip.slip, tip.pin; "
-                "several with 'or' between them",
-            )
-        events.append(Event(match[1], match[2]))
-    return tuple(events)
-
-
-def _parse_moment(text: str) -> Moment:
-    match text.split(maxsplit=1):
-        case ["start" | "end" as when]:
-            return Moment(when)
-        case ["first" | "last" | "each" as when, events]:
-            return Moment(when, parse_events(events))
-    raise DeclarationProblem(
-        f"{text!r} is not a moment",
-        advice="write start, end, first CAUSE, last CAUSE or each CAUSE; CAUSE or CAUSE also",
-    )
-
-
-def _checked_event(text: str) -> str:
-    parse_events(text)
-    return text
-
-
-def _checked_moment(text: str) -> str:
-    _parse_moment(text)
-    return text
-
-
-class Value(Part):
-    """A formula at a moment of the run; a list of its values at `each` event."""
-
-    value: FormulaText
-    at: Annotated[str, AfterValidator(_checked_moment)] = "end"
-    before: StrictBool = Field(
-        default=False, description="Take the state just before the jump, not just after it."
-    )
-
-    @property
-    def moment(self) -> Moment:
-        """When the value is taken."""
-        return _parse_moment(self.at)
-
-    @model_validator(mode="after")
-    def _before_needs_a_jump(self) -> Self:
-        if self.before and not self.moment.events:
-            raise DeclarationProblem(f"there is no jump at {self.at!r}", loc=("before",))
-        return self
-
-
-class Integral(Part):
-    """A formula integrated over time, or over the time that regions spend in given states."""
-
-    integral: FormulaText
-    during: dict[str, str] = Field(default={}, description="Region to state.")
-
-
-class Count(Part):
-    """How often an event happened."""
-
-    count: Annotated[str, AfterValidator(_checked_event)]
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """What is counted."""
-        return parse_events(self.count)
-
-
-class Minimum(Part):
-    """The least value of a formula over the run."""
-
-    minimum: FormulaText
-
-
-class Maximum(Part):
-    """The greatest value of a formula over the run."""
-
-    maximum: FormulaText
-
-
-def _which_output(value: Any) -> str | None:
-    for model in (Value, Integral, Count, Minimum, Maximum):
-        word = model.__name__.lower()
-        if isinstance(value, model) or (isinstance(value, Mapping) and word in value):
-            return f"{word} output"
-    return None
-
-
-Output = Annotated[
-    Annotated[Value, Tag("value output")]
-    | Annotated[Integral, Tag("integral output")]
-    | Annotated[Count, Tag("count output")]
-    | Annotated[Minimum, Tag("minimum output")]
-    | Annotated[Maximum, Tag("maximum output")],
-    Discriminator(
-        _which_output,
-        custom_error_type="output",
-        custom_error_message="an output has one of the keys value, integral, count, minimum, "
-        "maximum",
-    ),
-]
 """What a run reports under a name; told apart by their keys."""
 
 
@@ -424,61 +285,3 @@ class Declaration(Part):
             # Runs stop, not regions.
             if event != Event(None, "stop"):
                 check_event(event, causes, states, *loc)
-
-
-def check_names(formula: Formula | Relation, known: Collection[str], *loc: str | int) -> None:
-    """Check that a formula uses only known names.
-
-    Parameters
-    ----------
-    formula : Formula or Relation
-        What was written.
-    known : collection of str
-        The declared names.
-    *loc : str or int
-        Where it stands, from the validated value down.
-
-    Raises
-    ------
-    DeclarationProblem
-        At the first unknown name.
-    """
-    try:
-        formula.require(known)
-    except FormulaError as error:
-        raise problem(error, *loc) from None
-
-
-def check_event(
-    event: Event,
-    causes: Mapping[str, Collection[str]],
-    states: Mapping[str, Collection[str]],
-    *loc: str | int,
-) -> None:
-    """Check that an event can happen.
-
-    Parameters
-    ----------
-    event : Event
-        What was written.
-    causes, states : mapping
-        Region -> causes of its jumps, its states.
-    *loc : str or int
-        Where it stands, from the validated value down.
-
-    Raises
-    ------
-    DeclarationProblem
-        If it cannot.
-    """
-    if event.region is not None:
-        _check_member("region", event.region, causes, *loc)
-        known = {*causes[event.region], *states[event.region]}
-    else:
-        known = set().union(*causes.values())
-    _check_member("cause or state", event.cause, known, *loc)
-
-
-def _check_member(what: str, name: str, known: Collection[str], *loc: str | int) -> None:
-    if name not in known:
-        raise DeclarationProblem(f"no {what} {name!r}", advice=close_matches(name, known), loc=loc)

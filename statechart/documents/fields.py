@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.formulas.derived import check_derived
-from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.formula import Formula, Relation, parse, parse_relation
 from statechart.formulas.syntax import NAME, RESERVED, Binary
 
 
@@ -90,3 +91,32 @@ Label = Annotated[str, Field(min_length=1, max_length=200)]
 
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 """A finite number, not text that looks like one."""
+
+
+class Part(BaseModel):
+    """Base of every model of a document: immutable, unknown keys refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+
+def check_names(formula: Formula | Relation, known: Collection[str], *loc: str | int) -> None:
+    """Check that a formula uses only known names.
+
+    Parameters
+    ----------
+    formula : Formula or Relation
+        What was written.
+    known : collection of str
+        The declared names.
+    *loc : str or int
+        Where it stands, from the validated value down.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first unknown name.
+    """
+    try:
+        formula.require(known)
+    except FormulaError as error:
+        raise problem(error, *loc) from None

@@ -5,17 +5,18 @@ from __future__ import annotations
 import difflib
 import types
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
 
-from statechart.errors import DeclarationError, DeclarationProblem
+from statechart.documents.document import Document
+from statechart.documents.yaml_reader import Model
+from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.formulas.syntax import close_matches
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
-
-    from statechart.document import Document
 
 
 _EXPECTED: Mapping[str, str] = {
@@ -170,3 +171,76 @@ def _below(annotations: Sequence[Any], part: str | int) -> Iterator[Any]:
                 yield arguments[1]
             elif issubclass(origin, Sequence) and isinstance(part, int):
                 yield arguments[0]
+
+
+def validate(document: Document, model: type[Model]) -> Model:
+    """Build `model` from a document.
+
+    Parameters
+    ----------
+    document : Document
+        What was read.
+    model : type of pydantic.BaseModel
+        What it should be.
+
+    Raises
+    ------
+    DeclarationError
+        With the place of the first wrong field; its `others` are the further ones.
+    """
+    try:
+        # A document uses the documented spelling of a field (`from`), never its Python name.
+        return model.model_validate(document.data, by_alias=True, by_name=False)
+    except ValidationError as error:
+        raise declaration_error(error, document, model) from None
+
+
+@contextmanager
+def located(
+    document: Document | None,
+    overrides: Mapping[str, float],
+    loc: tuple[str | int, ...] | None = None,
+) -> Iterator[None]:
+    """Raise problems of a model as errors with their place in its document.
+
+    Parameters
+    ----------
+    document : Document or None
+        What the model was read from.
+    overrides : mapping of str to float
+        Parameters that were given other values; a problem may come from them.
+    loc : tuple of str and int, optional
+        Where the formulas are that are evaluated; the parameters by default.
+
+    Raises
+    ------
+    DeclarationError
+        In the place of a `DeclarationProblem` or a `FormulaError`.
+    """
+    try:
+        yield
+    except DeclarationProblem as problem:
+        raise _located(document, problem, overrides) from None
+    except FormulaError as error:
+        found = DeclarationProblem(
+            error.message,
+            advice=error.advice,
+            loc=("parameters", error.name) if loc is None else loc,
+            offset=error.offset,
+        )
+        raise _located(document, found, {}) from None
+
+
+def _located(
+    document: Document | None, problem: DeclarationProblem, overrides: Mapping[str, float]
+) -> DeclarationError:
+    path = ".".join(map(str, problem.loc))
+    message = f"{path}: {problem.message}" if path else problem.message
+    if overrides:
+        message += " with " + ", ".join(f"{k}={v:g}" for k, v in overrides.items()) + " set"
+    if document is None:
+        return DeclarationError(message, advice=problem.advice)
+    at = document.position(problem.loc, key=problem.key).shifted(problem.offset)
+    return DeclarationError(
+        message, advice=problem.advice, source=at.source, line=at.line, column=at.column
+    )

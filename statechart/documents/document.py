@@ -1,0 +1,66 @@
+"""Plain data with the position of each value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from statechart.errors import Position
+
+Loc = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Document:
+    """A YAML document as plain data, with the place of everything in it.
+
+    Attributes
+    ----------
+    source : str
+        The file's path, or a name in angle brackets.
+    data : dict
+        Mappings, lists, text, numbers, booleans and None.
+    """
+
+    source: str
+    data: dict[str, Any]
+    _values: Mapping[Loc, Position]
+    _keys: Mapping[Loc, Position]
+
+    def position(self, loc: Loc, *, key: bool = False) -> Position:
+        """Return where the value at `loc` stands, or its nearest ancestor that exists.
+
+        Parts of `loc` that the data does not have on the way are skipped: pydantic puts the
+        names of the members of a union there.
+
+        Parameters
+        ----------
+        loc : tuple of str or int
+            Keys and indices from the top.
+        key : bool
+            Whether to return the place of the key instead of that of its value.
+        """
+        at = self.existing(loc)
+        return self._keys.get(at, self._values[at]) if key else self._values[at]
+
+    def where(self, text: str) -> Loc:
+        """Return the place of the first value that is `text`; the top if none is."""
+
+        def of(value: Any) -> Any:
+            for part in loc:
+                value = value[part]
+            return value
+
+        for loc in self._values:
+            if of(self.data) == text:
+                return loc
+        return ()
+
+    def existing(self, loc: Loc) -> Loc:
+        """Return the parts of `loc` that lead down the data."""
+        at: Loc = ()
+        for part in loc:
+            if (*at, part) in self._values:
+                at = (*at, part)
+        return at
