@@ -32,11 +32,11 @@ import numpy as np
 from contacts.kind import automaton
 from contacts.parts import Body, Contact, Coordinate, Point, Surface
 from contacts.scene import Scene
-from statechart.enclosure import lowest
+from statechart.automaton.dense_output import lowest
+from statechart.automaton.trace import Outcome, Trace
 from statechart.engines import choose
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.simulate import Simulator
-from statechart.trace import Outcome, Trace
 
 Numbers = Mapping[str, float]
 Draw = Callable[[np.random.Generator], dict[str, float]]

@@ -21,9 +21,9 @@ import numpy as np
 from contacts.kind import automaton
 from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
+from statechart.automaton.trace import Trace
 from statechart.engines import choose
 from statechart.simulate import Simulator
-from statechart.trace import Trace
 
 _G, _UNTIL = 9.81, 1.0
 _HILLS, _BUMP = "A*sin(k*x + phase)", "A*exp(-((x - c)/w)**2)"

@@ -20,9 +20,9 @@ from contacts.simultaneous import impacts
 from contacts.snapshot import PerContact, Snapshot, solve_kkt
 from contacts.states import OPEN
 from statechart.arrays import Array
-from statechart.automaton import Flow, plain
+from statechart.automaton.laws import Flow, plain
+from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, SingularMode
-from statechart.trace import Key
 
 # Impacts in turn are skipped once contacts fly no higher than so many tolerances of the gap. Where
 # points slide meanwhile, the path that they are given is wrong by the height; where none does,

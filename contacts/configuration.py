@@ -11,9 +11,9 @@ from contacts.feasibility import DRIVEN, feasible_modes, without_direction
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot
 from statechart.arrays import Array
-from statechart.automaton import Region
+from statechart.automaton.feasibility import Feasibility
+from statechart.automaton.regions import Region
 from statechart.errors import StatechartError
-from statechart.feasibility import Feasibility
 
 
 def judged(

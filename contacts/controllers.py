@@ -24,12 +24,13 @@ from contacts.setup import SceneSetup
 from contacts.snapshot import SnapshotTape
 from contacts.states import OPEN
 from statechart.arrays import Array
-from statechart.automaton import CAPTURED, Edge, Flow, Margin, Region, Setup, State, plain
-from statechart.constraints import Constraints
-from statechart.course import Courses
-from statechart.feasibility import Feasibility
+from statechart.automaton.constraints import Constraints
+from statechart.automaton.course import Courses
+from statechart.automaton.feasibility import Feasibility
+from statechart.automaton.laws import CAPTURED, Flow, Setup, plain
+from statechart.automaton.regions import Edge, Margin, Region, State
+from statechart.automaton.trace import Clock, Jump, Key
 from statechart.firing import Guard, Listening, Watch, considered, guards
-from statechart.trace import Clock, Jump, Key
 
 
 def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:
@@ -75,7 +76,7 @@ def listening(scene: Scene, regions: Sequence[Region]) -> Listening:
 
 
 class ControlledLaws:
-    """The laws of a scene with controllers (see `statechart.automaton.Laws`).
+    """The laws of a scene with controllers (see `statechart.automaton.laws.Laws`).
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from contacts.candidates import ContactLaw
 from contacts.snapshot import Snapshot
 from contacts.states import OPEN
 from statechart.arrays import Array
-from statechart.trace import Key
+from statechart.automaton.trace import Key
 
 # Constraints that are so near to dependent, in the scene's sizes, leave forces to rounding.
 _DEAD_POINT = 1e-5

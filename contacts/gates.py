@@ -16,8 +16,8 @@ from contacts.mechanics import Mechanics
 from contacts.snapshot import Snapshot
 from contacts.states import OFF
 from statechart.arrays import Array
+from statechart.automaton.trace import Key
 from statechart.formulas.tape import compile_tape
-from statechart.trace import Key
 
 # A condition as near zero as this, of what the state's own sizes change it by, is on the edge.
 _BAND = 1e-13

@@ -28,7 +28,9 @@ from contacts.states import FREE
 from contacts.step_kernels import smoothed
 from contacts.stepped_scene import softened_remark, widened
 from statechart.arrays import Array
-from statechart.automaton import Automaton, Margin, Region, State
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.regions import Margin, Region, State
+from statechart.automaton.trace import Key, Trace
 from statechart.documents.declaration import TIME
 from statechart.errors import (
     DeclarationProblem,
@@ -40,7 +42,6 @@ from statechart.errors import (
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import compile_tape
-from statechart.trace import Key, Trace
 
 _RELATIVE = 1e-9
 # Bodies may overlap at the start by this part of the scene.
@@ -114,7 +115,7 @@ def _energy(scene: Scene, mechanics: Mechanics, known: Mapping[str, sp.Expr]) ->
 
 
 class HeapStepper:
-    """Steps colliding bodies (see `statechart.stepping.TimeStepper`).
+    """Steps colliding bodies (see `statechart.automaton.laws.TimeStepper`).
 
     Parameters
     ----------

@@ -14,9 +14,9 @@ from contacts.heap_numbers import HeapNumbers, heap_numbers, owners_of
 from contacts.scene import Scene
 from contacts.testing import assert_in_cone, largest_of, no_growth, step_ends
 from statechart.arrays import Array
+from statechart.automaton.trace import Trace
 from statechart.subject import Case, Subject
 from statechart.testing import Property
-from statechart.trace import Trace
 
 _ROUNDING = 1e-13
 

@@ -33,9 +33,18 @@ from contacts.recognise import TERMS, Chunk, Recorder
 from contacts.setup import SceneSetup
 from statechart import interrupts
 from statechart.arrays import Array
+from statechart.automaton.trace import (
+    FAR_TOO_MANY,
+    LARGEST,
+    Arc,
+    Jump,
+    Key,
+    Outcome,
+    Trace,
+    check_size,
+)
 from statechart.errors import SimulationError, StepTooLarge, TooLong
 from statechart.formulas.tape import Tape
-from statechart.trace import FAR_TOO_MANY, LARGEST, Arc, Jump, Key, Outcome, Trace, check_size
 
 # Steps of regions at once: they take up to a quarter of a second, in which no signal is seen.
 _CHUNK = 512
@@ -135,7 +144,7 @@ def run(
     control: Control | None = None,
     failure: SimulationError | None = None,
 ) -> Trace:
-    """Step a scene from its initial state; see `statechart.stepping.TimeStepper.run`.
+    """Step a scene from its initial state; see `statechart.automaton.laws.TimeStepper.run`.
 
     Parameters
     ----------

@@ -19,8 +19,8 @@ from contacts.painleve import paradoxes
 from contacts.simultaneous import Impacts, groups
 from contacts.snapshot import PerContact, Snapshot
 from contacts.states import OFF
+from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode
-from statechart.trace import Key
 
 # Of the response to a normal force alone: where p falls below, a force is 1e6 times what holds the
 # contact closed without friction.

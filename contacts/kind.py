@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from contacts.scene import Scene
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
 from statechart.kinds import Kind
 
 if TYPE_CHECKING:
@@ -22,7 +22,8 @@ def automaton(scene: Scene) -> Automaton:
     from contacts.regions import region
     from contacts.setup import SceneNumbers, cones, scene_parameters
     from contacts.stepper import SceneStepper
-    from statechart.automaton import Laws, Margin
+    from statechart.automaton.laws import Laws
+    from statechart.automaton.regions import Margin
     from statechart.formulas.formula import parse_relation
 
     if scene.collisions:

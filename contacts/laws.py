@@ -29,12 +29,13 @@ from contacts.starting import check_start
 from contacts.states import OFF, OPEN
 from contacts.usual import usual_mode
 from statechart.arrays import Array
-from statechart.automaton import CAPTURED, UNBOUNDED, Flow, Region, Setup, plain, uncaptured
-from statechart.constraints import Constraints
+from statechart.automaton.constraints import Constraints
+from statechart.automaton.feasibility import Feasibility
+from statechart.automaton.laws import CAPTURED, UNBOUNDED, Flow, Setup, plain, uncaptured
+from statechart.automaton.regions import Region
+from statechart.automaton.trace import Clock, Jump, Key
 from statechart.errors import DeclarationProblem, NoConsistentMode, SingularMode
-from statechart.feasibility import Feasibility
 from statechart.formulas.parameters import Parameters
-from statechart.trace import Clock, Jump, Key
 
 _EPS = float(np.finfo(float).eps)
 # A start may be inside a surface by so much of the scene's length (and is projected out).
@@ -54,7 +55,7 @@ def _shown(mode: Key, flow: Key) -> Key:
 
 
 class SceneLaws:
-    """The laws of a scene (see `statechart.automaton.Laws`).
+    """The laws of a scene (see `statechart.automaton.laws.Laws`).
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ import sympy as sp
 from contacts.modes import ContactSymbols
 from contacts.parts import Body, Contact, Pair, Path, Point, Surface
 from contacts.scene import Scene
-from statechart.automaton import Margin
+from statechart.automaton.regions import Margin
 from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.linear import Definition

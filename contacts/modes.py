@@ -9,7 +9,7 @@ import sympy as sp
 from pydantic import Field
 
 from contacts.states import OFF
-from statechart.automaton import Loads, Margin, State
+from statechart.automaton.regions import Loads, Margin, State
 from statechart.documents.fields import Part
 
 

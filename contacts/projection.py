@@ -15,10 +15,10 @@ from contacts.scales import Scales
 from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
 from contacts.states import OPEN
 from statechart.arrays import Array
-from statechart.constraints import Constraints
+from statechart.automaton.constraints import Constraints
+from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.formulas.tape import Tape, compile_tape
-from statechart.trace import Key
 
 # A state is brought onto the constraints of the mode entered from this part of their tolerance on.
 _DRIFT = 0.05
@@ -83,7 +83,7 @@ class Projection:
         tolerances: Mapping[str, float],
         scales: Scales,
     ) -> Constraints:
-        """Return the constraints of `flow` (see `statechart.automaton.Laws`).
+        """Return the constraints of `flow` (see `statechart.automaton.laws.Laws`).
 
         Their projection raises `NoConsistentMode` where the joints cannot be kept together,
         `SingularMode` where that is because their constraints have become dependent.

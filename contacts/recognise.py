@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from statechart.arrays import Array, Ints
-from statechart.trace import Arc, Clock, Jump, Key
+from statechart.automaton.trace import Arc, Clock, Jump, Key
 
 TERMS = 3
 """Terms of the polynomial of a step."""

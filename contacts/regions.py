@@ -10,7 +10,7 @@ import sympy as sp
 from contacts.modes import ContactSymbols, Free, Pin, Slide, off, shared
 from contacts.parts import Contact
 from contacts.states import OFF, OPEN
-from statechart.automaton import Edge, Margin, Region, State
+from statechart.automaton.regions import Edge, Margin, Region, State
 
 # Longer conditions would drown the diagram: every state has an edge with them.
 BODY_STATES = ("free", "slide", "pin")

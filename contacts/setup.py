@@ -18,7 +18,8 @@ from contacts.regions import states as states_of
 from contacts.scales import Scales, ScaleTape
 from contacts.scene import Scene
 from statechart.arrays import Array
-from statechart.automaton import Margin, Setup
+from statechart.automaton.laws import Setup
+from statechart.automaton.regions import Margin
 from statechart.documents.fields import FormulaText
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse

@@ -20,9 +20,9 @@ from contacts.recognise import Chunk, Recorder
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.stepped_scene import SteppedScene, SteppedTape
 from statechart.arrays import Array
-from statechart.automaton import Region
+from statechart.automaton.regions import Region
+from statechart.automaton.trace import Jump, Key
 from statechart.errors import EventLoop
-from statechart.trace import Jump, Key
 
 _MOST_TURNS = 100
 

@@ -1,4 +1,4 @@
-"""The time stepper of scenes (see `statechart.stepping.TimeStepper`)."""
+"""The time stepper of scenes (see `statechart.automaton.laws.TimeStepper`)."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from contacts.starting import check_start
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.stepped_control import StepControl, SteppedTapes
 from contacts.stepped_scene import SteppedScene
-from statechart.automaton import Margin, Region
+from statechart.automaton.regions import Margin, Region
+from statechart.automaton.trace import Key, Trace
 from statechart.errors import SimulationError
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import compile_tape
-from statechart.trace import Key, Trace
 
 # The modes at the start are those of a step this short, in the scene's own time.
 _TRIAL = 1e-6

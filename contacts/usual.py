@@ -18,7 +18,7 @@ from contacts.snapshot import SnapshotTape
 from contacts.states import CODES, FREE, OFF, OPEN
 from contacts.usual_kernels import usual
 from statechart.arrays import Array
-from statechart.trace import Key
+from statechart.automaton.trace import Key
 
 _NAMES = {code: name for name, code in CODES.items() if name != OFF}
 

@@ -9,10 +9,10 @@ import numpy as np
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.states import OFF
+from statechart.automaton.trace import Key, Trace
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import parse
 from statechart.observe import Observer
-from statechart.trace import Key, Trace
 
 # Of a run of many steps fewer points of each are looked at.
 _MANY = 5000

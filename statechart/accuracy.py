@@ -11,10 +11,10 @@ from types import MappingProxyType
 import numpy as np
 
 from statechart.arrays import Array
+from statechart.automaton.trace import Jump, Trace, sizes
 from statechart.outputs import Result as Output
 from statechart.sampling import at_times
 from statechart.summed import without_summed
-from statechart.trace import Jump, Trace
 
 # A number that is this much smaller than every other of its run is the rounding of zero, and has
 # no digits to be right. Speeds of a stack at rest are, by time stepping, 1.5e-12.
@@ -287,13 +287,6 @@ def _until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Jump]:
         if jump.t > limit:
             return
         yield jump
-
-
-def sizes(trace: Trace) -> Array:
-    """Return the largest magnitude (n,) of every variable at the ends of arcs and jumps."""
-    states = [trace.initial, trace.final]
-    states += [state for jump in trace.jumps for state in (jump.before, jump.after)]
-    return np.abs(np.array(states)).max(axis=0)
 
 
 def _scales(reference: Trace, trace: Trace) -> Array:

@@ -10,8 +10,8 @@ import numpy as np
 
 from statechart import interrupts
 from statechart.arrays import Array
-from statechart.automaton import Automaton
-from statechart.compose import Mode
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.regions import Mode
 from statechart.enclosure import Crossing, Search, Verdict, search
 from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Watch
 from statechart.errors import NonFinite, SimulationError, StepFailure, TooLong, Undecided

@@ -12,7 +12,8 @@ import numpy as np
 
 from statechart.accuracy import compare, distance, paired, parted
 from statechart.arrays import Array
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Jump, Outcome, Trace
 from statechart.documents.declaration import Declaration
 from statechart.engine import Engine
 from statechart.engines import choose
@@ -26,7 +27,6 @@ from statechart.outputs import Result as Output
 from statechart.simulate import Simulator, error_of
 from statechart.stepping import SteppingSimulator
 from statechart.study import Errors, Point, Setting, Study
-from statechart.trace import Jump, Outcome, Trace
 
 # References, the best first: any one is checked by the next of another engine, or another method
 # of scipy, that can run the model. What steps in time is last, at parts of the run.

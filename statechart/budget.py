@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 
 from statechart.arrays import Array
-from statechart.automaton import Automaton
-from statechart.compose import Mode
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.regions import Mode
 from statechart.engine import Begin, Engine, Path, Steps, Watch
 from statechart.errors import OutOfBudget
 

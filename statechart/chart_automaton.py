@@ -16,19 +16,20 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array
-from statechart.automaton import HELD, Automaton, Edge, Flow, Margin, Region, Setup, State
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
+from statechart.automaton.course import Courses
+from statechart.automaton.laws import HELD, Flow, Setup
+from statechart.automaton.regions import Edge, Margin, Region, State
+from statechart.automaton.trace import Clock, Jump, Key, between
 from statechart.chart import Chart, Transition
 from statechart.chart import Region as DeclaredRegion
-from statechart.constraints import NO_CONSTRAINTS, Constraints
-from statechart.course import Courses
 from statechart.documents.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.firing import Guard, Listening, Watch, considered, guards, size_of
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape, compile_tape
-from statechart.trace import Clock, Jump, Key
-from statechart.zeno import between
 
 # A value summed from terms is off by a few units in the last place of the largest of them.
 _ROUNDING = 64.0 * float(np.finfo(float).eps)
@@ -141,7 +142,7 @@ def _edge(transition: Transition) -> Edge:
 
 
 class ChartLaws:
-    """The laws of a chart (see `statechart.automaton.Laws`).
+    """The laws of a chart (see `statechart.automaton.laws.Laws`).
 
     Parameters
     ----------

@@ -200,7 +200,7 @@ def _alternatives(
 
 def modes(arguments: argparse.Namespace) -> int:
     """List modes, which of them are possible at a configuration, and every region's chart."""
-    from statechart.feasibility import feasibility
+    from statechart.automaton.product import feasibility
     from statechart.listing import listing, text
 
     parameters = _assigned("--set", arguments.parameters)
@@ -241,9 +241,9 @@ def modes(arguments: argparse.Namespace) -> int:
 
 def draw(arguments: argparse.Namespace) -> int:
     """Draw the statechart, with the path of a run where asked for or needed."""
+    from statechart.automaton.product import feasibility
     from statechart.diagram.build import build, needs_run
     from statechart.diagram.write import SUFFIXES, write
-    from statechart.feasibility import feasibility
 
     path = Path(arguments.output)
     if path.suffix.lower() not in SUFFIXES:

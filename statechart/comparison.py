@@ -16,8 +16,8 @@ from itertools import accumulate, pairwise, zip_longest
 import numpy as np
 
 from statechart.arrays import Array
+from statechart.automaton.trace import Jump, Key, Trace
 from statechart.summed import without_summed
-from statechart.trace import Jump, Key, Trace
 
 NUDGE = 1e-7
 """Relative change of parameters that shows how errors grow; above the errors of the runs."""

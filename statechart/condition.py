@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from statechart.accuracy import sizes
 from statechart.arrays import Array
-from statechart.automaton import Margin, Setup
+from statechart.automaton.laws import Setup
+from statechart.automaton.regions import Margin
+from statechart.automaton.trace import Arc, Jump, Trace, sizes
 from statechart.observe import Observer
 from statechart.simulate import Simulator
-from statechart.trace import Arc, Jump, Trace
 
 # The step of central differences that balances truncation and rounding, relative to a variable.
 _STEP = float(np.finfo(float).eps) ** (1.0 / 3.0)

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton import Automaton
-from statechart.compose import Mode
-from statechart.constraints import Constraints
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.constraints import Constraints
+from statechart.automaton.regions import Mode
+from statechart.automaton.trace import LARGEST
 from statechart.enclosure import Search
 from statechart.errors import StepFailure, TooLong
 from statechart.formulas.tape import Tape, compile_tape
-from statechart.trace import LARGEST
 
 LONGEST_CHUNK = 64
 """Steps are made in chunks that grow by half, so that little is dropped behind an early event."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from statechart.accuracy import difference
+from statechart.automaton.trace import Outcome, Trace
 from statechart.errors import DeclarationError
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.outputs import Result as Output
-from statechart.trace import Outcome, Trace
 
 TIGHTER = 1.0 / 20.0
 """The step from one tolerance to the next when an error is estimated. Measured over 180 runs: with

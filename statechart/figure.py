@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Trace
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 from statechart.observe import Observer
 from statechart.sampling import Samples
-from statechart.trace import Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

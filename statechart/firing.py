@@ -24,12 +24,13 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array
-from statechart.automaton import Region, Setup
+from statechart.automaton.events import happened
+from statechart.automaton.laws import Setup
+from statechart.automaton.regions import Region
+from statechart.automaton.trace import Jump, Key
 from statechart.documents.outputs import Event
-from statechart.events import happened
 from statechart.formulas.formula import Relation, parse_relation
 from statechart.formulas.tape import compile_tape
-from statechart.trace import Jump, Key
 from statechart.transitions import BaseTransition
 
 # Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from statechart.automaton import HELD, Automaton, Setup, plain
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import HELD, Setup, plain
+from statechart.automaton.trace import Trace
 from statechart.observe import Observer
 from statechart.simulate import Simulator
-from statechart.trace import Trace
 
 
 def built(observer: Observer, trace: Trace) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
 from statechart.chart import Chart
 from statechart.documents.declaration import Declaration
 from statechart.offered import load

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from statechart.automaton import Automaton, Region
-from statechart.feasibility import MOST_MODES, Feasibility
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.feasibility import MOST_MODES, Feasibility
+from statechart.automaton.regions import Region
+from statechart.automaton.trace import Key
 from statechart.summary import table
-from statechart.trace import Key
 
 
 def listing(

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from statechart.automaton import Automaton, Setup
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import Setup
 
 # A few units in the last place: what a run of many steps adds up to.
 _LEAST = 8.0 * float(np.finfo(float).eps)

@@ -17,16 +17,18 @@ import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 
 from statechart.arrays import Array
-from statechart.automaton import Automaton, Setup
-from statechart.compose import Mode, build_mode
-from statechart.enclosure import integrals
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.dense_output import integrals
+from statechart.automaton.laws import Setup
+from statechart.automaton.modes import build_mode
+from statechart.automaton.regions import Mode
+from statechart.automaton.trace import Arc, Jump, Key, Trace
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Singular
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.sampling import Points, Samples, along, at_times, extremes, subdivided
 from statechart.simulate import Simulator
 from statechart.stepping import SteppingSimulator
-from statechart.trace import Arc, Jump, Key, Trace
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 """Text over the observables' names, or an expression in the automaton's own symbols."""

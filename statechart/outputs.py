@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from statechart.automaton.events import happened
+from statechart.automaton.trace import Jump, Trace
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Value
-from statechart.events import happened
 from statechart.observe import Observer
-from statechart.trace import Jump, Trace
 
 Result = float | int | list[float] | None
 """A number; a list for a value at `each` event; None where the event never happened."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import Declaration
 from statechart.errors import DeclarationError
 from statechart.estimate import BELOW, TIGHTER

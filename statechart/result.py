@@ -9,12 +9,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from statechart.automaton.trace import Trace
 from statechart.estimate import Cost
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.outputs import Result as Output
 from statechart.pieces import Pieces
-from statechart.trace import Trace
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from statechart.automaton import Automaton, Setup
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import Setup
+from statechart.automaton.trace import Key, Outcome, Trace
 from statechart.budget import Allowance, Limited
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
@@ -28,7 +30,6 @@ from statechart.request import Request
 from statechart.result import Asked, Result
 from statechart.simulate import Simulator, error_of
 from statechart.stepping import SteppingSimulator
-from statechart.trace import Key, Outcome, Trace
 
 if TYPE_CHECKING:
     from statechart.request import Measured

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array
-from statechart.trace import Arc, Key, Trace
+from statechart.automaton.trace import Arc, Key, Trace
 
 Evaluate = Callable[[Sequence[Arc], Sequence[Array]], Array]
 """Values at local times of arcs, one array of times an arc; one value a time, in order."""

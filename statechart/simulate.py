@@ -15,22 +15,25 @@ import sympy as sp
 from statechart import interrupts
 from statechart.advance import CompiledMode, advance, compile_mode
 from statechart.arrays import Array
-from statechart.automaton import (
-    CAPTURED,
-    HELD,
-    UNBOUNDED,
-    Automaton,
-    Flow,
-    Setup,
-    plain,
-    uncaptured,
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import CAPTURED, HELD, UNBOUNDED, Flow, Setup, plain, uncaptured
+from statechart.automaton.modes import build_mode, captured
+from statechart.automaton.regions import Mode
+from statechart.automaton.trace import (
+    FAR_TOO_MANY,
+    Arc,
+    Clock,
+    Jump,
+    Key,
+    Outcome,
+    Trace,
+    between,
+    check_size,
 )
-from statechart.compose import Mode, build_mode, captured
 from statechart.engine import Engine, Path, Watch
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.formulas.series import size_at
-from statechart.trace import FAR_TOO_MANY, Arc, Clock, Jump, Key, Outcome, Trace, check_size
-from statechart.zeno import Accumulation, between
+from statechart.zeno import Accumulation
 
 # At such a rate a variable would have changed by this many times its size.
 _STEEP = 1e6

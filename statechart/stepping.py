@@ -2,61 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
+from statechart.automaton.laws import TimeStepper
 from statechart.errors import SimulationError
 
 if TYPE_CHECKING:
-    from statechart.automaton import Automaton
-    from statechart.trace import Key, Trace
-
-
-class TimeStepper(Protocol):
-    """Steps a model through time, and recognises the state of every region at every step."""
-
-    def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
-        """Check the initial state; return its mode and what a reader must know.
-
-        Raises
-        ------
-        DeclarationProblem
-            If no run can start there.
-        SimulationError
-            If the model has what the stepper lacks.
-        """
-        ...
-
-    def run(
-        self,
-        overrides: Mapping[str, float],
-        *,
-        step: float,
-        until: float,
-        max_jumps: int,
-        show: Callable[[float, int, int], None],
-    ) -> Trace:
-        """Run from the declared initial state.
-
-        Parameters
-        ----------
-        overrides : mapping of str to float
-            Parameter -> value.
-        step : float
-            Length of every step but the last two, of which the last ends at `until`.
-        until : float
-            End of the run.
-        max_jumps : int
-            End after so many jumps.
-        show : callable
-            Called now and then with the time reached, the number of jumps and that of steps.
-
-        Returns
-        -------
-        Trace
-            Also where the run could not go on; its outcome says so.
-        """
-        ...
+    from statechart.automaton.automaton import Automaton
+    from statechart.automaton.trace import Trace
 
 
 class SteppingSimulator:
@@ -98,8 +52,8 @@ class SteppingSimulator:
         throw: bool = True,
     ) -> Trace:
         """Run from the declared initial state, as `Simulator.run` does."""
+        from statechart.automaton.trace import Outcome
         from statechart.simulate import Progress, error_of
-        from statechart.trace import Outcome
 
         shown = Progress(until) if self.progress else None
         trace = self.stepper.run(

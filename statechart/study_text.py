@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+from statechart.automaton.trace import Outcome
 from statechart.slopes import slopes, unfitted
 from statechart.study import Point, Study
 from statechart.summary import table
-from statechart.trace import Outcome
 
 
 def text(study: Study) -> str:

@@ -11,9 +11,11 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array
-from statechart.automaton import Automaton, Setup
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import Setup
+from statechart.automaton.regions import Mode
+from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.comparison import NUDGE, Sensitivity, Undecidable
-from statechart.compose import Mode
 from statechart.condition import conditions
 from statechart.documents.declaration import Declaration
 from statechart.engines import choose
@@ -26,7 +28,6 @@ from statechart.observe import Observer
 from statechart.request import Request
 from statechart.simulate import Simulator
 from statechart.stepping import SteppingSimulator
-from statechart.trace import Arc, Outcome, Trace
 
 _KEPT = 64  # cases whose runs are kept for the next property
 

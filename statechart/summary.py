@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from statechart.trace import Outcome
+from statechart.automaton.trace import Outcome
 
 # Of more events than twice this only the first and the last are listed.
 _SHOWN = 20

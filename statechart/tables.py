@@ -16,13 +16,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from statechart.automaton.trace import Trace
 from statechart.documents.files import aside, write_atomic
 from statechart.errors import StatechartError
 from statechart.observe import Observer
 from statechart.pieces import Pieces, rows
 from statechart.report import dumps
 from statechart.sampling import Samples
-from statechart.trace import Trace
 
 # Names of the coordinates and dimensions, and those that the file format keeps for itself.
 _TAKEN = frozenset({"t", "j", "mode", "sample", "event"}) | frozenset(

@@ -23,11 +23,11 @@ from functools import partial
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton import Automaton, Margin
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.regions import Margin, Mode
+from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.comparison import NUDGE, Undecidable, assert_same
-from statechart.compose import Mode
 from statechart.subject import Case, Subject
-from statechart.trace import Arc, Outcome, Trace
 
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _PER_STEP = 9

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
 from statechart.bench import Bench
 from statechart.errors import DeclarationError, StatechartError
 from statechart.run import Runner

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from statechart.trace import Clock, Jump
+from statechart.automaton.trace import Clock, Jump, between
 
 # Intervals that must shrink by one ratio before their sum is taken as geometric; half as many
 # where they have shrunk to less than this part.
@@ -27,11 +27,6 @@ _ORDER, _STRIDE = 3, 2
 _KEPT = 2 * _ORDER * _STRIDE
 # So many flows in turn that the time cannot tell apart have come to their end.
 _UNRESOLVED = 3
-
-
-def between(start: Clock, end: Clock) -> float:
-    """Return the time from `start` to `end`, to full precision even where it is tiny."""
-    return (end.high - start.high) + (end.low - start.low)
 
 
 @dataclass(eq=False)

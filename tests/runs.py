@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import models
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Trace
 from statechart.documents.yaml_reader import load
 from statechart.engine import Engine
 from statechart.engines.scipy import SciPy
@@ -18,7 +19,6 @@ from statechart.kinds import kind
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.simulate import Simulator
-from statechart.trace import Trace
 
 # What these show is a run that cannot go on.
 PARADOXICAL = ("no_slip_pencil",)

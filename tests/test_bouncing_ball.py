@@ -12,9 +12,9 @@ from runs import ENGINES, golden, outputs, run
 from contacts.modes import Free, Slide
 from contacts.parts import Body, Contact, Force, Point, Surface
 from contacts.scene import Scene
+from statechart.automaton.trace import Trace
 from statechart.documents.declaration import Stop
 from statechart.run import Runner
-from statechart.trace import Trace
 
 FLAT = golden("bouncing_ball_flat")["flat"]
 HILLS = golden("hilly_ball")["cases"]

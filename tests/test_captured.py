@@ -12,10 +12,10 @@ from runs import ENGINES, engine
 from strategies import examples
 from test_guards import run, scene, times
 
+from statechart.automaton.trace import Outcome
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.simulate import Simulator
-from statechart.trace import Outcome
 
 both = pytest.mark.parametrize("name", ENGINES)
 

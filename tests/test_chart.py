@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from statechart.automaton import HELD, Automaton
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import HELD
+from statechart.automaton.trace import Outcome, Trace
 from statechart.chart import Chart
 from statechart.chart_automaton import automaton
 from statechart.engine import Engine
@@ -17,7 +19,6 @@ from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationProblem, EventLoop, NonFinite
 from statechart.simulate import Simulator
-from statechart.trace import Outcome, Trace
 
 TAYLOR, SCIPY = Taylor(2.2e-16), SciPy(1e-12)
 both = pytest.mark.parametrize("engine", [TAYLOR, SCIPY], ids=["taylor", "scipy"])

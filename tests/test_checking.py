@@ -13,7 +13,7 @@ from contacts.setup import cones, scene_parameters
 from contacts.symmetry import LENGTH, TIMES, mirrored, rescaled
 from contacts.testing import assert_energy
 from contacts.testing import properties as contact_properties
-from statechart.automaton import State
+from statechart.automaton.regions import State
 from statechart.chart import Chart
 from statechart.checking import check, examine
 from statechart.comparison import Reading

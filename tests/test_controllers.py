@@ -13,12 +13,13 @@ from runs import ENGINES, engine, outputs, run
 from contacts.scene import Scene
 from contacts.testing import properties
 from contacts.violations import violations
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.product import feasibility
+from statechart.automaton.trace import Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import interpret, read_text
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, EventLoop
-from statechart.feasibility import feasibility
 from statechart.figure import figure
 from statechart.kinds import kind
 from statechart.observe import Observer
@@ -27,7 +28,6 @@ from statechart.run import Runner
 from statechart.simulate import Simulator
 from statechart.subject import Subject
 from statechart.testing import generic
-from statechart.trace import Trace
 
 both = pytest.mark.parametrize("name", ENGINES)
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 from runs import automaton, run
 
+from statechart.automaton.product import feasibility
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
 from statechart.documents.yaml_reader import read_text
-from statechart.feasibility import feasibility
 from statechart.run import Runner
 
 SWITCH = """

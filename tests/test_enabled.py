@@ -15,6 +15,7 @@ from contacts.parts import Body, Contact, Force, Point, Surface
 from contacts.scene import Scene
 from contacts.symmetry import mirrored, rescaled
 from contacts.testing import properties
+from statechart.automaton.trace import Trace
 from statechart.comparison import assert_same
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
@@ -22,7 +23,6 @@ from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.simulate import Simulator
 from statechart.subject import Subject
-from statechart.trace import Trace
 
 
 def _scene(surface: Surface, start: dict[str, Any], **contact: Any) -> Scene:

@@ -7,7 +7,8 @@ import pytest
 
 from contacts.kind import automaton
 from contacts.scene import Scene
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Trace
 from statechart.documents.yaml_reader import load
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
@@ -15,7 +16,6 @@ from statechart.figure import figure, render
 from statechart.kinds import kind
 from statechart.observe import Observer
 from statechart.simulate import Simulator
-from statechart.trace import Trace
 
 
 @pytest.fixture(scope="module")

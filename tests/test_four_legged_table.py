@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from runs import ENGINES, outputs, run, simulator
 
+from statechart.automaton.trace import Outcome
 from statechart.observe import Observer
 from statechart.report import report
-from statechart.trace import Outcome
 
 MODEL = "four_legged_table"
 W, B, C, H = 98.1, 0.5, 0.2, 0.7

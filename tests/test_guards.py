@@ -15,12 +15,12 @@ from strategies import examples
 from test_chart import compose, go, region, times
 
 from contacts.scene import Scene
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.yaml_reader import interpret, read_text
 from statechart.kinds import kind
 from statechart.run import run as run_model
 from statechart.simulate import Simulator
-from statechart.trace import Outcome, Trace
 
 both = pytest.mark.parametrize("name", ENGINES)
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from strategies import examples
 
 from contacts.polygons import FOUND, between, place
+from statechart.automaton.trace import Outcome
 from statechart.cli import main
 from statechart.documents.yaml_reader import interpret, read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.run import Runner
-from statechart.trace import Outcome
 
 
 @pytest.fixture(scope="module")

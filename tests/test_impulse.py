@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from statechart.automaton.trace import Outcome
 from statechart.cli import main
 from statechart.documents.yaml_reader import interpret, read_text
 from statechart.errors import DeclarationError
 from statechart.run import Runner, run
-from statechart.trace import Outcome
 
 GOLDEN = Path(__file__).parent / "golden"
 STEPPING = json.loads((GOLDEN / "impacts_and_timestepping.json").read_text())

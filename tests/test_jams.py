@@ -11,11 +11,11 @@ from runs import ENGINES, engine
 
 from contacts.kind import automaton
 from contacts.scene import Scene
-from statechart.automaton import UNBOUNDED, Flow
+from statechart.automaton.laws import UNBOUNDED, Flow
+from statechart.automaton.trace import Clock, Outcome, Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.simulate import Simulator
-from statechart.trace import Clock, Outcome, Trace
 
 ROD = """\
 kind: scene

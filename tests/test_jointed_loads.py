@@ -21,10 +21,10 @@ from strategies import examples
 from contacts.kind import automaton
 from contacts.parts import Body, Contact, Coordinate, Force, Joint, Path, Point, Surface
 from contacts.scene import Scene
+from statechart.automaton.trace import Outcome, Trace
 from statechart.observe import Observer
 from statechart.run import Runner
 from statechart.simulate import Simulator
-from statechart.trace import Outcome, Trace
 
 Array = NDArray[np.float64]
 

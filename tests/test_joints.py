@@ -17,6 +17,7 @@ from contacts.scene import Scene
 from contacts.setup import cones, scene_parameters
 from contacts.symmetry import mirrored, rescaled
 from contacts.testing import assert_energy
+from statechart.automaton.trace import Outcome, Trace
 from statechart.comparison import assert_same
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
@@ -28,7 +29,6 @@ from statechart.outputs import Outputs
 from statechart.run import Runner
 from statechart.simulate import Simulator
 from statechart.subject import Subject
-from statechart.trace import Outcome, Trace
 
 # A crank of length 1, a coupler of length 2, ends on the x axis: angles at the start.
 _CRANK = 0.6

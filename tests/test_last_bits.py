@@ -7,9 +7,9 @@ from fractions import Fraction
 
 import pytest
 
+from statechart.automaton.trace import Clock
 from statechart.documents.yaml_reader import read_text
 from statechart.run import Runner, run
-from statechart.trace import Clock
 
 DROP = """\
 kind: scene

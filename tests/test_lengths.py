@@ -6,11 +6,12 @@ import math
 
 import pytest
 
-from statechart import advance, engine, trace
+from statechart import advance, engine
+from statechart.automaton import trace
+from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.run import Runner, run
-from statechart.trace import Outcome
 
 CHART = """\
 kind: chart

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from statechart import compose, feasibility
+from statechart.automaton import feasibility
+from statechart.automaton import modes as compose
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
 from statechart.documents.yaml_reader import read_text

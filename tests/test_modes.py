@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from statechart.automaton.product import feasibility
 from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
-from statechart.feasibility import feasibility
 from statechart.run import Runner
 
 BAR = """\

@@ -8,6 +8,7 @@ import pytest
 
 from contacts.kind import automaton
 from contacts.scene import Scene
+from statechart.automaton.trace import Trace
 from statechart.documents.yaml_reader import load
 from statechart.engines.taylor import Taylor
 from statechart.errors import FormulaError
@@ -15,7 +16,6 @@ from statechart.observe import Observer
 from statechart.outputs import Outputs, outputs
 from statechart.report import report
 from statechart.simulate import Simulator
-from statechart.trace import Trace
 
 MODELS = Path(__file__).parent.parent / "models"
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "toppling_stick.json").read_text())

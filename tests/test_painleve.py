@@ -14,8 +14,8 @@ from contacts.painleve import paradoxes
 from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
+from statechart.automaton.trace import Outcome, Trace
 from statechart.simulate import Simulator
-from statechart.trace import Outcome, Trace
 
 TABLE = golden("painleve")["sliding_table"]
 

@@ -7,7 +7,7 @@ import math
 import pytest
 from runs import ENGINES, golden, modes, number, outputs, run
 
-from statechart.trace import Trace
+from statechart.automaton.trace import Trace
 
 PAINLEVE = golden("painleve")
 ROD, PENCIL = "painleve_rod", "no_slip_pencil"

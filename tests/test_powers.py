@@ -14,9 +14,9 @@ from runs import ENGINES
 from scipy.integrate import quad, solve_ivp
 from strategies import examples
 
+from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
 from statechart.run import Runner, run
-from statechart.trace import Outcome
 
 CHART = """\
 kind: chart

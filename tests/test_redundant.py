@@ -22,9 +22,9 @@ from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot
 from contacts.springs import springs
+from statechart.automaton.trace import Outcome, Trace
 from statechart.observe import Observer
 from statechart.simulate import Simulator
-from statechart.trace import Outcome, Trace
 
 Array = NDArray[np.float64]
 ALL = ("free", "slide+", "slide-", "pin")

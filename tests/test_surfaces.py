@@ -12,11 +12,11 @@ from contacts.kind import automaton
 from contacts.modes import Free, Pin, Slide
 from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
+from statechart.automaton.trace import Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.simulate import Simulator
-from statechart.trace import Trace
 
 pytestmark = pytest.mark.parametrize("name", ENGINES)
 

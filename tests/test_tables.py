@@ -17,6 +17,7 @@ import xarray as xr
 from contacts.kind import automaton
 from contacts.scene import Scene
 from statechart import study_file, tables
+from statechart.automaton.trace import Trace
 from statechart.documents import files
 from statechart.documents.yaml_reader import load
 from statechart.engines.taylor import Taylor
@@ -26,7 +27,6 @@ from statechart.pieces import Pieces
 from statechart.report import dumps, report
 from statechart.simulate import Simulator
 from statechart.tables import events_table, samples_table, save, to_xarray, write_run
-from statechart.trace import Trace
 
 resource = pytest.importorskip("resource")
 FILES = {"run.json", "events.csv", "samples.csv", "trace.nc", "figure.svg", "figure.png"}

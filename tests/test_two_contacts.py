@@ -12,7 +12,7 @@ from contacts.kind import automaton
 from contacts.modes import Free, Slide
 from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
-from statechart.compose import graph, product_modes
+from statechart.automaton.product import graph, product_modes
 from statechart.documents.yaml_reader import interpret, read_text
 from statechart.engines.scipy import SciPy
 from statechart.run import Runner

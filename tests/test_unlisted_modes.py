@@ -14,6 +14,7 @@ from strategies import examples
 
 from contacts.kind import automaton
 from contacts.scene import Scene
+from statechart.automaton.trace import Outcome
 from statechart.cli import main
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
@@ -21,7 +22,6 @@ from statechart.engines.scipy import SciPy
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.run import Runner
 from statechart.simulate import Simulator
-from statechart.trace import Outcome
 
 BLOCK = """\
 kind: scene

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from models import path
-from statechart.automaton import Automaton
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Clock, Jump, Outcome, Trace
 from statechart.chart import Chart
 from statechart.chart_automaton import automaton
 from statechart.documents.yaml_reader import load
@@ -20,7 +21,6 @@ from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.errors import SimulationError
 from statechart.simulate import Simulator
-from statechart.trace import Clock, Jump, Outcome, Trace
 from statechart.zeno import Accumulation
 
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "bouncing_ball_flat.json").read_text())

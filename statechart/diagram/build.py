@@ -7,10 +7,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from itertools import product
 
-from statechart.automaton import Automaton, Edge, Margin, Region
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.feasibility import Feasibility
+from statechart.automaton.regions import Edge, Margin, Region
+from statechart.automaton.trace import Key, Trace
 from statechart.diagram.model import Diagram, Link, Node
-from statechart.feasibility import Feasibility
-from statechart.trace import Key, Trace
 
 # Two contacts have nine modes as users count, and a product of more than this cannot be read.
 _MOST_MODES = 16

@@ -9,8 +9,8 @@ import numpy as np
 from scipy import integrate
 
 from statechart.arrays import Array
-from statechart.automaton import Automaton
-from statechart.compose import Mode
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.regions import Mode
 from statechart.engine import Begin, Engine, Path, Steps, Watch, rates_tape
 from statechart.errors import NonFinite, StepFailure
 from statechart.formulas.tape import Tape

@@ -17,8 +17,8 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from statechart.arrays import Array
-from statechart.automaton import Automaton
-from statechart.compose import Mode
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.regions import Mode
 from statechart.enclosure import BOXES, Verdict, as_search
 from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Steps, Watch
 from statechart.engines.stepping import HALVINGS, LEAST_MOTION, OFF, STRAY, Step, taylor_flow

@@ -3,40 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import product
+from dataclasses import replace
 
-import networkx as nx
 import sympy as sp
 
-from statechart.automaton import CAPTURED, Automaton, Loads, Margin, uncaptured
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import CAPTURED, uncaptured
+from statechart.automaton.regions import Loads, Margin, Mode
+from statechart.automaton.trace import Key
 from statechart.formulas.linear import Definition, solve_linear
-from statechart.trace import Key
-
-
-@dataclass(frozen=True, eq=False)
-class Mode:
-    """A mode's equations, solved.
-
-    Attributes
-    ----------
-    key : Key
-        State of every region.
-    definitions : tuple of (Symbol, Expr)
-        Straight-line program for the controls and the unknowns.
-    rates : tuple of Expr
-        d/dt of every variable.
-    margins : tuple of Margin
-        The mode's invariant, stop conditions last.
-    hidden : mapping
-        What forces are for those who look at the mode, where they are not what moves the state.
-    """
-
-    key: Key
-    definitions: tuple[Definition, ...]
-    rates: tuple[sp.Expr, ...]
-    margins: tuple[Margin, ...]
-    hidden: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
 
 
 def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> Mode:
@@ -143,33 +118,3 @@ def _shared(
     laws |= {unknown: sp.Add(*terms) for unknown, terms in sums.items()}
     equations = [law.xreplace(substitution) for law in laws.values()]
     return solve_linear(equations, tuple(laws), len(laws), before=sums)
-
-
-def product_modes(automaton: Automaton) -> Iterable[Key]:
-    """Yield every product mode; their number is `automaton.modes_total`."""
-    return product(*(region.states for region in automaton.regions))
-
-
-def graph(automaton: Automaton, keys: Iterable[Key]) -> nx.MultiDiGraph:
-    """Return the part of the product automaton on `keys`, with guards and resets on its edges.
-
-    Nodes are keys; an edge has `region`, `cause`, `guard` and `reset`. Regions are orthogonal:
-    an edge changes one region, and simultaneous changes are paths of zero duration.
-    """
-    import networkx as nx
-
-    result = nx.MultiDiGraph(name=automaton.name)
-    kept = dict.fromkeys(keys)
-    result.add_nodes_from((key, {"label": automaton.label(key)}) for key in kept)
-    for key in kept:
-        for target, region, edge in automaton.successors(key):
-            if target in kept:
-                result.add_edge(
-                    key,
-                    target,
-                    region=region.name,
-                    cause=edge.cause,
-                    guard=edge.guard,
-                    reset=edge.reset,
-                )
-    return result

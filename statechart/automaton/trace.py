@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.errors import TooLong
 
 LARGEST = 2**28
@@ -106,7 +107,7 @@ class Arc:
     flow : Key
         The mode whose equations moved the state. It differs from `mode` while the rest of a Zeno
         sequence is skipped: a contact still is `free`, and moves as if closed; in the place of a
-        region that holds its variables meanwhile stands `statechart.automaton.HELD`.
+        region that holds its variables meanwhile stands `statechart.automaton.laws.HELD`.
     start : Clock
         When the arc starts.
     j : int
@@ -140,7 +141,7 @@ class Arc:
 
     def states(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the states (m, n) at local times `local` (m,), 0 <= local <= duration."""
-        from statechart.enclosure import sample
+        from statechart.automaton.dense_output import sample
 
         return sample(self.coefficients, self.times, np.ascontiguousarray(local, dtype=float))
 
@@ -298,3 +299,15 @@ class Trace:
             if jump.target != sequence[-1]:
                 sequence.append(jump.target)
         return tuple(sequence)
+
+
+def sizes(trace: Trace) -> Array:
+    """Return the largest magnitude (n,) of every variable at the ends of arcs and jumps."""
+    states = [trace.initial, trace.final]
+    states += [state for jump in trace.jumps for state in (jump.before, jump.after)]
+    return np.abs(np.array(states)).max(axis=0)
+
+
+def between(start: Clock, end: Clock) -> float:
+    """Return the time from `start` to `end`, to full precision even where it is tiny."""
+    return (end.high - start.high) + (end.low - start.low)

@@ -9,12 +9,12 @@ from weakref import WeakKeyDictionary
 import sympy as sp
 
 from statechart.arrays import Array
-from statechart.automaton import Setup
-from statechart.compose import Mode
+from statechart.automaton.laws import Setup
+from statechart.automaton.regions import Mode
+from statechart.automaton.trace import Key
 from statechart.formulas.linear import Singular
 from statechart.formulas.series import Series, expand
 from statechart.formulas.tape import Tape, compile_tape
-from statechart.trace import Key
 
 # Derivatives up to this order are looked at; a margin that has none there stays where it is.
 _ORDERS = 12

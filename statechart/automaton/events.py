@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from statechart.automaton import Region
+from statechart.automaton.regions import Region
+from statechart.automaton.trace import Jump
 from statechart.documents.outputs import Event
-from statechart.trace import Jump
 
 
 def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:

@@ -1,0 +1,148 @@
+"""The hybrid automaton: regions, modes, margins, and the laws at the instants between flows.
+
+Vocabulary: a *mode* is one state per region; its *flow* is an ordinary differential equation; its
+*margins* are expressions that stay >= 0 while the mode holds (its invariant); an *event* is a
+margin falling; a *jump* is what the laws make of an event. Composition is conjunction: a region's
+state contributes equations in the shared unknowns, never a vector field of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import sympy as sp
+
+from statechart.automaton.laws import Laws, Setup
+from statechart.automaton.regions import Edge, Margin, Region
+from statechart.automaton.trace import Key
+from statechart.errors import Unsupported
+
+if TYPE_CHECKING:
+    from statechart.automaton.laws import TimeStepper
+    from statechart.documents.declaration import Declaration
+
+
+"""In the key of a flow: a region whose state contributes nothing, so that what it moves rests."""
+"""What ends a flow that cannot be continued, though no margin fell; the laws may know what follows
+(a force that has grown without bound)."""
+"""In the key of a flow, before a state: the region is shown in another meanwhile, and for everybody
+else its forces are what they are in that: zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Automaton:
+    """Regions composed over shared unknowns; topology and modes on demand.
+
+    Attributes
+    ----------
+    name : str
+        Of the model.
+    declaration : Declaration
+        The document it was made from (outputs, stop, settings).
+    names, variables : tuple
+        Names and symbols of the state's variables.
+    parameter_names, parameters : tuple
+        Names and symbols of the parameters.
+    time : Symbol
+        Time, in expressions.
+    unknowns : tuple of Symbol
+        Solved for in every mode: accelerations and forces, or rates; first those that belong to
+        `equations`, one by one.
+    rates : tuple of Expr
+        d/dt of every variable, in variables and unknowns.
+    equations : tuple of Expr
+        The equations that hold in every mode, each = 0.
+    regions : tuple of Region
+        In the order of the keys.
+    stops : mapping
+        Stop condition -> margin that falls when it becomes true.
+    observables : mapping
+        Name -> expression; what outputs, tables and figures can show.
+    setup : callable
+        From overrides of parameters and a relative tolerance to the numbers of a run.
+    laws : Laws or None
+        Initial mode, jumps, projection; None where only steps can run the model.
+    idle : bool
+        True where an unknown that no state sets is zero (a chart's variable without a flow).
+    controls : tuple of Symbol
+        What the states of regions set (`State.values`), in an order in which each value uses
+        only those before it. In every mode exactly one state sets each.
+    stepper : callable or None
+        Makes what steps the model through time without its modes, where its kind offers that.
+    own_step : callable or None
+        Where nothing but steps can run the model: returns how long they should be, by its scales.
+    """
+
+    name: str
+    declaration: Declaration
+    names: tuple[str, ...]
+    variables: tuple[sp.Symbol, ...]
+    parameter_names: tuple[str, ...]
+    parameters: tuple[sp.Symbol, ...]
+    time: sp.Symbol
+    unknowns: tuple[sp.Symbol, ...]
+    rates: tuple[sp.Expr, ...]
+    equations: tuple[sp.Expr, ...]
+    regions: tuple[Region, ...]
+    stops: Mapping[str, Margin]
+    observables: Mapping[str, sp.Expr]
+    setup: Callable[[Mapping[str, float], float], Setup]
+    laws: Laws | None
+    idle: bool = False
+    controls: tuple[sp.Symbol, ...] = ()
+    stepper: Callable[[], TimeStepper] | None = None
+    own_step: Callable[[], float] | None = None
+
+    @property
+    def laws_of_events(self) -> Laws:
+        """The laws, for those who cannot do without.
+
+        Raises
+        ------
+        Unsupported
+            If only steps can run the model.
+        """
+        if self.laws is None:
+            raise Unsupported(
+                f"{self.name!r} runs on the engine impulse alone: say --engine impulse "
+                "--step 1e-3, or write settings: {engine: impulse, step: 1e-3}"
+            )
+        return self.laws
+
+    @property
+    def modes_total(self) -> int:
+        """Number of product modes, directions of sliding told apart."""
+        total = 1
+        for region in self.regions:
+            total *= len(region.states)
+        return total
+
+    @property
+    def modes_declared(self) -> int:
+        """Number of product modes as the declaration counts them (sliding without direction)."""
+        total = 1
+        for region in self.regions:
+            total *= len({region.declared(state) for state in region.states})
+        return total
+
+    @cached_property
+    def _outgoing(self) -> tuple[Mapping[str, tuple[Edge, ...]], ...]:
+        return tuple(
+            {s: tuple(e for e in region.edges if e.source == s) for s in region.states}
+            for region in self.regions
+        )
+
+    def successors(self, key: Key) -> Iterator[tuple[Key, Region, Edge]]:
+        """Yield the modes one edge of one region away from `key`."""
+        for place, (region, outgoing) in enumerate(zip(self.regions, self._outgoing, strict=True)):
+            for edge in outgoing[key[place]]:
+                yield (*key[:place], edge.target, *key[place + 1 :]), region, edge
+
+    def label(self, key: Key) -> str:
+        """Return the name of a mode: ``tip:slide+``, or ``A:free B:pin``."""
+        return " ".join(
+            f"{region.name}:{state}" for region, state in zip(self.regions, key, strict=True)
+        )

@@ -1,0 +1,133 @@
+"""Dense output of an arc: sampled, integrated, its least values."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from statechart.formulas.tape import Tape, plain
+from statechart.kernels.polynomials import integrate_outputs, sample_states
+
+
+def lowest(
+    tape: Tape,
+    times: ArrayLike,
+    coeffs: ArrayLike,
+    parameters: ArrayLike,
+    start: float,
+    per_step: int = 16,
+) -> NDArray[np.float64]:
+    """Return the least value of every output on a grid.
+
+    Parameters
+    ----------
+    tape, times, coeffs, parameters, start
+        As in `first_crossing`.
+    per_step : int
+        Intervals of the grid in each step; both ends belong to it.
+
+    Returns
+    -------
+    ndarray, shape (n_out,)
+        Least values, infinite if there is no step; not a number where an output was undefined.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit.
+    """
+    times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
+    s = np.arange(per_step + 1) / per_step
+    begin, end = times[:-1, None], times[1:, None]
+    local = np.where(s < 1.0, begin + s * (end - begin), end)
+    states = np.swapaxes(coeffs @ s ** np.arange(coeffs.shape[2])[:, None], 1, 2)
+    found = tape.table(states.reshape(-1, coeffs.shape[1]), parameters, start + local.ravel())
+    return found.min(axis=0, initial=np.inf)
+
+
+def integrals(
+    tape: Tape,
+    times: ArrayLike,
+    coeffs: ArrayLike,
+    parameters: ArrayLike,
+    start: float,
+    t_from: float,
+    t_to: float,
+) -> NDArray[np.float64]:
+    """Integrate every output over local time, by Gauss and Legendre with 16 nodes in a step.
+
+    Parameters
+    ----------
+    tape, times, coeffs, parameters, start
+        As in `first_crossing`.
+    t_from, t_to : float
+        Local times; what lies outside the steps does not count.
+
+    Returns
+    -------
+    ndarray, shape (n_out,)
+        Integrals, in the output's unit times that of time.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit.
+    """
+    times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
+    return integrate_outputs(
+        tape.code,
+        tape.constants,
+        tape.outputs,
+        tape.reads,
+        times,
+        coeffs,
+        parameters,
+        float(start),
+        float(t_from),
+        float(t_to),
+    )
+
+
+def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> NDArray[np.float64]:
+    """Evaluate the polynomials.
+
+    Parameters
+    ----------
+    coeffs : array, shape (n_steps, n, degree + 1)
+        Polynomials of the steps, at least one.
+    times : array, shape (n_steps + 1,)
+        Local times of the steps' ends.
+    tau : array, shape (m,)
+        Local times wanted; a joint belongs to the step that starts there, and outside the steps
+        the nearest polynomial is continued.
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+        States.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit.
+    """
+    coeffs, times, tau = plain(coeffs), plain(times), plain(tau)
+    if coeffs.ndim != 3 or len(coeffs) == 0 or times.shape != (len(coeffs) + 1,) or tau.ndim != 1:
+        raise ValueError(
+            f"coeffs, times and tau have shapes {coeffs.shape}, {times.shape} and {tau.shape}, "
+            "not (n_steps, n, degree + 1), (n_steps + 1,) and (m,) with a step at least"
+        )
+    return sample_states(coeffs, times, tau)
+
+
+def _arc(
+    tape: Tape, times: ArrayLike, coeffs: ArrayLike, parameters: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    times, coeffs, parameters = plain(times), plain(coeffs), plain(parameters)
+    tape.require(parameters)
+    if coeffs.ndim != 3 or times.shape != (len(coeffs) + 1,) or coeffs.shape[1] != tape.n_variables:
+        raise ValueError(
+            f"times and coeffs have shapes {times.shape} and {coeffs.shape}, "
+            f"not (n_steps + 1,) and (n_steps, {tape.n_variables}, degree + 1)"
+        )
+    return times, coeffs, parameters

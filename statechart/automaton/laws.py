@@ -1,0 +1,256 @@
+"""The laws of an automaton: what happens at the instants between flows, and by time steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.arrays import Array
+from statechart.automaton.regions import Region
+from statechart.automaton.trace import Clock, Jump, Key
+
+if TYPE_CHECKING:
+    from statechart.automaton.constraints import Constraints
+    from statechart.automaton.feasibility import Feasibility
+    from statechart.automaton.regions import Mode
+    from statechart.automaton.trace import Trace
+
+
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+HELD = ""
+
+UNBOUNDED = "unbounded"
+
+
+CAPTURED = "~"
+
+
+@lru_cache(maxsize=1024)
+def uncaptured(flow: Key) -> Key:
+    """Return the flow that moves the state as `flow` does, with nothing hidden from others."""
+    return tuple(state.removeprefix(CAPTURED) for state in flow)
+
+
+@lru_cache(maxsize=1024)
+def plain(flow: Key) -> Key:
+    """Return the mode of a flow: its states without what chooses among equivalent equations.
+
+    Where a mode's equations leave quantities open that do not change the motion, a flow says after
+    the state's name, separated by ``|``, what determines them (``pin|inside|nt|nt|0,1,2|``).
+    """
+    return tuple(state.partition("|")[0] for state in uncaptured(flow))
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """The numbers of one run.
+
+    Attributes
+    ----------
+    values : (p,) array
+        Of the automaton's parameters.
+    initial : (n,) array
+        Initial state.
+    tolerances : mapping
+        Kind of margin -> absolute tolerance, in the scene's own units.
+    relative : float
+        The relative tolerance that they follow from.
+    short : float
+        The laws are asked to skip the rest of a sequence of jumps that accumulate once it takes
+        less than this part of the sequence's longest interval.
+    warnings : tuple of str
+        What a reader must know of these numbers.
+    sizes : (n,) array or None
+        How large each variable is, where the model has scales of its own.
+    horizon : float
+        A long time for the first flow, in the model's own scales: how far to look ahead at first.
+    modes : callable or None
+        Key of a flow -> its mode, solved for the parameters of the run; set by the executor.
+    """
+
+    values: NDArray[np.float64]
+    initial: NDArray[np.float64]
+    tolerances: Mapping[str, float]
+    relative: float
+    short: float = 0.0
+    warnings: tuple[str, ...] = ()
+    sizes: NDArray[np.float64] | None = None
+    horizon: float = float("inf")
+    modes: Callable[[Key], Mode] | None = None
+
+    @cached_property
+    def zeros(self) -> frozenset[int]:
+        """Places of the parameters that are exactly zero."""
+        return frozenset(np.flatnonzero(self.values == 0.0).tolist())
+
+
+class Flow(NamedTuple):
+    """What the executor does next: flow in a mode, possibly shown as another, possibly timed.
+
+    Attributes
+    ----------
+    mode : Key
+        The mode shown.
+    flow : Key
+        The mode whose equations apply; `HELD` in the place of a region that is held.
+    remaining : float
+        Time until the laws are asked again even if no margin falls (a Zeno sequence's
+        accumulation); inf otherwise.
+    warning : str
+        What a reader must know of the choice of this mode; "" where nothing.
+    settled : bool
+        True when the laws have seen the state that the flow starts from and keep the mode.
+    notes : tuple of str
+        What a reader must know of the mode, told once.
+    held : mapping
+        Region -> when its Zeno sequence, whose rest is skipped, comes to its end.
+    tolerances : mapping
+        Margin -> its tolerance in this flow, where that of its kind is not the one.
+    terms : (n, k) array or None
+        What each variable was summed from when the last flow ended, at a time that is rounded;
+        None before the first. Kept by the executor.
+    summed : (n,) array or None
+        How large the terms are that jumps since then have summed each variable from.
+    pending : mapping
+        Region -> the jumps of this instant that it has yet to hear of. None outlasts the instant.
+    start : (n,) array or None
+        Where to flow on from, where a mode holds but its state is brought back onto its
+        constraints; None where it is the state that the laws were asked about.
+    """
+
+    mode: Key
+    flow: Key
+    remaining: float = float("inf")
+    warning: str = ""
+    settled: bool = False
+    notes: tuple[str, ...] = ()
+    held: Mapping[str, Clock] = _NOTHING
+    tolerances: Mapping[str, float] = _NOTHING
+    terms: NDArray[np.float64] | None = None
+    summed: NDArray[np.float64] | None = None
+    pending: Mapping[str, tuple[Jump, ...]] = _NOTHING
+    start: NDArray[np.float64] | None = None
+
+    @property
+    def sizes(self) -> NDArray[np.float64] | None:
+        """How large the terms of each variable are; its rounding is relative to them."""
+        return None if self.terms is None else np.abs(self.terms).sum(axis=1)
+
+
+class Laws(Protocol):
+    """What happens at the instants between flows; the executor knows nothing else."""
+
+    def begin(self, setup: Setup) -> tuple[Flow, NDArray[np.float64]]:
+        """Return the first mode and the state to start from."""
+        ...
+
+    def jump(
+        self,
+        setup: Setup,
+        clock: Clock,
+        j: int,
+        flow: Flow,
+        state: NDArray[np.float64],
+        fired: tuple[str, ...],
+    ) -> tuple[Jump | None, Flow] | None:
+        """Return the jump that the state calls for, or None when the mode holds.
+
+        A flow without a jump: the mode holds, but by other equations, or from another start.
+        """
+        ...
+
+    def accumulate(
+        self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
+    ) -> tuple[Jump, Flow] | None:
+        """Skip the rest of a sequence of jumps that accumulate.
+
+        Parameters
+        ----------
+        jumps : sequence of Jump
+            The last ones; the last of them is the one after which the rest can be skipped.
+        rest : float
+            Time to the accumulation.
+
+        Returns
+        -------
+        (Jump, Flow) or None
+            The last jump and the flow after it, changed; None where the sequence has to go on.
+
+        Raises
+        ------
+        Zeno
+            If nothing declared says what follows.
+        """
+        ...
+
+    def constraints(
+        self, setup: Setup, flow: Key, start: float, anchor: NDArray[np.float64]
+    ) -> Constraints:
+        """Return what the states of a flow satisfy.
+
+        The flow begins in the state `anchor` at the time `start`.
+        """
+        ...
+
+    def feasibility(
+        self, regions: Sequence[Region], setup: Setup, state: Array, time: float
+    ) -> Feasibility | None:
+        """Judge every product mode of the regions at a configuration.
+
+        None where there is no reason against any; see `statechart.automaton.product.feasibility`.
+        """
+        ...
+
+
+class TimeStepper(Protocol):
+    """Steps a model through time, and recognises the state of every region at every step."""
+
+    def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
+        """Check the initial state; return its mode and what a reader must know.
+
+        Raises
+        ------
+        DeclarationProblem
+            If no run can start there.
+        SimulationError
+            If the model has what the stepper lacks.
+        """
+        ...
+
+    def run(
+        self,
+        overrides: Mapping[str, float],
+        *,
+        step: float,
+        until: float,
+        max_jumps: int,
+        show: Callable[[float, int, int], None],
+    ) -> Trace:
+        """Run from the declared initial state.
+
+        Parameters
+        ----------
+        overrides : mapping of str to float
+            Parameter -> value.
+        step : float
+            Length of every step but the last two, of which the last ends at `until`.
+        until : float
+            End of the run.
+        max_jumps : int
+            End after so many jumps.
+        show : callable
+            Called now and then with the time reached, the number of jumps and that of steps.
+
+        Returns
+        -------
+        Trace
+            Also where the run could not go on; its outcome says so.
+        """
+        ...

@@ -1,0 +1,165 @@
+"""What an automaton is composed of: regions, their states and edges, margins, loads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import sympy as sp
+
+from statechart.automaton.trace import Key
+from statechart.formulas.linear import Definition
+
+Kind = Literal["plain", "gap", "speed", "force"]
+
+
+@dataclass(frozen=True)
+class Margin:
+    """An expression that is >= 0 while a mode holds.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``tip.gap`` or ``tip.mu V - H``.
+    expression : Expr
+        In variables, parameters, time and unknowns.
+    kind : str
+        Which tolerance decides it. A `force` margin is an event once it is below minus its
+        tolerance (hysteresis, so that the mode just left is not entered again); the others are
+        located at their zero.
+    """
+
+    name: str
+    expression: sp.Expr
+    kind: Kind = "plain"
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Unknowns that the motion leaves open: something carries them in the equations of motion.
+
+    They are solved for when the motion is known, by equations of their own.
+
+    Attributes
+    ----------
+    carried : mapping
+        Unknown of the automaton -> what stands for it in the equations of motion.
+    carriers : tuple of Symbol
+        The unknowns of that.
+    laws : mapping
+        Unknown -> its equation (= 0), linear in what is carried and in further unknowns.
+    balances : mapping
+        Unknown, which states share -> what this one adds to a sum over them that is zero.
+    """
+
+    carried: Mapping[sp.Symbol, sp.Expr]
+    carriers: tuple[sp.Symbol, ...]
+    laws: Mapping[sp.Symbol, sp.Expr]
+    balances: Mapping[sp.Symbol, sp.Expr]
+
+
+@dataclass(frozen=True)
+class State:
+    """What one state of a region contributes to a mode.
+
+    Attributes
+    ----------
+    equations : tuple of Expr
+        Each = 0, linear in the automaton's unknowns and its carriers.
+    margins : tuple of Margin
+        What an event of the state is the fall of.
+    invariants : tuple of Margin
+        What its declaration asserts besides; for checks of a trace, no run looks at them.
+    values : mapping
+        What the state sets: some of the automaton's controls -> expressions without unknowns.
+    loads : Loads or None
+        What it adds where the mode's motion leaves some of its unknowns open.
+    """
+
+    equations: tuple[sp.Expr, ...] = ()
+    margins: tuple[Margin, ...] = ()
+    invariants: tuple[Margin, ...] = ()
+    values: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    loads: Loads | None = None
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A transition of a region, as text for people.
+
+    Attributes
+    ----------
+    cause : str
+        touchdown, liftoff, ... or the transition's name.
+    source, target : str
+        States of the region.
+    guard, reset : str
+        What fires it and what it does; "" where nothing is changed.
+    on_zeno : bool
+        True where no guard fires it but the accumulation of jumps out of `source`.
+    """
+
+    cause: str
+    source: str
+    target: str
+    guard: str
+    reset: str = ""
+    on_zeno: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """An orthogonal region: its states, built when first asked for, and its edges.
+
+    Attributes
+    ----------
+    name : str
+        Of the region (a contact, a controller).
+    states : tuple of str
+        Names of its states.
+    build : callable
+        Name -> State.
+    edges : tuple of Edge
+        The region's own statechart.
+    groups : mapping
+        State -> the state as its declaration names it, where that differs (slide+ -> slide).
+    forces : tuple of Symbol
+        Unknowns that are zero for others while the region is captured (see `CAPTURED`).
+    """
+
+    name: str
+    states: tuple[str, ...]
+    build: Callable[[str], State]
+    edges: tuple[Edge, ...]
+    groups: Mapping[str, str] = field(default_factory=dict)
+    forces: tuple[sp.Symbol, ...] = ()
+
+    def declared(self, state: str) -> str:
+        """Return the state as the declaration names it."""
+        return self.groups.get(state, state)
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """A mode's equations, solved.
+
+    Attributes
+    ----------
+    key : Key
+        State of every region.
+    definitions : tuple of (Symbol, Expr)
+        Straight-line program for the controls and the unknowns.
+    rates : tuple of Expr
+        d/dt of every variable.
+    margins : tuple of Margin
+        The mode's invariant, stop conditions last.
+    hidden : mapping
+        What forces are for those who look at the mode, where they are not what moves the state.
+    """
+
+    key: Key
+    definitions: tuple[Definition, ...]
+    rates: tuple[sp.Expr, ...]
+    margins: tuple[Margin, ...]
+    hidden: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
