@@ -20,7 +20,7 @@ from contacts.kind import automaton
 from contacts.scene import Scene
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
-from statechart.engine import Engine
+from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.simulate import Simulator

@@ -34,7 +34,7 @@ from contacts.parts import Body, Contact, Coordinate, Point, Surface
 from contacts.scene import Scene
 from statechart.automaton.dense_output import lowest
 from statechart.automaton.trace import Outcome, Trace
-from statechart.engines import choose
+from statechart.engines.choice import choose
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.simulate import Simulator
 

@@ -22,7 +22,7 @@ from contacts.kind import automaton
 from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
 from statechart.automaton.trace import Trace
-from statechart.engines import choose
+from statechart.engines.choice import choose
 from statechart.simulate import Simulator
 
 _G, _UNTIL = 9.81, 1.0

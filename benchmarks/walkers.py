@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from runs import automaton
 
 from statechart.automaton.trace import Trace
-from statechart.engine import Engine
+from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.simulate import Simulator

@@ -12,8 +12,8 @@ from statechart import interrupts
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.enclosure import Crossing, Search, Verdict, search
-from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Watch
+from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Watch
+from statechart.engines.event_location import Crossing, Search, Verdict, search
 from statechart.errors import NonFinite, SimulationError, StepFailure, TooLong, Undecided
 from statechart.formulas.series import size_at
 from statechart.formulas.tape import Tape, compile_tape

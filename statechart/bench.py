@@ -15,10 +15,11 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Jump, Outcome, Trace
 from statechart.documents.declaration import Declaration
-from statechart.engine import Engine
-from statechart.engines import choose
+from statechart.engines.choice import choose
+from statechart.engines.engine import Engine
+from statechart.engines.request import BELOW
 from statechart.errors import SimulationError, StatechartError
-from statechart.estimate import BELOW, BRIEF, Answer, Cost, tighten
+from statechart.estimate import BRIEF, Answer, Cost, tighten
 from statechart.kinds import offered
 from statechart.nudge import nudged, widened
 from statechart.observe import Observer

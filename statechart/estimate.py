@@ -10,16 +10,14 @@ from typing import NamedTuple
 
 from statechart.accuracy import difference
 from statechart.automaton.trace import Outcome, Trace
+from statechart.engines.request import TIGHTER
 from statechart.errors import DeclarationError
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.outputs import Result as Output
 
-TIGHTER = 1.0 / 20.0
 """The step from one tolerance to the next when an error is estimated. Measured over 180 runs: with
 it the difference of the two bounds the error in 179, at 3.2 to 3.7 times the cost of one."""
-
-BELOW = 1.0 / 10.0
 """Errors of a run exceed its tolerance by about so much: where an accuracy is asked for and nothing
 was measured, the first tolerance is that far below."""
 

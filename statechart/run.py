@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Key, Outcome, Trace
-from statechart.budget import Allowance, Limited
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
 from statechart.documents.validation import located
 from statechart.documents.yaml_reader import find, interpret, read
-from statechart.engine import Engine
-from statechart.engines import choose
+from statechart.engines.budget import Allowance, Limited
+from statechart.engines.choice import choose
+from statechart.engines.engine import Engine
+from statechart.engines.request import Request
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.estimate import Answer, Cost, tighten, within
 from statechart.formulas.formula import parse
@@ -26,13 +27,12 @@ from statechart.formulas.syntax import close_matches
 from statechart.kinds import kind
 from statechart.nudge import nudged
 from statechart.observe import Observer
-from statechart.request import Request
 from statechart.result import Asked, Result
 from statechart.simulate import Simulator, error_of
 from statechart.stepping import SteppingSimulator
 
 if TYPE_CHECKING:
-    from statechart.request import Measured
+    from statechart.engines.request import Measured
 
 
 class Runner:

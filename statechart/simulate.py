@@ -30,7 +30,7 @@ from statechart.automaton.trace import (
     between,
     check_size,
 )
-from statechart.engine import Engine, Path, Watch
+from statechart.engines.engine import Engine, Path, Watch
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.formulas.series import size_at
 from statechart.zeno import Accumulation

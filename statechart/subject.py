@@ -18,14 +18,14 @@ from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.comparison import NUDGE, Sensitivity, Undecidable
 from statechart.condition import conditions
 from statechart.documents.declaration import Declaration
-from statechart.engines import choose
+from statechart.engines.choice import choose
+from statechart.engines.request import Request
 from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.kinds import kind
 from statechart.nudge import loosened
 from statechart.observe import Observer
-from statechart.request import Request
 from statechart.simulate import Simulator
 from statechart.stepping import SteppingSimulator
 

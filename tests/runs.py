@@ -12,7 +12,7 @@ import models
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.documents.yaml_reader import load
-from statechart.engine import Engine
+from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.kinds import kind

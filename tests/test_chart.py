@@ -14,7 +14,7 @@ from statechart.automaton.laws import HELD
 from statechart.automaton.trace import Outcome, Trace
 from statechart.chart import Chart
 from statechart.chart_automaton import automaton
-from statechart.engine import Engine
+from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationProblem, EventLoop, NonFinite

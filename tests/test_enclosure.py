@@ -11,7 +11,7 @@ from strategies import examples
 from test_tape import P, T, X, Y, expressions, tape_of
 
 from statechart.automaton.dense_output import integrals, lowest, sample
-from statechart.enclosure import Verdict, first_crossing
+from statechart.engines.event_location import Verdict, first_crossing
 from statechart.formulas.tape import compile_tape, plain
 from statechart.kernels.boxes import enclose, judge, prepare
 from statechart.kernels.intervals import wave

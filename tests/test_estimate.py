@@ -16,9 +16,9 @@ from runs import golden
 
 from statechart.accuracy import compare, paired, parted
 from statechart.automaton.trace import Outcome
-from statechart.budget import Allowance
 from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
+from statechart.engines.budget import Allowance
 from statechart.errors import OutOfBudget
 from statechart.estimate import Once, tighten, within
 from statechart.run import Runner, run

@@ -6,10 +6,11 @@ import math
 
 import pytest
 
-from statechart import advance, engine
+from statechart import advance
 from statechart.automaton import trace
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
+from statechart.engines import engine
 from statechart.errors import DeclarationError
 from statechart.run import Runner, run
 

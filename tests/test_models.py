@@ -7,7 +7,7 @@ from runs import EVENT_BASED, PARADOXICAL
 from statechart.checking import check
 from statechart.comparison import Undecidable, assert_same
 from statechart.documents.yaml_reader import load
-from statechart.engines import choose
+from statechart.engines.choice import choose
 from statechart.engines.scipy import METHODS
 from statechart.simulate import Simulator
 from statechart.subject import Subject

@@ -14,8 +14,8 @@ import models
 from statechart.accuracy import difference
 from statechart.chart import Chart
 from statechart.documents.yaml_reader import load, read_text
-from statechart.engine import Path as Steps
-from statechart.engines import choose
+from statechart.engines.choice import choose
+from statechart.engines.engine import Path as Steps
 from statechart.errors import DeclarationError, SimulationError, StepFailure, Unsupported
 from statechart.run import Runner, run
 
@@ -47,7 +47,7 @@ def ball(*changes: tuple[str, str]) -> str:
 def test_auto_takes_taylor_where_heyoka_is_and_says_so_where_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("statechart.engines._has_heyoka", lambda: False)
+    monkeypatch.setattr("statechart.engines.choice._has_heyoka", lambda: False)
     engine, reason = choose()
     assert (engine.name, engine.method, engine.tolerance) == ("scipy", "DOP853", 1e-12)
     assert "heyoka" in reason

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import examples
 
-from statechart.enclosure import first_crossing
+from statechart.engines.event_location import first_crossing
 from statechart.errors import StatechartError
 from statechart.formulas.tape import compile_tape
 from statechart.kernels.search import search

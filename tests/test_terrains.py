@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from statechart.enclosure import Verdict, first_crossing
+from statechart.engines.event_location import Verdict, first_crossing
 from statechart.formulas.tape import compile_tape
 
 X, Y, T, A, K, PHASE, C, W = sp.symbols("x y t A k phase c w")

@@ -11,7 +11,7 @@ from scipy import integrate
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engine import Begin, Engine, Path, Steps, Watch, rates_tape
+from statechart.engines.engine import Begin, Engine, Path, Steps, Watch, rates_tape
 from statechart.errors import NonFinite, StepFailure
 from statechart.formulas.tape import Tape
 

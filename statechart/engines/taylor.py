@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.enclosure import BOXES, Verdict, as_search
-from statechart.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Steps, Watch
-from statechart.engines.stepping import HALVINGS, LEAST_MOTION, OFF, STRAY, Step, taylor_flow
+from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Steps, Watch
+from statechart.engines.event_location import BOXES, Verdict, as_search
+from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, Step, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.kernels.polynomials import append_steps

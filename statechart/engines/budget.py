@@ -9,7 +9,7 @@ from collections.abc import Callable
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engine import Begin, Engine, Path, Steps, Watch
+from statechart.engines.engine import Begin, Engine, Path, Steps, Watch
 from statechart.errors import OutOfBudget
 
 

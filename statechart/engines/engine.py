@@ -13,7 +13,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import LARGEST
-from statechart.enclosure import Search
+from statechart.engines.event_location import Search
 from statechart.errors import StepFailure, TooLong
 from statechart.formulas.tape import Tape, compile_tape
 

@@ -10,7 +10,6 @@ from typing import Protocol
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import Declaration
 from statechart.errors import DeclarationError
-from statechart.estimate import BELOW, TIGHTER
 
 
 class Measurement(Protocol):
@@ -190,3 +189,8 @@ class Request:
         if not 0.0 < step < math.inf:
             raise DeclarationError(f"the step must be a positive time, not {step:g}")
         return replace(self, engine="impulse", step=step)
+
+
+TIGHTER = 1.0 / 20.0
+
+BELOW = 1.0 / 10.0

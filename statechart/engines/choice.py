@@ -1,0 +1,88 @@
+"""Integrators, and where events are.
+
+`engine` is the interface: advance a mode to the first event or the end. `scipy` and `taylor` (with
+its compiled `taylor_loop`) do; `event_location` finds the first fall of a margin in a step, and
+proves it. `request` is what a user asks for, `choice` makes an engine of it, `budget` ends one in
+time.
+"""
+
+from __future__ import annotations
+
+import math
+from importlib.util import find_spec
+
+from statechart.engines.engine import Engine
+from statechart.errors import DeclarationError
+
+ENGINES = ("auto", "taylor", "scipy")
+
+# Taylor's method costs little more for the last digits: its order rises with them.
+_TAYLOR_TOLERANCE = 2.2e-16
+_SCIPY_TOLERANCE = 1e-12
+_METHOD = "DOP853"
+
+
+def choose(
+    *, engine: str = "auto", method: str | None = None, tolerance: float | None = None
+) -> tuple[Engine, str]:
+    """Return an integrator, and why it was picked.
+
+    Parameters
+    ----------
+    engine : str
+        One of `ENGINES`; `auto` takes taylor where heyoka is installed, else scipy.
+    method : str, optional
+        Of the engine scipy, DOP853 by default; the engine taylor has `long double`.
+    tolerance : float, optional
+        Relative tolerance; 2.2e-16 by default for taylor (its least with a method), 1e-12
+        for scipy.
+
+    Returns
+    -------
+    Engine
+    str
+        A sentence where `auto` could not take its first choice, else empty.
+
+    Raises
+    ------
+    DeclarationError
+        If there is no such engine or method, or the engine is not installed.
+    """
+    if engine not in ENGINES:
+        raise DeclarationError(f"no engine {engine!r}", advice="known: " + ", ".join(ENGINES))
+    reason = ""
+    if engine == "auto":
+        # What a method is given for is the engine that has methods.
+        engine = "scipy" if method is not None or not _has_heyoka() else "taylor"
+        if engine == "scipy" and method is None:
+            reason = "engine scipy: heyoka, which the engine taylor needs, is not installed"
+    if engine == "taylor":
+        return _taylor(method, tolerance), reason
+    from statechart.engines.scipy import METHODS, SciPy
+
+    if method is not None and method not in METHODS:
+        raise DeclarationError(f"no method {method!r}", advice="known: " + ", ".join(METHODS))
+    return SciPy(tolerance or _SCIPY_TOLERANCE, method or _METHOD), reason
+
+
+def _has_heyoka() -> bool:
+    return find_spec("heyoka") is not None
+
+
+def _taylor(method: str | None, tolerance: float | None) -> Engine:
+    if not _has_heyoka():
+        raise DeclarationError(
+            "the engine taylor needs heyoka, which is not installed",
+            advice="take the engine scipy, or install heyoka (conda has it for every platform)",
+        )
+    from statechart.engines.taylor import LONG_DOUBLE, Taylor, has_long_double
+
+    if method is None:
+        return Taylor(tolerance or _TAYLOR_TOLERANCE)
+    if method != LONG_DOUBLE or not has_long_double():
+        raise DeclarationError(
+            f"the engine taylor has no method {method!r}"
+            + (" on this machine" if method == LONG_DOUBLE else ""),
+            advice="leave the method out, or take the engine scipy",
+        )
+    return Taylor(tolerance or math.ulp(0.0), extended=True)
