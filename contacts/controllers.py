@@ -1,9 +1,9 @@
 """Controllers on the executor: a scene's own regions beside its contacts, and their jumps.
 
 Contacts are classified from the state first; then the controllers are asked in the order of their
-declaration (`statechart.firing`). A controller that changes state changes forces and coefficients,
-never the motion, and the contacts are classified again at that instant: a push may make a pinned
-foot slip there.
+declaration (`statechart.charts.firing`). A controller that changes state changes forces and
+coefficients, never the motion, and the contacts are classified again at that instant: a push may
+make a pinned foot slip there.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import CAPTURED, Flow, Setup, plain
 from statechart.automaton.regions import Edge, Margin, Region, State
 from statechart.automaton.trace import Clock, Jump, Key
-from statechart.firing import Guard, Listening, Watch, considered, guards
+from statechart.charts.firing import Guard, Listening, Watch, considered, guards
 
 
 def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:

@@ -10,11 +10,11 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from statechart.charts.transitions import BaseTransition, check_region
 from statechart.documents.fields import FormulaText, NameText, Part, check_names
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.syntax import close_matches
-from statechart.transitions import BaseTransition, check_region
 
 
 class ControlState(Part):

@@ -14,12 +14,12 @@ from contacts.other_laws import replaced
 from contacts.parts import Path, Point, Simultaneous
 from contacts.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.shapes import INDEX
+from statechart.charts.transitions import check_listening
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText, check_names
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.syntax import close_matches
-from statechart.transitions import check_listening
 
 
 class Scene(SceneFields):

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from statechart.automaton.automaton import Automaton
-from statechart.chart import Chart
 from statechart.documents.declaration import Declaration
 from statechart.offered import load
 
@@ -81,12 +80,3 @@ def offered(group: str, name: str) -> Any:
     """
     found = {entry.name: entry for entry in importlib.metadata.entry_points(group=group)}
     return load(found[name]) if name in found else None
-
-
-def _automaton(chart: Chart) -> Automaton:
-    from statechart.chart_automaton import automaton
-
-    return automaton(chart)
-
-
-CHART = Kind("chart", Chart, _automaton, Path(__file__).with_name("starter.yaml"))

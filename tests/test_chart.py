@@ -12,8 +12,8 @@ import sympy as sp
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD
 from statechart.automaton.trace import Outcome, Trace
-from statechart.chart import Chart
-from statechart.chart_automaton import automaton
+from statechart.charts.chart import Chart
+from statechart.charts.laws import automaton
 from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor

@@ -14,7 +14,7 @@ from contacts.symmetry import LENGTH, TIMES, mirrored, rescaled
 from contacts.testing import assert_energy
 from contacts.testing import properties as contact_properties
 from statechart.automaton.regions import State
-from statechart.chart import Chart
+from statechart.charts.chart import Chart
 from statechart.checking import check, examine
 from statechart.comparison import Reading
 from statechart.documents.yaml_reader import interpret, load, read_text

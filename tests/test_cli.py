@@ -387,7 +387,7 @@ def test_an_unexpected_error_is_one_message_unless_asked_for_more(
 def test_an_interrupted_run_reports_and_saves_what_there_is(
     cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from statechart.chart_automaton import ChartLaws
+    from statechart.charts.laws import ChartLaws
 
     jump, calls = ChartLaws.jump, []
 

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, model_validator
 
-from statechart.chart import Chart, Region, State, Transition
+from statechart.charts.chart import Chart, Region, State, Transition
+from statechart.charts.kind import CHART
 from statechart.documents.declaration import Settings, Stop
 from statechart.documents.document import Document
 from statechart.documents.outputs import Count, Event, Integral, Moment, Value
@@ -15,7 +16,7 @@ from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import find, interpret, load, read, read_text
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem, Position
-from statechart.kinds import CHART, kind, kinds
+from statechart.kinds import kind, kinds
 
 STARTER = CHART.starter.read_text(encoding="utf-8")
 

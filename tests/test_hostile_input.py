@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from statechart.chart import Chart
+from statechart.charts.chart import Chart
 from statechart.documents.document import Document
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import MAX_BYTES, MAX_DEPTH, MAX_VALUES, read_text

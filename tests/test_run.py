@@ -12,7 +12,7 @@ from runs import SOUND
 
 import models
 from statechart.accuracy import difference
-from statechart.chart import Chart
+from statechart.charts.chart import Chart
 from statechart.documents.yaml_reader import load, read_text
 from statechart.engines.choice import choose
 from statechart.engines.engine import Path as Steps

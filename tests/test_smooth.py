@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from contacts.scene import Scene
-from statechart.chart import Chart
+from statechart.charts.chart import Chart
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError

@@ -14,8 +14,8 @@ import pytest
 from models import path
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Clock, Jump, Outcome, Trace
-from statechart.chart import Chart
-from statechart.chart_automaton import automaton
+from statechart.charts.chart import Chart
+from statechart.charts.laws import automaton
 from statechart.documents.yaml_reader import load
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor

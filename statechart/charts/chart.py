@@ -7,6 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from statechart.charts.transitions import BaseTransition, check_listening, check_region
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.fields import (
     FiniteText,
@@ -22,7 +23,6 @@ from statechart.formulas.derived import check_derived
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.kinks import PIECES, check_smooth
 from statechart.formulas.syntax import close_matches
-from statechart.transitions import BaseTransition, check_listening, check_region
 
 
 class State(Part):

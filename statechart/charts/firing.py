@@ -28,10 +28,10 @@ from statechart.automaton.events import happened
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key
+from statechart.charts.transitions import BaseTransition
 from statechart.documents.outputs import Event
 from statechart.formulas.formula import Relation, parse_relation
 from statechart.formulas.tape import compile_tape
-from statechart.transitions import BaseTransition
 
 # Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts
 # at zero and rises from there with slope zero undecided.

@@ -1,7 +1,8 @@
 """A plain chart on the executor: regions from flows and guards, updates, Zeno transitions.
 
-When transitions fire: see `statechart.firing`. A transition that leads back to its own state and
-changes nothing would fire for ever; it is the limit of shrinking jumps, and the state's transition
+When transitions fire: see `statechart.charts.firing`. A transition that leads back to its own state
+and changes nothing would fire for ever; it is the limit of shrinking jumps, and the state's
+transition
 ``on: zeno``, if it has one, takes its place.
 """
 
@@ -22,11 +23,11 @@ from statechart.automaton.course import Courses
 from statechart.automaton.laws import HELD, Flow, Setup
 from statechart.automaton.regions import Edge, Margin, Region, State
 from statechart.automaton.trace import Clock, Jump, Key, between
-from statechart.chart import Chart, Transition
-from statechart.chart import Region as DeclaredRegion
+from statechart.charts.chart import Chart, Transition
+from statechart.charts.chart import Region as DeclaredRegion
+from statechart.charts.firing import Guard, Listening, Watch, considered, guards, size_of
 from statechart.documents.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
-from statechart.firing import Guard, Listening, Watch, considered, guards, size_of
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape, compile_tape
