@@ -30,10 +30,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from statechart import simulate
-from statechart.documents.yaml_reader import load
 from statechart.engines import taylor
 from statechart.engines.taylor import Taylor
-from statechart.kinds import kind
+from statechart.loading.kind import kind
+from statechart.loading.load import load
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.simulate import Simulator

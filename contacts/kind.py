@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from contacts.scene import Scene
 from statechart.automaton.automaton import Automaton
-from statechart.kinds import Kind
+from statechart.loading.kind import Kind
 
 if TYPE_CHECKING:
     from contacts.modes import ContactSymbols

@@ -20,7 +20,7 @@ from statechart.engines.engine import Engine
 from statechart.engines.request import BELOW
 from statechart.errors import SimulationError, StatechartError
 from statechart.estimate import BRIEF, Answer, Cost, tighten
-from statechart.kinds import offered
+from statechart.loading.kind import offered
 from statechart.nudge import nudged, widened
 from statechart.observe import Observer
 from statechart.outputs import Outputs

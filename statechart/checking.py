@@ -11,7 +11,7 @@ from statechart.comparison import Undecidable
 from statechart.documents.declaration import Declaration
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
-from statechart.kinds import offered
+from statechart.loading.kind import offered
 from statechart.ranges import parameters, ranges
 from statechart.subject import Case, Subject
 from statechart.testing import Property, generic

@@ -299,7 +299,7 @@ def check(arguments: argparse.Namespace) -> int:
 
 def schema(arguments: argparse.Namespace) -> int:
     """Print the JSON Schema of one kind of document, or of all."""
-    from statechart.schema import schema as schema_of
+    from statechart.loading.schema import schema as schema_of
 
     print(schema_of(arguments.kind), end="")
     return 0
@@ -308,9 +308,10 @@ def schema(arguments: argparse.Namespace) -> int:
 def new(arguments: argparse.Namespace) -> int:
     """Write a scene to start from."""
     from statechart.documents.files import write_atomic
-    from statechart.documents.yaml_reader import interpret, read_text
+    from statechart.documents.yaml_reader import read_text
     from statechart.formulas.syntax import NAME, RESERVED
-    from statechart.kinds import kind
+    from statechart.loading.kind import kind
+    from statechart.loading.load import interpret
 
     name = arguments.name
     if not NAME.fullmatch(name) or name in RESERVED:

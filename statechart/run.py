@@ -15,7 +15,7 @@ from statechart.automaton.trace import Key, Outcome, Trace
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
 from statechart.documents.validation import located
-from statechart.documents.yaml_reader import find, interpret, read
+from statechart.documents.yaml_reader import read
 from statechart.engines.budget import Allowance, Limited
 from statechart.engines.choice import choose
 from statechart.engines.engine import Engine
@@ -24,7 +24,8 @@ from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.estimate import Answer, Cost, tighten, within
 from statechart.formulas.formula import parse
 from statechart.formulas.syntax import close_matches
-from statechart.kinds import kind
+from statechart.loading.kind import kind
+from statechart.loading.load import find, interpret
 from statechart.nudge import nudged
 from statechart.observe import Observer
 from statechart.result import Asked, Result

@@ -23,7 +23,7 @@ from statechart.engines.request import Request
 from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape, compile_tape
-from statechart.kinds import kind
+from statechart.loading.kind import kind
 from statechart.nudge import loosened
 from statechart.observe import Observer
 from statechart.simulate import Simulator

@@ -11,11 +11,11 @@ from typing import Any
 import models
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
-from statechart.documents.yaml_reader import load
 from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
-from statechart.kinds import kind
+from statechart.loading.kind import kind
+from statechart.loading.load import load
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.simulate import Simulator

@@ -17,7 +17,8 @@ from statechart.automaton.regions import State
 from statechart.charts.chart import Chart
 from statechart.checking import check, examine
 from statechart.comparison import Reading
-from statechart.documents.yaml_reader import interpret, load, read_text
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret, load
 from statechart.ranges import ranges
 from statechart.subject import Subject
 from statechart.testing import assert_invariants, assert_margins, assert_prefix, dense, generic

@@ -17,11 +17,12 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.product import feasibility
 from statechart.automaton.trace import Trace
 from statechart.documents.validation import validate
-from statechart.documents.yaml_reader import interpret, read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, EventLoop
 from statechart.figure import figure
-from statechart.kinds import kind
+from statechart.loading.kind import kind
+from statechart.loading.load import interpret
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.run import Runner

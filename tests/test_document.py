@@ -13,10 +13,11 @@ from statechart.documents.declaration import Settings, Stop
 from statechart.documents.document import Document
 from statechart.documents.outputs import Count, Event, Integral, Moment, Value
 from statechart.documents.validation import validate
-from statechart.documents.yaml_reader import find, interpret, load, read, read_text
+from statechart.documents.yaml_reader import read, read_text
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem, Position
-from statechart.kinds import kind, kinds
+from statechart.loading.kind import kind, kinds
+from statechart.loading.load import find, interpret, load
 
 STARTER = CHART.starter.read_text(encoding="utf-8")
 

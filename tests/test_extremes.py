@@ -8,8 +8,9 @@ import math
 import pytest
 from runs import ENGINES, outputs, run
 
-from statechart.documents.yaml_reader import load, read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationProblem
+from statechart.loading.load import load
 from statechart.result import Result
 from statechart.run import Runner
 

@@ -9,11 +9,11 @@ from contacts.kind import automaton
 from contacts.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
-from statechart.documents.yaml_reader import load
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
 from statechart.figure import figure, render
-from statechart.kinds import kind
+from statechart.loading.kind import kind
+from statechart.loading.load import load
 from statechart.observe import Observer
 from statechart.simulate import Simulator
 

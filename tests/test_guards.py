@@ -17,8 +17,9 @@ from test_chart import compose, go, region, times
 from contacts.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Outcome, Trace
-from statechart.documents.yaml_reader import interpret, read_text
-from statechart.kinds import kind
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.kind import kind
+from statechart.loading.load import interpret
 from statechart.run import run as run_model
 from statechart.simulate import Simulator
 

@@ -13,8 +13,9 @@ from strategies import examples
 from contacts.polygons import FOUND, between, place
 from statechart.automaton.trace import Outcome
 from statechart.cli import main
-from statechart.documents.yaml_reader import interpret, read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
+from statechart.loading.load import interpret
 from statechart.run import Runner
 
 

@@ -10,8 +10,9 @@ import pytest
 
 from statechart.automaton.trace import Outcome
 from statechart.cli import main
-from statechart.documents.yaml_reader import interpret, read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
 from statechart.run import Runner, run
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -6,9 +6,9 @@ from runs import EVENT_BASED, PARADOXICAL
 
 from statechart.checking import check
 from statechart.comparison import Undecidable, assert_same
-from statechart.documents.yaml_reader import load
 from statechart.engines.choice import choose
 from statechart.engines.scipy import METHODS
+from statechart.loading.load import load
 from statechart.simulate import Simulator
 from statechart.subject import Subject
 

@@ -10,10 +10,10 @@ import pytest
 
 import contacts
 from statechart.errors import StatechartError
-from statechart.kinds import kind
+from statechart.loading.kind import kind
 
 SCRIPT = """\
-from statechart.documents.yaml_reader import find
+from statechart.loading.load import find
 import models
 assert models.MINE
 print(find("dice").name)

@@ -9,9 +9,9 @@ import pytest
 from contacts.kind import automaton
 from contacts.scene import Scene
 from statechart.automaton.trace import Trace
-from statechart.documents.yaml_reader import load
 from statechart.engines.taylor import Taylor
 from statechart.errors import FormulaError
+from statechart.loading.load import load
 from statechart.observe import Observer
 from statechart.outputs import Outputs, outputs
 from statechart.report import report

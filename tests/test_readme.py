@@ -10,7 +10,8 @@ from typing import Any
 from contacts.scene import Scene
 from models import names, path
 from statechart.cli import main
-from statechart.documents.yaml_reader import interpret, read_text
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -18,7 +18,8 @@ from contacts.testing import assert_cone, assert_in_cone
 from statechart.checking import check
 from statechart.cli import main
 from statechart.comparison import Sensitivity, assert_same
-from statechart.documents.yaml_reader import interpret, load, read_text
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret, load
 from statechart.subject import Subject
 
 HEAP = """

@@ -19,9 +19,9 @@ from contacts.scene import Scene
 from statechart import study_file, tables
 from statechart.automaton.trace import Trace
 from statechart.documents import files
-from statechart.documents.yaml_reader import load
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
+from statechart.loading.load import load
 from statechart.observe import Observer
 from statechart.pieces import Pieces
 from statechart.report import dumps, report

@@ -13,8 +13,9 @@ from contacts.modes import Free, Slide
 from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
 from statechart.automaton.product import graph, product_modes
-from statechart.documents.yaml_reader import interpret, read_text
+from statechart.documents.yaml_reader import read_text
 from statechart.engines.scipy import SciPy
+from statechart.loading.load import interpret
 from statechart.run import Runner
 from statechart.simulate import Simulator
 

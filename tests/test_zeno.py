@@ -16,10 +16,10 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Clock, Jump, Outcome, Trace
 from statechart.charts.chart import Chart
 from statechart.charts.laws import automaton
-from statechart.documents.yaml_reader import load
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.errors import SimulationError
+from statechart.loading.load import load
 from statechart.simulate import Simulator
 from statechart.zeno import Accumulation
 

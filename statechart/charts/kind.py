@@ -6,7 +6,7 @@ from pathlib import Path
 
 from statechart.automaton.automaton import Automaton
 from statechart.charts.chart import Chart
-from statechart.kinds import Kind
+from statechart.loading.kind import Kind
 
 
 def _automaton(chart: Chart) -> Automaton:

@@ -9,9 +9,8 @@ The plain values are those of YAML 1.2's core schema: `1e-3` is a number, `off` 
 
 from __future__ import annotations
 
-import importlib.metadata
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -34,12 +33,8 @@ from ruamel.yaml.events import (
 from ruamel.yaml.reader import ReaderError
 
 from statechart.documents.document import Document, Loc
-from statechart.documents.validation import validate
 from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Position
-from statechart.formulas.syntax import close_matches
-from statechart.kinds import kind, kinds
-from statechart.offered import module
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -235,81 +230,3 @@ class _Builder:
         raise DeclarationError(
             message, advice=advice, source=at.source, line=at.line, column=at.column
         )
-
-
-def interpret(document: Document) -> BaseModel:
-    """Build the model of the kind that the document names in its `kind:`.
-
-    Parameters
-    ----------
-    document : Document
-        What was read.
-
-    Raises
-    ------
-    DeclarationError
-        If it names no known kind, or is not a correct model of it.
-    """
-    name = document.data.get("kind")
-    if not isinstance(name, str) or name not in kinds():
-        at = document.position(("kind",))
-        found = f"unknown kind {name!r}" if "kind" in document.data else "'kind' is missing"
-        raise DeclarationError(
-            found,
-            advice=close_matches(str(name), kinds()),
-            source=at.source,
-            line=at.line,
-            column=at.column,
-        )
-    return validate(document, kind(name).model)
-
-
-def load(path_or_name: str | Path) -> BaseModel:
-    """Read a model: a file, or a shipped model by its name.
-
-    Parameters
-    ----------
-    path_or_name : str or Path
-        See `find`.
-
-    Raises
-    ------
-    DeclarationError
-        If there is none, or it is wrong.
-    """
-    return interpret(read(find(str(path_or_name))))
-
-
-def find(path_or_name: str) -> Path:
-    """Return the file that a path or the name of a shipped model stands for.
-
-    Parameters
-    ----------
-    path_or_name : str
-        An existing path comes first.
-
-    Raises
-    ------
-    DeclarationError
-        If neither exists; with the names that it may have meant.
-    """
-    path = Path(path_or_name)
-    try:
-        exists, is_file = path.exists(), path.is_file()
-    except (OSError, ValueError) as error:
-        raise DeclarationError(f"not a path: {error}", source=repr(path_or_name)) from None
-    if is_file:
-        return path
-    names: list[str] = []
-    for entry in importlib.metadata.entry_points(group="statechart.models"):
-        offering = module(entry)
-        shipped: Callable[[str], Path | None] = getattr(offering, entry.attr)
-        if (found := shipped(path_or_name)) is not None:
-            return found
-        names += getattr(offering, "names", list)()
-    if exists:
-        return path
-    raise DeclarationError(
-        f"no such file, and no shipped model of this name: {path_or_name!r}",
-        advice=close_matches(path_or_name, names),
-    )

@@ -11,7 +11,7 @@ from typing import Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import Declaration
-from statechart.offered import load
+from statechart.loading.offered import load
 
 
 @dataclass(frozen=True)

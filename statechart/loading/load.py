@@ -1,0 +1,95 @@
+"""From a path, or the name of a shipped model, to a model."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Callable
+from pathlib import Path
+
+from pydantic import BaseModel
+
+from statechart.documents.document import Document
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import read
+from statechart.errors import DeclarationError
+from statechart.formulas.syntax import close_matches
+from statechart.loading.kind import kind, kinds
+from statechart.loading.offered import module
+
+
+def interpret(document: Document) -> BaseModel:
+    """Build the model of the kind that the document names in its `kind:`.
+
+    Parameters
+    ----------
+    document : Document
+        What was read.
+
+    Raises
+    ------
+    DeclarationError
+        If it names no known kind, or is not a correct model of it.
+    """
+    name = document.data.get("kind")
+    if not isinstance(name, str) or name not in kinds():
+        at = document.position(("kind",))
+        found = f"unknown kind {name!r}" if "kind" in document.data else "'kind' is missing"
+        raise DeclarationError(
+            found,
+            advice=close_matches(str(name), kinds()),
+            source=at.source,
+            line=at.line,
+            column=at.column,
+        )
+    return validate(document, kind(name).model)
+
+
+def load(path_or_name: str | Path) -> BaseModel:
+    """Read a model: a file, or a shipped model by its name.
+
+    Parameters
+    ----------
+    path_or_name : str or Path
+        See `find`.
+
+    Raises
+    ------
+    DeclarationError
+        If there is none, or it is wrong.
+    """
+    return interpret(read(find(str(path_or_name))))
+
+
+def find(path_or_name: str) -> Path:
+    """Return the file that a path or the name of a shipped model stands for.
+
+    Parameters
+    ----------
+    path_or_name : str
+        An existing path comes first.
+
+    Raises
+    ------
+    DeclarationError
+        If neither exists; with the names that it may have meant.
+    """
+    path = Path(path_or_name)
+    try:
+        exists, is_file = path.exists(), path.is_file()
+    except (OSError, ValueError) as error:
+        raise DeclarationError(f"not a path: {error}", source=repr(path_or_name)) from None
+    if is_file:
+        return path
+    names: list[str] = []
+    for entry in importlib.metadata.entry_points(group="statechart.models"):
+        offering = module(entry)
+        shipped: Callable[[str], Path | None] = getattr(offering, entry.attr)
+        if (found := shipped(path_or_name)) is not None:
+            return found
+        names += getattr(offering, "names", list)()
+    if exists:
+        return path
+    raise DeclarationError(
+        f"no such file, and no shipped model of this name: {path_or_name!r}",
+        advice=close_matches(path_or_name, names),
+    )
