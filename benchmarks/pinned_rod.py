@@ -23,7 +23,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
-from statechart.simulate import Simulator
+from statechart.execution.simulator import Simulator
 
 ROD = """\
 kind: scene

@@ -35,8 +35,8 @@ from contacts.scene import Scene
 from statechart.automaton.dense_output import lowest
 from statechart.automaton.trace import Outcome, Trace
 from statechart.engines.choice import choose
+from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import Tape, compile_tape
-from statechart.simulate import Simulator
 
 Numbers = Mapping[str, float]
 Draw = Callable[[np.random.Generator], dict[str, float]]

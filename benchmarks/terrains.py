@@ -23,7 +23,7 @@ from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.engines.choice import choose
-from statechart.simulate import Simulator
+from statechart.execution.simulator import Simulator
 
 _G, _UNTIL = 9.81, 1.0
 _HILLS, _BUMP = "A*sin(k*x + phase)", "A*exp(-((x - c)/w)**2)"

@@ -29,14 +29,14 @@ import heyoka as hy
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from statechart import simulate
 from statechart.engines import taylor
 from statechart.engines.taylor import Taylor
+from statechart.execution import simulator as simulate
+from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observe import Observer
 from statechart.outputs import Outputs
-from statechart.simulate import Simulator
 
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "toppling_stick.json"
 ROUNDS, SLOW, TURN = 40, 3, 10

@@ -24,7 +24,7 @@ from statechart.automaton.trace import Trace
 from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
-from statechart.simulate import Simulator
+from statechart.execution.simulator import Simulator
 
 _REPEATS = 3
 

@@ -20,13 +20,14 @@ from statechart.engines.engine import Engine
 from statechart.engines.request import BELOW
 from statechart.errors import SimulationError, StatechartError
 from statechart.estimate import BRIEF, Answer, Cost, tighten
+from statechart.execution.outcome import error_of
+from statechart.execution.perturbation import nudged, widened
+from statechart.execution.simulator import Simulator
+from statechart.execution.time_stepping import SteppingSimulator
 from statechart.loading.kind import offered
-from statechart.nudge import nudged, widened
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.outputs import Result as Output
-from statechart.simulate import Simulator, error_of
-from statechart.stepping import SteppingSimulator
 from statechart.study import Errors, Point, Setting, Study
 
 # References, the best first: any one is checked by the next of another engine, or another method

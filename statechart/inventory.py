@@ -9,8 +9,8 @@ import numpy as np
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, Setup, plain
 from statechart.automaton.trace import Trace
+from statechart.execution.simulator import Simulator
 from statechart.observe import Observer
-from statechart.simulate import Simulator
 
 
 def built(observer: Observer, trace: Trace) -> dict[str, Any]:

@@ -23,12 +23,12 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.modes import build_mode
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Arc, Jump, Key, Trace
+from statechart.execution.simulator import Simulator
+from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Singular
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.sampling import Points, Samples, along, at_times, extremes, subdivided
-from statechart.simulate import Simulator
-from statechart.stepping import SteppingSimulator
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 """Text over the observables' names, or an expression in the automaton's own symbols."""

@@ -14,11 +14,11 @@ import numpy as np
 from statechart.automaton.dense_output import lowest
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Jump, Key, Trace
+from statechart.execution.simulator import Simulator
 from statechart.inventory import built, left_out
 from statechart.observe import Observer
 from statechart.outputs import outputs
 from statechart.pieces import Pieces
-from statechart.simulate import Simulator
 
 
 def report(

@@ -22,15 +22,16 @@ from statechart.engines.engine import Engine
 from statechart.engines.request import Request
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.estimate import Answer, Cost, tighten, within
+from statechart.execution.outcome import error_of
+from statechart.execution.perturbation import nudged
+from statechart.execution.simulator import Simulator
+from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.syntax import close_matches
 from statechart.loading.kind import kind
 from statechart.loading.load import find, interpret
-from statechart.nudge import nudged
 from statechart.observe import Observer
 from statechart.result import Asked, Result
-from statechart.simulate import Simulator, error_of
-from statechart.stepping import SteppingSimulator
 
 if TYPE_CHECKING:
     from statechart.engines.request import Measured

@@ -21,13 +21,13 @@ from statechart.documents.declaration import Declaration
 from statechart.engines.choice import choose
 from statechart.engines.request import Request
 from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
+from statechart.execution.perturbation import loosened
+from statechart.execution.simulator import Simulator
+from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.loading.kind import kind
-from statechart.nudge import loosened
 from statechart.observe import Observer
-from statechart.simulate import Simulator
-from statechart.stepping import SteppingSimulator
 
 _KEPT = 64  # cases whose runs are kept for the next property
 

@@ -14,11 +14,11 @@ from statechart.automaton.trace import Trace
 from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
+from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observe import Observer
 from statechart.outputs import Outputs
-from statechart.simulate import Simulator
 
 # What these show is a run that cannot go on.
 PARADOXICAL = ("no_slip_pencil",)

@@ -13,9 +13,9 @@ from strategies import examples
 from test_guards import run, scene, times
 
 from statechart.automaton.trace import Outcome
+from statechart.execution.simulator import Simulator
 from statechart.observe import Observer
 from statechart.outputs import Outputs
-from statechart.simulate import Simulator
 
 both = pytest.mark.parametrize("name", ENGINES)
 

@@ -18,7 +18,7 @@ from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationProblem, EventLoop, NonFinite
-from statechart.simulate import Simulator
+from statechart.execution.simulator import Simulator
 
 TAYLOR, SCIPY = Taylor(2.2e-16), SciPy(1e-12)
 both = pytest.mark.parametrize("engine", [TAYLOR, SCIPY], ids=["taylor", "scipy"])

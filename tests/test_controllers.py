@@ -20,13 +20,13 @@ from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, EventLoop
+from statechart.execution.simulator import Simulator
 from statechart.figure import figure
 from statechart.loading.kind import kind
 from statechart.loading.load import interpret
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.run import Runner
-from statechart.simulate import Simulator
 from statechart.subject import Subject
 from statechart.testing import generic
 

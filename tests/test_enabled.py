@@ -21,7 +21,7 @@ from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem
-from statechart.simulate import Simulator
+from statechart.execution.simulator import Simulator
 from statechart.subject import Subject
 
 

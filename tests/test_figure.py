@@ -11,11 +11,11 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
+from statechart.execution.simulator import Simulator
 from statechart.figure import figure, render
 from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observe import Observer
-from statechart.simulate import Simulator
 
 
 @pytest.fixture(scope="module")

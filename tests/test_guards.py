@@ -18,10 +18,10 @@ from contacts.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.yaml_reader import read_text
+from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import interpret
 from statechart.run import run as run_model
-from statechart.simulate import Simulator
 
 both = pytest.mark.parametrize("name", ENGINES)
 

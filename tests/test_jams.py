@@ -15,7 +15,7 @@ from statechart.automaton.laws import UNBOUNDED, Flow
 from statechart.automaton.trace import Clock, Outcome, Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
-from statechart.simulate import Simulator
+from statechart.execution.simulator import Simulator
 
 ROD = """\
 kind: scene

@@ -22,9 +22,9 @@ from contacts.kind import automaton
 from contacts.parts import Body, Contact, Coordinate, Force, Joint, Path, Point, Surface
 from contacts.scene import Scene
 from statechart.automaton.trace import Outcome, Trace
+from statechart.execution.simulator import Simulator
 from statechart.observe import Observer
 from statechart.run import Runner
-from statechart.simulate import Simulator
 
 Array = NDArray[np.float64]
 

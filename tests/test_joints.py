@@ -24,10 +24,10 @@ from statechart.documents.yaml_reader import read_text
 from statechart.documents.yaml_text import dump
 from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationError, DeclarationProblem, NoConsistentMode
+from statechart.execution.simulator import Simulator
 from statechart.observe import Observer
 from statechart.outputs import Outputs
 from statechart.run import Runner
-from statechart.simulate import Simulator
 from statechart.subject import Subject
 
 # A crank of length 1, a coupler of length 2, ends on the x axis: angles at the start.

@@ -6,12 +6,12 @@ import math
 
 import pytest
 
-from statechart import advance
 from statechart.automaton import trace
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
 from statechart.engines import engine
 from statechart.errors import DeclarationError
+from statechart.execution import flow as advance
 from statechart.run import Runner, run
 
 CHART = """\

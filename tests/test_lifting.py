@@ -16,8 +16,8 @@ from contacts.kind import automaton
 from contacts.scene import Scene
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
+from statechart.execution.simulator import Simulator
 from statechart.run import run
-from statechart.simulate import Simulator
 
 SCENE = """\
 kind: scene

@@ -8,8 +8,8 @@ from statechart.checking import check
 from statechart.comparison import Undecidable, assert_same
 from statechart.engines.choice import choose
 from statechart.engines.scipy import METHODS
+from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
-from statechart.simulate import Simulator
 from statechart.subject import Subject
 
 NAMES = EVENT_BASED

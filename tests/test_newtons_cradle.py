@@ -17,8 +17,8 @@ from contacts.parts import Simultaneous
 from contacts.scene import Scene
 from statechart.cli import main
 from statechart.comparison import Undecidable, assert_same
+from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
-from statechart.simulate import Simulator
 from statechart.subject import Subject
 from statechart.testing import assert_engines_agree
 

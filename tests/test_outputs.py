@@ -11,11 +11,11 @@ from contacts.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.engines.taylor import Taylor
 from statechart.errors import FormulaError
+from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observe import Observer
 from statechart.outputs import Outputs, outputs
 from statechart.report import report
-from statechart.simulate import Simulator
 
 MODELS = Path(__file__).parent.parent / "models"
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "toppling_stick.json").read_text())

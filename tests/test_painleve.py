@@ -15,7 +15,7 @@ from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
 from contacts.setup import SceneSetup
 from statechart.automaton.trace import Outcome, Trace
-from statechart.simulate import Simulator
+from statechart.execution.simulator import Simulator
 
 TABLE = golden("painleve")["sliding_table"]
 

@@ -23,8 +23,8 @@ from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot
 from contacts.springs import springs
 from statechart.automaton.trace import Outcome, Trace
+from statechart.execution.simulator import Simulator
 from statechart.observe import Observer
-from statechart.simulate import Simulator
 
 Array = NDArray[np.float64]
 ALL = ("free", "slide+", "slide-", "pin")

@@ -16,7 +16,7 @@ from statechart.automaton.trace import Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
-from statechart.simulate import Simulator
+from statechart.execution.simulator import Simulator
 
 pytestmark = pytest.mark.parametrize("name", ENGINES)
 

@@ -21,11 +21,11 @@ from statechart.automaton.trace import Trace
 from statechart.documents import files
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
+from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observe import Observer
 from statechart.pieces import Pieces
 from statechart.report import dumps, report
-from statechart.simulate import Simulator
 from statechart.tables import events_table, samples_table, save, to_xarray, write_run
 
 resource = pytest.importorskip("resource")

@@ -13,7 +13,7 @@ from contacts.kind import automaton
 from contacts.scene import Scene
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
-from statechart.simulate import Simulator
+from statechart.execution.simulator import Simulator
 
 MODEL = "two_balls"
 G, RADIUS = 9.81, 0.1

@@ -15,9 +15,9 @@ from contacts.scene import Scene
 from statechart.automaton.product import graph, product_modes
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.scipy import SciPy
+from statechart.execution.simulator import Simulator
 from statechart.loading.load import interpret
 from statechart.run import Runner
-from statechart.simulate import Simulator
 
 
 def ladder(lean: float, inertia: float, friction: object = 0) -> Scene:

@@ -20,8 +20,8 @@ from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.scipy import SciPy
 from statechart.errors import DeclarationError, DeclarationProblem
+from statechart.execution.simulator import Simulator
 from statechart.run import Runner
-from statechart.simulate import Simulator
 
 BLOCK = """\
 kind: scene

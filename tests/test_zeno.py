@@ -19,9 +19,9 @@ from statechart.charts.laws import automaton
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.errors import SimulationError
+from statechart.execution.simulator import Simulator
+from statechart.execution.zeno import Accumulation
 from statechart.loading.load import load
-from statechart.simulate import Simulator
-from statechart.zeno import Accumulation
 
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "bouncing_ball_flat.json").read_text())
 FIRST = math.sqrt(2.0 / 9.81)

@@ -53,7 +53,7 @@ class SteppingSimulator:
     ) -> Trace:
         """Run from the declared initial state, as `Simulator.run` does."""
         from statechart.automaton.trace import Outcome
-        from statechart.simulate import Progress, error_of
+        from statechart.execution.outcome import Progress, error_of
 
         shown = Progress(until) if self.progress else None
         trace = self.stepper.run(

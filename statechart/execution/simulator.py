@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import time as wall
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -13,7 +11,6 @@ import numpy as np
 import sympy as sp
 
 from statechart import interrupts
-from statechart.advance import CompiledMode, advance, compile_mode
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import CAPTURED, HELD, UNBOUNDED, Flow, Setup, plain, uncaptured
@@ -32,8 +29,10 @@ from statechart.automaton.trace import (
 )
 from statechart.engines.engine import Engine, Path, Watch
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
+from statechart.execution.flow import CompiledMode, advance, compile_mode
+from statechart.execution.outcome import Progress, error_of
+from statechart.execution.zeno import Accumulation
 from statechart.formulas.series import size_at
-from statechart.zeno import Accumulation
 
 # At such a rate a variable would have changed by this many times its size.
 _STEEP = 1e6
@@ -50,7 +49,6 @@ _AHEAD = 16.0
 _STEADY = 512
 # A flow of no scale is looked at so far ahead at first: its powers are floats.
 _FARTHEST = 1e12
-_PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown
 
 
 class Simulator:
@@ -170,32 +168,6 @@ class Simulator:
     def modes_built(self) -> int:
         """Number of modes whose equations were built so far."""
         return len(self._built)
-
-
-class Progress:
-    """Reports to stderr on runs above about a second.
-
-    Parameters
-    ----------
-    until : float
-        End of the run.
-    """
-
-    def __init__(self, until: float) -> None:
-        self._until = until
-        self._began = self._shown = wall.perf_counter()
-
-    def show(self, time: float, jumps: int, steps: int) -> None:
-        """Say how far the run is, if that was not said within the last second."""
-        now = wall.perf_counter()
-        if now - self._shown < _PROGRESS_AFTER:
-            return
-        self._shown = now
-        sys.stderr.write(
-            f"t = {time:.6g} of {self._until:g}, {jumps} jumps, {steps} steps, "
-            f"{now - self._began:.0f} s\n"
-        )
-        sys.stderr.flush()
 
 
 @dataclass(eq=False)
@@ -574,10 +546,4 @@ def _terms(times: Array, coefficients: Array) -> Array:
     return np.column_stack([last, rates * times[-1]])
 
 
-def error_of(trace: Trace) -> SimulationError:
-    """Return the error that an outcome stands for, with the trace."""
-    return _ERRORS.get(trace.outcome, SimulationError)(trace.message, trace=trace)
-
-
-_ERRORS = {Outcome[e.outcome]: e for e in SimulationError.__subclasses__()}
 _UNCERTIFIED = (Outcome.UNDECIDED, Outcome.NON_FINITE)
