@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from statechart.accuracy import difference
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import StatechartError
-from statechart.outputs import Outputs
+from statechart.observation.difference import difference
+from statechart.observation.outputs import Outputs
 from statechart.result import Result
 from statechart.run import Runner
 

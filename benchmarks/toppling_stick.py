@@ -35,8 +35,8 @@ from statechart.execution import simulator as simulate
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
-from statechart.observe import Observer
-from statechart.outputs import Outputs
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
 
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "toppling_stick.json"
 ROUNDS, SLOW, TURN = 40, 3, 10

@@ -12,7 +12,7 @@ from contacts.states import OFF
 from statechart.automaton.trace import Key, Trace
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import parse
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
 
 # Of a run of many steps fewer points of each are looked at.
 _MANY = 5000

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from statechart.accuracy import difference
+from statechart.observation.difference import difference
 from statechart.report import json_safe
 
 if TYPE_CHECKING:

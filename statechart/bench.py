@@ -10,7 +10,6 @@ from functools import reduce
 
 import numpy as np
 
-from statechart.accuracy import compare, distance, paired, parted
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Jump, Outcome, Trace
@@ -25,9 +24,10 @@ from statechart.execution.perturbation import nudged, widened
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.loading.kind import offered
-from statechart.observe import Observer
-from statechart.outputs import Outputs
-from statechart.outputs import Result as Output
+from statechart.observation.difference import compare, distance, paired, parted
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
+from statechart.observation.outputs import Result as Output
 from statechart.study import Errors, Point, Setting, Study
 
 # References, the best first: any one is checked by the next of another engine, or another method

@@ -17,7 +17,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace
-from statechart.summed import without_summed
+from statechart.observation.zeno_tails import without_summed
 
 NUDGE = 1e-7
 """Relative change of parameters that shows how errors grow; above the errors of the runs."""
@@ -68,9 +68,9 @@ class Sensitivity:
     nudged : sequence of Trace
         The run with its parameters changed by a relative `NUDGE`, one way and another.
     conditions : sequence of float or None
-        Of its events, from `statechart.condition.conditions`. What a flight of a millionth of
-        the run lasts is known to a millionth of the digits: a body leaves where its impact was
-        found, to rounding, and that nudged parameters do not show.
+        Of its events, from `statechart.observation.condition.conditions`. What a flight of a
+        millionth of the run lasts is known to a millionth of the digits: a body leaves where its
+        impact was found, to rounding, and that nudged parameters do not show.
     """
 
     nudged: Sequence[Trace]

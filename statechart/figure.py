@@ -15,8 +15,8 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
-from statechart.observe import Observer
-from statechart.sampling import Samples
+from statechart.observation.observer import Observer
+from statechart.observation.sampling import Samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

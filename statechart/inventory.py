@@ -10,7 +10,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, Setup, plain
 from statechart.automaton.trace import Trace
 from statechart.execution.simulator import Simulator
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
 
 
 def built(observer: Observer, trace: Trace) -> dict[str, Any]:

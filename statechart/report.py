@@ -16,8 +16,8 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Jump, Key, Trace
 from statechart.execution.simulator import Simulator
 from statechart.inventory import built, left_out
-from statechart.observe import Observer
-from statechart.outputs import outputs
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import outputs
 from statechart.pieces import Pieces
 
 
@@ -53,7 +53,7 @@ def report(
     asked : mapping, optional
         What was asked for instead of a tolerance, and what it took.
     conditions : sequence of float or None
-        Of every event, from `statechart.condition.conditions`; shown where given.
+        Of every event, from `statechart.observation.condition.conditions`; shown where given.
     pieces : Pieces, optional
         Takes what could not be evaluated, and why, instead of an error; `left_out` has it too.
 

@@ -11,9 +11,9 @@ from typing import Any
 
 from statechart.automaton.trace import Trace
 from statechart.estimate import Cost
-from statechart.observe import Observer
-from statechart.outputs import Outputs
-from statechart.outputs import Result as Output
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
+from statechart.observation.outputs import Result as Output
 from statechart.pieces import Pieces
 
 
@@ -93,7 +93,7 @@ class Result:
     @cached_property
     def conditions(self) -> tuple[float | None, ...]:
         """How much an error is magnified into the time of every event; see `conditions`."""
-        from statechart.condition import conditions
+        from statechart.observation.condition import conditions
 
         return conditions(self.observer, self.trace)
 

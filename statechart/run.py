@@ -30,7 +30,7 @@ from statechart.formulas.formula import parse
 from statechart.formulas.syntax import close_matches
 from statechart.loading.kind import kind
 from statechart.loading.load import find, interpret
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
 from statechart.result import Asked, Result
 
 if TYPE_CHECKING:

@@ -82,11 +82,12 @@ class Errors(_Record):
     Attributes
     ----------
     state, times, outputs : float or None
-        As in `statechart.accuracy.Difference`; times and outputs None where the modes differ.
+        As in `statechart.observation.difference.Difference`; times and outputs None where the modes
+        differ.
     named : mapping of str to float
         Of every output, whatever the modes.
     path : float or None
-        See `statechart.accuracy.distance`.
+        See `statechart.observation.difference.distance`.
     energy : float or None
         Largest difference of the energy at the events and the end, relative to its size.
     violations : mapping of str to float
@@ -142,7 +143,8 @@ class Point(_Record):
     diverged : float or None
         When it first did not.
     parted : float or None
-        When it left the reference for good to the eye; see `statechart.accuracy.parted`.
+        When it left the reference for good to the eye; see
+        `statechart.observation.difference.parted`.
     refused : str
         Why a run to an accuracy says itself that it did not reach it; else empty.
     errors : Errors

@@ -16,7 +16,6 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.comparison import NUDGE, Sensitivity, Undecidable
-from statechart.condition import conditions
 from statechart.documents.declaration import Declaration
 from statechart.engines.choice import choose
 from statechart.engines.request import Request
@@ -27,7 +26,8 @@ from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.loading.kind import kind
-from statechart.observe import Observer
+from statechart.observation.condition import conditions
+from statechart.observation.observer import Observer
 
 _KEPT = 64  # cases whose runs are kept for the next property
 

@@ -19,10 +19,10 @@ import xarray as xr
 from statechart.automaton.trace import Trace
 from statechart.documents.files import aside, write_atomic
 from statechart.errors import StatechartError
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
+from statechart.observation.sampling import Samples
 from statechart.pieces import Pieces, rows
 from statechart.report import dumps
-from statechart.sampling import Samples
 
 # Names of the coordinates and dimensions, and those that the file format keeps for itself.
 _TAKEN = frozenset({"t", "j", "mode", "sample", "event"}) | frozenset(

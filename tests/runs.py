@@ -17,8 +17,8 @@ from statechart.engines.taylor import Taylor
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
-from statechart.observe import Observer
-from statechart.outputs import Outputs
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
 
 # What these show is a run that cannot go on.
 PARADOXICAL = ("no_slip_pencil",)

@@ -14,8 +14,8 @@ from test_guards import run, scene, times
 
 from statechart.automaton.trace import Outcome
 from statechart.execution.simulator import Simulator
-from statechart.observe import Observer
-from statechart.outputs import Outputs
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
 
 both = pytest.mark.parametrize("name", ENGINES)
 

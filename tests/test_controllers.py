@@ -24,8 +24,8 @@ from statechart.execution.simulator import Simulator
 from statechart.figure import figure
 from statechart.loading.kind import kind
 from statechart.loading.load import interpret
-from statechart.observe import Observer
-from statechart.outputs import Outputs
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
 from statechart.run import Runner
 from statechart.subject import Subject
 from statechart.testing import generic

@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 from runs import golden
 
-from statechart.accuracy import compare, paired, parted
 from statechart.automaton.trace import Outcome
 from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.budget import Allowance
 from statechart.errors import OutOfBudget
 from statechart.estimate import Once, tighten, within
+from statechart.observation.difference import compare, paired, parted
 from statechart.run import Runner, run
 
 THROWN = """\

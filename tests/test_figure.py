@@ -15,7 +15,7 @@ from statechart.execution.simulator import Simulator
 from statechart.figure import figure, render
 from statechart.loading.kind import kind
 from statechart.loading.load import load
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from runs import ENGINES, outputs, run, simulator
 
 from statechart.automaton.trace import Outcome
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
 from statechart.report import report
 
 MODEL = "four_legged_table"

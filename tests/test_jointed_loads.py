@@ -23,7 +23,7 @@ from contacts.parts import Body, Contact, Coordinate, Force, Joint, Path, Point,
 from contacts.scene import Scene
 from statechart.automaton.trace import Outcome, Trace
 from statechart.execution.simulator import Simulator
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
 from statechart.run import Runner
 
 Array = NDArray[np.float64]

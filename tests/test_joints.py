@@ -25,8 +25,8 @@ from statechart.documents.yaml_text import dump
 from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationError, DeclarationProblem, NoConsistentMode
 from statechart.execution.simulator import Simulator
-from statechart.observe import Observer
-from statechart.outputs import Outputs
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
 from statechart.run import Runner
 from statechart.subject import Subject
 

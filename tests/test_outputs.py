@@ -13,8 +13,8 @@ from statechart.engines.taylor import Taylor
 from statechart.errors import FormulaError
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
-from statechart.observe import Observer
-from statechart.outputs import Outputs, outputs
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs, outputs
 from statechart.report import report
 
 MODELS = Path(__file__).parent.parent / "models"

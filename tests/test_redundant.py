@@ -24,7 +24,7 @@ from contacts.snapshot import Snapshot
 from contacts.springs import springs
 from statechart.automaton.trace import Outcome, Trace
 from statechart.execution.simulator import Simulator
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
 
 Array = NDArray[np.float64]
 ALL = ("free", "slide+", "slide-", "pin")

@@ -11,13 +11,13 @@ import pytest
 from runs import SOUND
 
 import models
-from statechart.accuracy import difference
 from statechart.charts.chart import Chart
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.choice import choose
 from statechart.engines.engine import Path as Steps
 from statechart.errors import DeclarationError, SimulationError, StepFailure, Unsupported
 from statechart.loading.load import load
+from statechart.observation.difference import difference
 from statechart.run import Runner, run
 
 BALL = """\

@@ -23,7 +23,7 @@ from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
 from statechart.pieces import Pieces
 from statechart.report import dumps, report
 from statechart.tables import events_table, samples_table, save, to_xarray, write_run

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from statechart.accuracy import distance
 from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
+from statechart.observation.difference import distance
 from statechart.run import Runner
 from statechart.slopes import slopes
 from statechart.study import Errors, Point, Setting, Study, fingerprint

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from statechart.automaton.events import happened
 from statechart.automaton.trace import Jump, Trace
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Value
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
 
 Result = float | int | list[float] | None
 """A number; a list for a value at `each` event; None where the event never happened."""

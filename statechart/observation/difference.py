@@ -12,9 +12,9 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Trace, sizes
-from statechart.outputs import Result as Output
-from statechart.sampling import at_times
-from statechart.summed import without_summed
+from statechart.observation.outputs import Result as Output
+from statechart.observation.sampling import at_times
+from statechart.observation.zeno_tails import without_summed
 
 # A number that is this much smaller than every other of its run is the rounding of zero, and has
 # no digits to be right. Speeds of a stack at rest are, by time stepping, 1.5e-12.
@@ -41,8 +41,8 @@ class Difference:
     times : float
         Of the times of the events that both have and of the end, relative to the end.
     named : mapping of str to float
-        Of every output, relative to its size (see `statechart.outputs.Outputs.sizes`). Counts are
-        not compared, as a Zeno sequence has any number of jumps.
+        Of every output, relative to its size (see `statechart.observation.outputs.Outputs.sizes`).
+        Counts are not compared, as a Zeno sequence has any number of jumps.
     diverged : float or None
         When they first took different modes or ended for different reasons; None if they did
         not.

@@ -28,7 +28,7 @@ from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Singular
 from statechart.formulas.tape import Tape, compile_tape
-from statechart.sampling import Points, Samples, along, at_times, extremes, subdivided
+from statechart.observation.sampling import Points, Samples, along, at_times, extremes, subdivided
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 """Text over the observables' names, or an expression in the automaton's own symbols."""

@@ -13,7 +13,7 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Margin
 from statechart.automaton.trace import Arc, Jump, Trace, sizes
 from statechart.execution.simulator import Simulator
-from statechart.observe import Observer
+from statechart.observation.observer import Observer
 
 # The step of central differences that balances truncation and rounding, relative to a variable.
 _STEP = float(np.finfo(float).eps) ** (1.0 / 3.0)
