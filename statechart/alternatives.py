@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from statechart.observation.difference import difference
-from statechart.report import json_safe
+from statechart.reporting.report import json_safe
 
 if TYPE_CHECKING:
     from statechart.result import Result

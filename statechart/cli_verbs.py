@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from statechart import interrupts
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.formulas.syntax import close_matches
-from statechart.pieces import Pieces
+from statechart.reporting.pieces import Pieces
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -31,7 +31,7 @@ _PATIENCE = 1.2
 
 def validate(arguments: argparse.Namespace) -> int:
     """Read a model and check its initial state; print one line."""
-    from statechart.listing import counted
+    from statechart.reporting.modes import counted
 
     runner = _runner(arguments.file)
     mode, warnings = runner.start()
@@ -91,7 +91,7 @@ def _tell(
         return report
 
     if arguments.output is not None:
-        from statechart.tables import write_run
+        from statechart.reporting.tables import write_run
 
         try:
             write_run(arguments.output, result.observer, result.trace, made, pieces)
@@ -100,15 +100,15 @@ def _tell(
     report = made()
     _warn(result.warnings)
     if arguments.json:
-        from statechart.report import dumps
+        from statechart.reporting.report import dumps
 
         print(dumps(report), end="")
     else:
-        from statechart.summary import summary
+        from statechart.reporting.text import summary
 
         print(summary(report), end="")
         if arguments.explain and report["events"]:
-            from statechart.explanation import explanation
+            from statechart.reporting.text import explanation
 
             print(f"\n{explanation(report)}", end="")
     sys.stdout.flush()
@@ -201,7 +201,7 @@ def _alternatives(
 def modes(arguments: argparse.Namespace) -> int:
     """List modes, which of them are possible at a configuration, and every region's chart."""
     from statechart.automaton.product import feasibility
-    from statechart.listing import listing, text
+    from statechart.reporting.modes import listing, text
 
     parameters = _assigned("--set", arguments.parameters)
     runner = _runner(arguments.file, progress=True)

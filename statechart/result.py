@@ -14,7 +14,7 @@ from statechart.estimate import Cost
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import Result as Output
-from statechart.pieces import Pieces
+from statechart.reporting.pieces import Pieces
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,8 @@ class Result:
         return conditions(self.observer, self.trace)
 
     def report(self, *, explain: bool = False, pieces: Pieces | None = None) -> dict[str, Any]:
-        """Return the run as one plain object; see `statechart.report.report`."""
-        from statechart.report import report
+        """Return the run as one plain object; see `statechart.reporting.report.report`."""
+        from statechart.reporting.report import report
 
         return report(
             self.observer,
@@ -113,7 +113,7 @@ class Result:
         )
 
     def save(self, folder: Path | str) -> tuple[str, ...]:
-        """Write tables, data set and figure; see `statechart.tables.write_run`."""
-        from statechart.tables import write_run
+        """Write tables, data set and figure; see `statechart.reporting.tables.write_run`."""
+        from statechart.reporting.tables import write_run
 
         return write_run(folder, self.observer, self.trace, lambda: self.report(explain=True))

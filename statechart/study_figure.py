@@ -14,7 +14,7 @@ import numpy as np
 
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
-from statechart.figure import LINES, STYLE, render
+from statechart.reporting.figure import LINES, STYLE, render
 from statechart.slopes import Slope, fitted, slopes
 from statechart.study import Point, Study
 

@@ -6,9 +6,9 @@ from dataclasses import asdict
 from typing import Any
 
 from statechart.automaton.trace import Outcome
+from statechart.reporting.text import table
 from statechart.slopes import slopes, unfitted
 from statechart.study import Point, Study
-from statechart.summary import table
 
 
 def text(study: Study) -> str:

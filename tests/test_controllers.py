@@ -21,11 +21,11 @@ from statechart.documents.yaml_reader import read_text
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, EventLoop
 from statechart.execution.simulator import Simulator
-from statechart.figure import figure
 from statechart.loading.kind import kind
 from statechart.loading.load import interpret
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
+from statechart.reporting.figure import figure
 from statechart.run import Runner
 from statechart.subject import Subject
 from statechart.testing import generic

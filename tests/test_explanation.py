@@ -10,7 +10,7 @@ from runs import SOUND, run
 
 from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
-from statechart.explanation import explanation
+from statechart.reporting.text import explanation
 from statechart.run import Runner
 
 BAR = """\

@@ -12,10 +12,10 @@ from statechart.automaton.trace import Trace
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
 from statechart.execution.simulator import Simulator
-from statechart.figure import figure, render
 from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
+from statechart.reporting.figure import figure, render
 
 
 @pytest.fixture(scope="module")

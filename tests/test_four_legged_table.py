@@ -10,7 +10,7 @@ from runs import ENGINES, outputs, run, simulator
 
 from statechart.automaton.trace import Outcome
 from statechart.observation.observer import Observer
-from statechart.report import report
+from statechart.reporting.report import report
 
 MODEL = "four_legged_table"
 W, B, C, H = 98.1, 0.5, 0.2, 0.7

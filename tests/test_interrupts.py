@@ -19,9 +19,9 @@ from statechart import interrupts
 from statechart.cli import main
 from statechart.errors import StatechartError
 from statechart.kernels.jit import kernel
-from statechart.pieces import SOME, Pieces, rows
+from statechart.reporting.pieces import SOME, Pieces, rows
+from statechart.reporting.tables import write_run
 from statechart.run import Runner, run
-from statechart.tables import write_run
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 
@@ -143,7 +143,7 @@ def test_a_run_of_many_flows_is_saved_in_short_after_a_signal(
     result = run("bouncing_ball_chart")
     jumps = result.trace.jumps
     assert len(jumps) > 10
-    monkeypatch.setattr("statechart.pieces.SOME", 10)
+    monkeypatch.setattr("statechart.reporting.pieces.SOME", 10)
     with interrupts.held():
         strike()
         with pytest.raises(KeyboardInterrupt):
@@ -301,7 +301,7 @@ def test_a_run_that_cannot_be_saved_is_printed_all_the_same(
     def full(*arguments: object) -> None:
         raise StatechartError("cannot write out: No space left on device; nothing was written")
 
-    monkeypatch.setattr("statechart.tables.write_run", full)
+    monkeypatch.setattr("statechart.reporting.tables.write_run", full)
     code = main(["run", "bouncing_ball_chart", "--output", str(tmp_path / "out")])
     said = capsys.readouterr()
     assert code == 1

@@ -15,7 +15,7 @@ from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs, outputs
-from statechart.report import report
+from statechart.reporting.report import report
 
 MODELS = Path(__file__).parent.parent / "models"
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "toppling_stick.json").read_text())

@@ -16,7 +16,7 @@ import xarray as xr
 
 from contacts.kind import automaton
 from contacts.scene import Scene
-from statechart import study_file, tables
+from statechart import study_file
 from statechart.automaton.trace import Trace
 from statechart.documents import files
 from statechart.engines.taylor import Taylor
@@ -24,9 +24,10 @@ from statechart.errors import StatechartError
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
-from statechart.pieces import Pieces
-from statechart.report import dumps, report
-from statechart.tables import events_table, samples_table, save, to_xarray, write_run
+from statechart.reporting import tables
+from statechart.reporting.pieces import Pieces
+from statechart.reporting.report import dumps, report
+from statechart.reporting.tables import events_table, samples_table, save, to_xarray, write_run
 
 resource = pytest.importorskip("resource")
 FILES = {"run.json", "events.csv", "samples.csv", "trace.nc", "figure.svg", "figure.png"}
@@ -228,10 +229,10 @@ def test_of_work_that_fails_in_part_the_rest_is_done(
 
         return work
 
-    monkeypatch.setattr("statechart.report.margins", failing(MemoryError()))
-    monkeypatch.setattr("statechart.tables.to_xarray", failing(ValueError("a bug")))
+    monkeypatch.setattr("statechart.reporting.report.margins", failing(MemoryError()))
+    monkeypatch.setattr("statechart.reporting.tables.to_xarray", failing(ValueError("a bug")))
     # The user is told by the signal's own words, and everything after it is left out, too.
-    monkeypatch.setattr("statechart.figure.figure", failing(KeyboardInterrupt()))
+    monkeypatch.setattr("statechart.reporting.figure.figure", failing(KeyboardInterrupt()))
     pieces = Pieces()
     names = write_run(
         tmp_path / "run", observer, trace, lambda: report(observer, trace, pieces=pieces), pieces

@@ -15,10 +15,10 @@ from statechart.automaton.dense_output import lowest
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Jump, Key, Trace
 from statechart.execution.simulator import Simulator
-from statechart.inventory import built, left_out
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import outputs
-from statechart.pieces import Pieces
+from statechart.reporting.inventory import built, left_out
+from statechart.reporting.pieces import Pieces
 
 
 def report(

@@ -21,8 +21,8 @@ from statechart.documents.files import aside, write_atomic
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
-from statechart.pieces import Pieces, rows
-from statechart.report import dumps
+from statechart.reporting.pieces import Pieces, rows
+from statechart.reporting.report import dumps
 
 # Names of the coordinates and dimensions, and those that the file format keeps for itself.
 _TAKEN = frozenset({"t", "j", "mode", "sample", "event"}) | frozenset(
@@ -187,7 +187,7 @@ def write_run(
     trace : Trace
         The run.
     report : callable
-        Makes it, as `statechart.report.report` does, after the trajectory is safe.
+        Makes it, as `statechart.reporting.report.report` does, after the trajectory is safe.
     pieces : Pieces, optional
         Takes what could not be written, and why, instead of an error, where some could.
 
@@ -201,7 +201,7 @@ def write_run(
     StatechartError
         If the folder is a file or not writable, or the disk is full.
     """
-    from statechart.figure import figure, render
+    from statechart.reporting.figure import figure, render
 
     folder = Path(folder).resolve()
     done = pieces or Pieces()

@@ -9,7 +9,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import MOST_MODES, Feasibility
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Key
-from statechart.summary import table
+from statechart.reporting.text import table
 
 
 def listing(
