@@ -23,13 +23,13 @@ import numpy as np
 
 from contacts.scene import Scene
 from contacts.testing import properties
-from statechart.comparison import Undecidable
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, DeclarationProblem
-from statechart.ranges import ranges
-from statechart.subject import Case, Subject
-from statechart.testing import Property, generic
+from statechart.testing.agreement import Undecidable
+from statechart.testing.properties import Property, generic
+from statechart.testing.strategies import ranges
+from statechart.testing.subject import Case, Subject
 
 _LONG = 60.0
 

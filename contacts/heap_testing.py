@@ -15,8 +15,8 @@ from contacts.scene import Scene
 from contacts.testing import assert_in_cone, largest_of, no_growth, step_ends
 from statechart.arrays import Array
 from statechart.automaton.trace import Trace
-from statechart.subject import Case, Subject
-from statechart.testing import Property
+from statechart.testing.properties import Property
+from statechart.testing.subject import Case, Subject
 
 _ROUNDING = 1e-13
 

@@ -17,11 +17,11 @@ from contacts.controls import Controller, ControlState
 from contacts.parts import Body, Contact, Force, Joint, Pair, Path, Point, Surface
 from contacts.scene import Scene
 from contacts.shapes import Shape
-from statechart.comparison import Reading
 from statechart.documents.declaration import TIME, Stop
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
 from statechart.formulas.syntax import names_in
+from statechart.testing.agreement import Reading
 
 # Powers of two: scaling is exact, so that what differs is a number that does not scale.
 LENGTH = 2.0**20

@@ -22,9 +22,9 @@ from contacts.violations import cone_edges
 from statechart.arrays import Array
 from statechart.automaton.laws import uncaptured
 from statechart.automaton.trace import Arc, Jump, Trace
-from statechart.comparison import Reading, assert_same, identical
-from statechart.subject import Case, Subject
-from statechart.testing import Property, dense
+from statechart.testing.agreement import Reading, assert_same, identical
+from statechart.testing.properties import Property, dense
+from statechart.testing.subject import Case, Subject
 
 _ROUNDING, _EPSILON = 1e-13, 2.0**-52
 # Errors of the energy add up to at most so many times steps times tolerance.

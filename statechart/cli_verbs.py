@@ -268,8 +268,8 @@ def draw(arguments: argparse.Namespace) -> int:
 
 def check(arguments: argparse.Namespace) -> int:
     """Test the properties of a model over its ranges; write a model that fails, if one does."""
-    from statechart.checking import check as check_model
     from statechart.documents.files import write_atomic
+    from statechart.testing.checking import check as check_model
 
     runner = _runner(arguments.file)
     runner.start()

@@ -15,13 +15,19 @@ from contacts.testing import assert_energy
 from contacts.testing import properties as contact_properties
 from statechart.automaton.regions import State
 from statechart.charts.chart import Chart
-from statechart.checking import check, examine
-from statechart.comparison import Reading
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret, load
-from statechart.ranges import ranges
-from statechart.subject import Subject
-from statechart.testing import assert_invariants, assert_margins, assert_prefix, dense, generic
+from statechart.testing.agreement import Reading
+from statechart.testing.checking import check, examine
+from statechart.testing.properties import (
+    assert_invariants,
+    assert_margins,
+    assert_prefix,
+    dense,
+    generic,
+)
+from statechart.testing.strategies import ranges
+from statechart.testing.subject import Subject
 
 
 def model(text):

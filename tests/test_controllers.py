@@ -27,8 +27,8 @@ from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.reporting.figure import figure
 from statechart.run import Runner
-from statechart.subject import Subject
-from statechart.testing import generic
+from statechart.testing.properties import generic
+from statechart.testing.subject import Subject
 
 both = pytest.mark.parametrize("name", ENGINES)
 

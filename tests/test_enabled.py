@@ -16,13 +16,13 @@ from contacts.scene import Scene
 from contacts.symmetry import mirrored, rescaled
 from contacts.testing import properties
 from statechart.automaton.trace import Trace
-from statechart.comparison import assert_same
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.execution.simulator import Simulator
-from statechart.subject import Subject
+from statechart.testing.agreement import assert_same
+from statechart.testing.subject import Subject
 
 
 def _scene(surface: Surface, start: dict[str, Any], **contact: Any) -> Scene:

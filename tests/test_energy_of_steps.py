@@ -9,7 +9,7 @@ from contacts.heap_numbers import heap_numbers, owners_of
 from contacts.heap_testing import assert_depths, assert_energy_of_steps
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
-from statechart.subject import Subject
+from statechart.testing.subject import Subject
 
 HEAP = """
 kind: scene

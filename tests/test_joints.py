@@ -18,7 +18,6 @@ from contacts.setup import cones, scene_parameters
 from contacts.symmetry import mirrored, rescaled
 from contacts.testing import assert_energy
 from statechart.automaton.trace import Outcome, Trace
-from statechart.comparison import assert_same
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.documents.yaml_text import dump
@@ -28,7 +27,8 @@ from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.run import Runner
-from statechart.subject import Subject
+from statechart.testing.agreement import assert_same
+from statechart.testing.subject import Subject
 
 # A crank of length 1, a coupler of length 2, ends on the x axis: angles at the start.
 _CRANK = 0.6

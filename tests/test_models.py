@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from runs import EVENT_BASED, PARADOXICAL
 
-from statechart.checking import check
-from statechart.comparison import Undecidable, assert_same
 from statechart.engines.choice import choose
 from statechart.engines.scipy import METHODS
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
-from statechart.subject import Subject
+from statechart.testing.agreement import Undecidable, assert_same
+from statechart.testing.checking import check
+from statechart.testing.subject import Subject
 
 NAMES = EVENT_BASED
 EXAMPLES = 6

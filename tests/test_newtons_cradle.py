@@ -16,11 +16,11 @@ from contacts.kind import automaton
 from contacts.parts import Simultaneous
 from contacts.scene import Scene
 from statechart.cli import main
-from statechart.comparison import Undecidable, assert_same
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
-from statechart.subject import Subject
-from statechart.testing import assert_engines_agree
+from statechart.testing.agreement import Undecidable, assert_same
+from statechart.testing.properties import assert_engines_agree
+from statechart.testing.subject import Subject
 
 MODEL = "newtons_cradle"
 SPEED = 2.0 * math.sqrt(9.81) * math.sin(0.15)  # of the first ball when it arrives

@@ -15,12 +15,12 @@ from contacts.heap_testing import (
     assert_impulses_of_bodies,
 )
 from contacts.testing import assert_cone, assert_in_cone
-from statechart.checking import check
 from statechart.cli import main
-from statechart.comparison import Sensitivity, assert_same
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret, load
-from statechart.subject import Subject
+from statechart.testing.agreement import Sensitivity, assert_same
+from statechart.testing.checking import check
+from statechart.testing.subject import Subject
 
 HEAP = """
 kind: scene

@@ -15,7 +15,6 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Arc, Outcome, Trace
-from statechart.comparison import NUDGE, Sensitivity, Undecidable
 from statechart.documents.declaration import Declaration
 from statechart.engines.choice import choose
 from statechart.engines.request import Request
@@ -28,6 +27,7 @@ from statechart.formulas.tape import Tape, compile_tape
 from statechart.loading.kind import kind
 from statechart.observation.condition import conditions
 from statechart.observation.observer import Observer
+from statechart.testing.agreement import NUDGE, Sensitivity, Undecidable
 
 _KEPT = 64  # cases whose runs are kept for the next property
 

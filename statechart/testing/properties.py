@@ -26,8 +26,8 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Mode
 from statechart.automaton.trace import Arc, Outcome, Trace
-from statechart.comparison import NUDGE, Undecidable, assert_same
-from statechart.subject import Case, Subject
+from statechart.testing.agreement import NUDGE, Undecidable, assert_same
+from statechart.testing.subject import Case, Subject
 
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _PER_STEP = 9

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from statechart.comparison import Undecidable
 from statechart.documents.declaration import Declaration
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.loading.kind import offered
-from statechart.ranges import parameters, ranges
-from statechart.subject import Case, Subject
-from statechart.testing import Property, generic
+from statechart.testing.agreement import Undecidable
+from statechart.testing.properties import Property, generic
+from statechart.testing.strategies import parameters, ranges
+from statechart.testing.subject import Case, Subject
 
 
 @dataclass(frozen=True)
