@@ -21,8 +21,8 @@ from statechart.documents.yaml_reader import read_text
 from statechart.errors import StatechartError
 from statechart.observation.difference import difference
 from statechart.observation.outputs import Outputs
-from statechart.result import Result
-from statechart.run import Runner
+from statechart.running.result import Result
+from statechart.running.runner import Runner
 
 __all__ = [
     "ACCURACY",

@@ -82,7 +82,7 @@ def peak() -> float:
 
 def one(path: str, engine: str, step: float | None) -> dict[str, object]:
     """Run a scene in this process."""
-    from statechart.run import Runner
+    from statechart.running.runner import Runner
 
     runner = Runner(path, engine=engine, step=step)
     result = runner.run(throw=False)

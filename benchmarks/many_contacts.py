@@ -61,7 +61,7 @@ def run(path: Path) -> dict[str, object]:
     began = time.perf_counter()
     from statechart.diagram.build import build
     from statechart.diagram.write import write
-    from statechart.run import Runner
+    from statechart.running.runner import Runner
 
     imported = time.perf_counter()
     runner = Runner(path)
@@ -104,7 +104,7 @@ def imports(modules: list[str]) -> dict[str, object]:
             except ImportError:
                 continue  # made by another module on its way
     from statechart.documents.yaml_reader import read_text
-    from statechart.run import Runner
+    from statechart.running.runner import Runner
 
     Runner(read_text(BALL)).run()
     return {"peak": peak()}

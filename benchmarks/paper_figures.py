@@ -23,7 +23,7 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 DOCS = Path(__file__).parents[1] / "docs"
 

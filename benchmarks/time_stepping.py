@@ -16,7 +16,7 @@ import numpy as np
 from contacts.step_kernels import UNKNOWNS, solve_contacts
 from contacts.stepped_scene import widened
 from statechart.errors import UnsolvedImpulses
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 

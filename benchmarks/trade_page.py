@@ -18,7 +18,7 @@ from PIL import Image
 
 from statechart.documents.files import write_atomic
 from statechart.documents.yaml_reader import read_text
-from statechart.run import Runner
+from statechart.running.runner import Runner
 from statechart.slopes import slopes
 from statechart.study import Point, Study
 from statechart.study_figure import figure

@@ -18,7 +18,6 @@ from statechart.engines.choice import choose
 from statechart.engines.engine import Engine
 from statechart.engines.request import BELOW
 from statechart.errors import SimulationError, StatechartError
-from statechart.estimate import BRIEF, Answer, Cost, tighten
 from statechart.execution.outcome import error_of
 from statechart.execution.perturbation import nudged, widened
 from statechart.execution.simulator import Simulator
@@ -28,6 +27,7 @@ from statechart.observation.difference import compare, distance, paired, parted
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import Result as Output
+from statechart.running.estimate import BRIEF, Answer, Cost, tighten
 from statechart.study import Errors, Point, Setting, Study
 
 # References, the best first: any one is checked by the next of another engine, or another method

@@ -20,8 +20,8 @@ from statechart.reporting.pieces import Pieces
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from statechart.result import Result
-    from statechart.run import Runner
+    from statechart.running.result import Result
+    from statechart.running.runner import Runner
     from statechart.study import Study
 
 
@@ -181,8 +181,8 @@ def trade(arguments: argparse.Namespace) -> int:
 def _alternatives(
     runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
-    from statechart.alternatives import compared
-    from statechart.run import Runner
+    from statechart.running.alternatives import compared
+    from statechart.running.runner import Runner
 
     others = {}
     for choice, model in runner.model.alternatives().items():
@@ -344,7 +344,7 @@ def _scratch() -> Iterator[None]:
 
 def _runner(file: str, **options: Any) -> Runner:
     from statechart.kernels.search import cached
-    from statechart.run import Runner
+    from statechart.running.runner import Runner
 
     runner = Runner(file, **options)
     if not cached():

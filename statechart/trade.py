@@ -9,7 +9,7 @@ from pathlib import Path
 from statechart.automaton.automaton import Automaton
 from statechart.bench import Bench
 from statechart.errors import DeclarationError, StatechartError
-from statechart.run import Runner
+from statechart.running.runner import Runner
 from statechart.study import Setting, Study, fingerprint
 from statechart.study_file import load, save
 

@@ -8,7 +8,7 @@ import pytest
 
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 SCENE = """\
 kind: scene

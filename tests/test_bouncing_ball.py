@@ -14,7 +14,7 @@ from contacts.parts import Body, Contact, Force, Point, Surface
 from contacts.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import Stop
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 FLAT = golden("bouncing_ball_flat")["flat"]
 HILLS = golden("hilly_ball")["cases"]

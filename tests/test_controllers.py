@@ -26,7 +26,7 @@ from statechart.loading.load import interpret
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.reporting.figure import figure
-from statechart.run import Runner
+from statechart.running.runner import Runner
 from statechart.testing.properties import generic
 from statechart.testing.subject import Subject
 

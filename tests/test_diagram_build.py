@@ -11,7 +11,7 @@ from statechart.automaton.product import feasibility
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
 from statechart.documents.yaml_reader import read_text
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 SWITCH = """
   {name}:

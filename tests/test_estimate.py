@@ -19,9 +19,9 @@ from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.budget import Allowance
 from statechart.errors import OutOfBudget
-from statechart.estimate import Once, tighten, within
 from statechart.observation.difference import compare, paired, parted
-from statechart.run import Runner, run
+from statechart.running.estimate import Once, tighten, within
+from statechart.running.runner import Runner, run
 
 THROWN = """\
 kind: chart
@@ -171,7 +171,7 @@ def test_a_budget_that_cannot_be_met_exits_with_1_and_keeps_the_trace(
     ticks = count()
     # The clock is looked at once when the budget begins and before every call for steps.
     monkeypatch.setattr(
-        "statechart.run.Allowance",
+        "statechart.running.runner.Allowance",
         lambda seconds: Allowance(seconds, clock=lambda: float(next(ticks))),
     )
     code = main(["run", "bouncing_ball", "--budget", "20", "--json"])

@@ -11,7 +11,7 @@ from runs import SOUND, run
 from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
 from statechart.reporting.text import explanation
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 BAR = """\
 kind: scene

@@ -11,8 +11,8 @@ from runs import ENGINES, outputs, run
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationProblem
 from statechart.loading.load import load
-from statechart.result import Result
-from statechart.run import Runner
+from statechart.running.result import Result
+from statechart.running.runner import Runner
 
 pytestmark = pytest.mark.parametrize("engine", ENGINES)
 

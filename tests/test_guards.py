@@ -21,7 +21,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import interpret
-from statechart.run import run as run_model
+from statechart.running.runner import run as run_model
 
 both = pytest.mark.parametrize("name", ENGINES)
 

@@ -16,7 +16,7 @@ from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.loading.load import interpret
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 
 @pytest.fixture(scope="module")

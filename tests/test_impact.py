@@ -12,7 +12,7 @@ from contacts.candidates import ContactLaw
 from contacts.impact import Impact, impact
 from contacts.snapshot import PerContact, Snapshot
 from statechart.documents.yaml_reader import read_text
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 GOLDEN = golden("impacts_and_timestepping")["impacts"]
 

@@ -13,7 +13,7 @@ from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.loading.load import interpret
-from statechart.run import Runner, run
+from statechart.running.runner import Runner, run
 
 GOLDEN = Path(__file__).parent / "golden"
 STEPPING = json.loads((GOLDEN / "impacts_and_timestepping.json").read_text())

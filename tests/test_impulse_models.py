@@ -9,7 +9,7 @@ import pytest
 
 import models
 from statechart.cli import main
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 # Model, parameters, end; step, and the largest error that a step so long may make, over the step.
 # Impacts are those of Newton's law: where another law is declared, the scene is run without

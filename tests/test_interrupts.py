@@ -21,7 +21,7 @@ from statechart.errors import StatechartError
 from statechart.kernels.jit import kernel
 from statechart.reporting.pieces import SOME, Pieces, rows
 from statechart.reporting.tables import write_run
-from statechart.run import Runner, run
+from statechart.running.runner import Runner, run
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 

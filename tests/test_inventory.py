@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from statechart.run import run
+from statechart.running.runner import run
 
 
 def test_a_run_with_events_builds_the_modes_it_enters():

@@ -24,7 +24,7 @@ from contacts.scene import Scene
 from statechart.automaton.trace import Outcome, Trace
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 Array = NDArray[np.float64]
 

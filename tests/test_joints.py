@@ -26,7 +26,7 @@ from statechart.errors import DeclarationError, DeclarationProblem, NoConsistent
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
-from statechart.run import Runner
+from statechart.running.runner import Runner
 from statechart.testing.agreement import assert_same
 from statechart.testing.subject import Subject
 

@@ -9,7 +9,7 @@ import pytest
 
 from statechart.automaton.trace import Clock
 from statechart.documents.yaml_reader import read_text
-from statechart.run import Runner, run
+from statechart.running.runner import Runner, run
 
 DROP = """\
 kind: scene

@@ -12,7 +12,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.engines import engine
 from statechart.errors import DeclarationError
 from statechart.execution import flow as advance
-from statechart.run import Runner, run
+from statechart.running.runner import Runner, run
 
 CHART = """\
 kind: chart

@@ -17,7 +17,7 @@ from contacts.scene import Scene
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.execution.simulator import Simulator
-from statechart.run import run
+from statechart.running.runner import run
 
 SCENE = """\
 kind: scene

@@ -9,7 +9,7 @@ from statechart.automaton import modes as compose
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
 from statechart.documents.yaml_reader import read_text
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 COUNT = 20
 POINTS = "\n".join(

@@ -10,7 +10,7 @@ import pytest
 from statechart.automaton.product import feasibility
 from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 BAR = """\
 kind: scene

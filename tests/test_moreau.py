@@ -22,7 +22,7 @@ from strategies import examples
 from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
 from statechart.documents.declaration import Stop
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 # What is left of steps after an impact, all of one step long: the error is of this order.
 STEP = 1e-7

@@ -9,7 +9,7 @@ import pytest
 from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 DISCS = """\
 kind: scene

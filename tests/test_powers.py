@@ -16,7 +16,7 @@ from strategies import examples
 
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
-from statechart.run import Runner, run
+from statechart.running.runner import Runner, run
 
 CHART = """\
 kind: chart

@@ -11,7 +11,7 @@ from runs import ENGINES
 from strategies import examples
 
 from statechart.documents.yaml_reader import read_text
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 BAR = """\
 kind: scene

@@ -18,7 +18,7 @@ from statechart.engines.engine import Path as Steps
 from statechart.errors import DeclarationError, SimulationError, StepFailure, Unsupported
 from statechart.loading.load import load
 from statechart.observation.difference import difference
-from statechart.run import Runner, run
+from statechart.running.runner import Runner, run
 
 BALL = """\
 kind: chart

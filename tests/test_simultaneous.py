@@ -18,7 +18,7 @@ from contacts.impact import impact
 from contacts.simultaneous import Impacts, impacts
 from contacts.snapshot import PerContact, Snapshot
 from statechart.documents.yaml_reader import read_text
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 CHOICES = ("plastic", "capped", "sequential")
 

@@ -9,7 +9,7 @@ from statechart.charts.chart import Chart
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
-from statechart.run import run
+from statechart.running.runner import run
 
 FORCED = """\
 kind: scene

@@ -15,7 +15,7 @@ from contacts.parts import Body, Contact, Point, Surface
 from contacts.scene import Scene
 from statechart.documents.declaration import Stop
 from statechart.documents.outputs import Integral, Maximum, Value
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 MASS = 1.3
 

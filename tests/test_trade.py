@@ -14,7 +14,7 @@ from statechart.cli import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.observation.difference import distance
-from statechart.run import Runner
+from statechart.running.runner import Runner
 from statechart.slopes import slopes
 from statechart.study import Errors, Point, Setting, Study, fingerprint
 from statechart.study_figure import figure, write

@@ -17,7 +17,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.engines.scipy import SciPy
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import interpret
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 
 def ladder(lean: float, inertia: float, friction: object = 0) -> Scene:

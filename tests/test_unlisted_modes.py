@@ -21,7 +21,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.engines.scipy import SciPy
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.execution.simulator import Simulator
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 BLOCK = """\
 kind: scene

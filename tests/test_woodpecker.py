@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from statechart.run import Runner
+from statechart.running.runner import Runner
 
 M_M, J_M, M_S, J_S, C, G = 0.0003, 5e-9, 0.0045, 7e-7, 0.0056, 9.81
 R_0, R_M, H_M, L_M, L_G, H_S, L_S = 0.0025, 0.0031, 0.0058, 0.010, 0.015, 0.02, 0.0201

@@ -53,7 +53,7 @@ class Request:
     Attributes
     ----------
     engine, method, tolerance, accuracy, step, budget
-        As for `statechart.run.Runner`; None where nothing is said.
+        As for `statechart.running.runner.Runner`; None where nothing is said.
     first : float or None
         Tolerance of the first run, where an accuracy or a budget is asked for.
     basis : str

@@ -21,7 +21,6 @@ from statechart.engines.choice import choose
 from statechart.engines.engine import Engine
 from statechart.engines.request import Request
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
-from statechart.estimate import Answer, Cost, tighten, within
 from statechart.execution.outcome import error_of
 from statechart.execution.perturbation import nudged
 from statechart.execution.simulator import Simulator
@@ -31,7 +30,8 @@ from statechart.formulas.syntax import close_matches
 from statechart.loading.kind import kind
 from statechart.loading.load import find, interpret
 from statechart.observation.observer import Observer
-from statechart.result import Asked, Result
+from statechart.running.estimate import Answer, Cost, tighten, within
+from statechart.running.result import Asked, Result
 
 if TYPE_CHECKING:
     from statechart.engines.request import Measured

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from statechart.automaton.trace import Trace
-from statechart.estimate import Cost
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import Result as Output
 from statechart.reporting.pieces import Pieces
+from statechart.running.estimate import Cost
 
 
 @dataclass(frozen=True)

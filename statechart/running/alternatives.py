@@ -9,7 +9,7 @@ from statechart.observation.difference import difference
 from statechart.reporting.report import json_safe
 
 if TYPE_CHECKING:
-    from statechart.result import Result
+    from statechart.running.result import Result
 
 
 def compared(result: Result, others: Mapping[str, Result]) -> list[dict[str, Any]]:
