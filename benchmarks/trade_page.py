@@ -19,11 +19,11 @@ from PIL import Image
 from statechart.documents.files import write_atomic
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
-from statechart.slopes import slopes
-from statechart.study import Point, Study
-from statechart.study_figure import figure
-from statechart.study_text import omitted
-from statechart.trade import trade
+from statechart.study.figure import figure
+from statechart.study.record import Point, Study
+from statechart.study.report import omitted
+from statechart.study.slopes import slopes
+from statechart.study.trade import trade
 
 DOCS = Path(__file__).parents[1] / "docs"
 

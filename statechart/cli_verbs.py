@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from statechart.running.result import Result
     from statechart.running.runner import Runner
-    from statechart.study import Study
+    from statechart.study.record import Study
 
 
 # Seconds after a signal in which what was computed is saved, but for what is always saved.
@@ -144,15 +144,15 @@ def _study(arguments: argparse.Namespace) -> Study | None:
     """Return what `trade` has left in the folder where the results go."""
     if arguments.output is None or (arguments.accuracy is None and arguments.budget is None):
         return None
-    from statechart.study_file import load
+    from statechart.study.file import load
 
     return load(arguments.output)
 
 
 def trade(arguments: argparse.Namespace) -> int:
     """Run a model at many settings; print what each costs and gives."""
-    from statechart.study_text import report, text
-    from statechart.trade import trade as study_of
+    from statechart.study.report import report, text
+    from statechart.study.trade import trade as study_of
 
     runner = _runner(arguments.file)
     _check_folder(arguments.output)
@@ -163,7 +163,7 @@ def trade(arguments: argparse.Namespace) -> int:
     )
     pieces = Pieces()
     if arguments.output is not None:
-        from statechart.study_figure import write
+        from statechart.study.figure import write
 
         pieces.attempt("tables and figure", lambda: write(arguments.output, study), None)
     if arguments.json:

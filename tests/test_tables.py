@@ -16,7 +16,6 @@ import xarray as xr
 
 from contacts.kind import automaton
 from contacts.scene import Scene
-from statechart import study_file
 from statechart.automaton.trace import Trace
 from statechart.documents import files
 from statechart.engines.taylor import Taylor
@@ -28,6 +27,7 @@ from statechart.reporting import tables
 from statechart.reporting.pieces import Pieces
 from statechart.reporting.report import dumps, report
 from statechart.reporting.tables import events_table, samples_table, save, to_xarray, write_run
+from statechart.study import file as study_file
 
 resource = pytest.importorskip("resource")
 FILES = {"run.json", "events.csv", "samples.csv", "trace.nc", "figure.svg", "figure.png"}

@@ -15,12 +15,12 @@ from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.observation.difference import distance
 from statechart.running.runner import Runner
-from statechart.slopes import slopes
-from statechart.study import Errors, Point, Setting, Study, fingerprint
-from statechart.study_figure import figure, write
-from statechart.study_file import load, save
-from statechart.study_text import report, text
-from statechart.trade import plan, trade
+from statechart.study.figure import figure, write
+from statechart.study.file import load, save
+from statechart.study.record import Errors, Point, Setting, Study, fingerprint
+from statechart.study.report import report, text
+from statechart.study.slopes import slopes
+from statechart.study.trade import plan, trade
 
 # One event in a long smooth motion, so that the integrator decides the error.
 OSCILLATOR = """\
@@ -343,7 +343,7 @@ def test_the_command_measures_and_a_run_uses_it(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("ball.yaml").write_text(OSCILLATOR.replace("time: 50", "time: 20"))
-    monkeypatch.setattr("statechart.trade.plan", lambda *_: tuple(scipy("DOP853", 4, 6, 8)))
+    monkeypatch.setattr("statechart.study.trade.plan", lambda *_: tuple(scipy("DOP853", 4, 6, 8)))
     assert main(["trade", "ball.yaml", "-o", "out", "--json"]) == 0
     said = capsys.readouterr()
     report = json.loads(said.out)

@@ -26,7 +26,7 @@ class Measurement(Protocol):
 
 
 class Measured(Protocol):
-    """What was measured of a model at many settings, as `statechart.study.Study`."""
+    """What was measured of a model at many settings, as `statechart.study.record.Study`."""
 
     until: float
 

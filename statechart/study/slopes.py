@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from statechart.study import LEAST_POINTS, RESOLVED, Point, Study, median_slope
+from statechart.study.record import LEAST_POINTS, RESOLVED, Point, Study, median_slope
 
 Quantity = Literal["error", "steps"]
 

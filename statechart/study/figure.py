@@ -15,8 +15,8 @@ import numpy as np
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 from statechart.reporting.figure import LINES, STYLE, render
-from statechart.slopes import Slope, fitted, slopes
-from statechart.study import Point, Study
+from statechart.study.record import Point, Study
+from statechart.study.slopes import Slope, fitted, slopes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

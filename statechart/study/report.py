@@ -7,8 +7,8 @@ from typing import Any
 
 from statechart.automaton.trace import Outcome
 from statechart.reporting.text import table
-from statechart.slopes import slopes, unfitted
-from statechart.study import Point, Study
+from statechart.study.record import Point, Study
+from statechart.study.slopes import slopes, unfitted
 
 
 def text(study: Study) -> str:

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from statechart.documents.files import made, write_atomic
 from statechart.errors import DeclarationError, StatechartError
-from statechart.study import Study
+from statechart.study.record import Study
 
 NAME = "trade.json"
 

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from statechart.automaton.automaton import Automaton
-from statechart.bench import Bench
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
-from statechart.study import Setting, Study, fingerprint
-from statechart.study_file import load, save
+from statechart.study.bench import Bench
+from statechart.study.file import load, save
+from statechart.study.record import Setting, Study, fingerprint
 
 # Tolerances of every method, as powers of ten: from where it begins to be of use to where it only
 # takes long.

@@ -28,7 +28,7 @@ from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import Result as Output
 from statechart.running.estimate import BRIEF, Answer, Cost, tighten
-from statechart.study import Errors, Point, Setting, Study
+from statechart.study.record import Errors, Point, Setting, Study
 
 # References, the best first: any one is checked by the next of another engine, or another method
 # of scipy, that can run the model. What steps in time is last, at parts of the run.
