@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import models
-from statechart.cli import main
+from statechart.cli.main import main
 
 FOLDER = Path(__file__).parent / "recorded"
 ENGINES = {"taylor": (), "scipy": (), "impulse": ("--step", "1e-3")}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from statechart.cli import main
+from statechart.cli.main import main
 
 BALLS = """\
 kind: scene

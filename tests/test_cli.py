@@ -13,7 +13,7 @@ import pytest
 from runs import SOUND
 
 import models
-from statechart.cli import main
+from statechart.cli.main import main
 
 EVENT_KEYS = {"t", "j", "contact", "cause", "from", "to", "state", "impulse"}
 REPORT_KEYS = {
@@ -375,7 +375,7 @@ def test_an_unexpected_error_is_one_message_unless_asked_for_more(
         raise ZeroDivisionError("a bug")
 
     monkeypatch.delenv("STATECHART_DEBUG", raising=False)
-    monkeypatch.setattr("statechart.cli_verbs.schema", broken)
+    monkeypatch.setattr("statechart.cli.verbs.schema", broken)
     code, _, err = cli("schema")
     assert code == 1
     assert err.startswith("internal error, ZeroDivisionError: a bug")
@@ -405,7 +405,7 @@ def test_an_interrupted_run_reports_and_saves_what_there_is(
 
 
 def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
-    command = f"{sys.executable} -m statechart.cli schema | head -c 10"
+    command = f"{sys.executable} -m statechart.cli.main schema | head -c 10"
     done = subprocess.run(
         ["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False
     )
@@ -415,7 +415,7 @@ def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
 def test_a_run_imports_neither_plots_nor_tables_nor_the_other_engine() -> None:
     pytest.importorskip("heyoka")
     code = (
-        "import sys; from statechart.cli import main; main(['run', 'toppling_stick']);"
+        "import sys; from statechart.cli.main.main import main; main(['run', 'toppling_stick']);"
         "print(sorted({'matplotlib', 'pandas', 'xarray', 'scipy.integrate', 'hypothesis',"
         "'networkx', 'pygraphviz'} & sys.modules.keys()))"
     )

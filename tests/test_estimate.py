@@ -15,7 +15,7 @@ import pytest
 from runs import golden
 
 from statechart.automaton.trace import Outcome
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.budget import Allowance
 from statechart.errors import OutOfBudget

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from runs import SOUND, run
 
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.reporting.text import explanation
 from statechart.running.runner import Runner

@@ -12,7 +12,7 @@ from strategies import examples
 
 from contacts.polygons import FOUND, between, place
 from statechart.automaton.trace import Outcome
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.loading.load import interpret

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from statechart.automaton.trace import Outcome
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.loading.load import interpret

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import models
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.running.runner import Runner
 
 # Model, parameters, end; step, and the largest error that a step so long may make, over the step.

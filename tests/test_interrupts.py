@@ -16,7 +16,7 @@ import xarray as xr
 
 from contacts.stepped_scene import SteppedScene
 from statechart import interrupts
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.errors import StatechartError
 from statechart.kernels.jit import kernel
 from statechart.reporting.pieces import SOME, Pieces, rows
@@ -192,7 +192,7 @@ class Process:
     """The command line as a process of its own."""
 
     def __init__(self, folder: Path, *arguments: str, options: tuple[str, ...] = ()) -> None:
-        command = [sys.executable, *options, "-m", "statechart.cli", *arguments]
+        command = [sys.executable, *options, "-m", "statechart.cli.main", *arguments]
         self._process = subprocess.Popen(
             command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
@@ -251,7 +251,7 @@ def test_a_signal_while_libraries_are_imported_is_one_word(tmp_path: Path) -> No
 def test_results_that_cannot_be_printed_are_one_sentence(
     tmp_path: Path, redirected: str, words: str
 ) -> None:
-    command = f"{sys.executable} -m statechart.cli schema chart {redirected}"
+    command = f"{sys.executable} -m statechart.cli.main schema chart {redirected}"
     done = subprocess.run(
         ["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False
     )
@@ -259,7 +259,7 @@ def test_results_that_cannot_be_printed_are_one_sentence(
 
 
 def test_without_stderr_results_are_printed_alone(tmp_path: Path) -> None:
-    command = f"{sys.executable} -m statechart.cli schema chart 2>&- | head -c 2"
+    command = f"{sys.executable} -m statechart.cli.main schema chart 2>&- | head -c 2"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("{\n", "")
 
@@ -288,7 +288,7 @@ def test_what_the_process_lacks_is_one_sentence(
     if wrapped and isinstance(error, ImportError):
         return
     monkeypatch.delenv("STATECHART_DEBUG", raising=False)
-    monkeypatch.setattr("statechart.cli_verbs.schema", lacking)
+    monkeypatch.setattr("statechart.cli.verbs.schema", lacking)
     assert main(["schema"]) == 1
     said = capsys.readouterr()
     assert (said.out, said.err.count("\n")) == ("", 1)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from statechart.automaton.product import feasibility
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 

@@ -15,7 +15,7 @@ from runs import ENGINES, engine, outputs, run
 from contacts.kind import automaton
 from contacts.parts import Simultaneous
 from contacts.scene import Scene
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.testing.agreement import Undecidable, assert_same

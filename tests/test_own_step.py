@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.running.runner import Runner

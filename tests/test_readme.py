@@ -9,7 +9,7 @@ from typing import Any
 
 from contacts.scene import Scene
 from models import names, path
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 

@@ -15,7 +15,7 @@ from contacts.heap_testing import (
     assert_impulses_of_bodies,
 )
 from contacts.testing import assert_cone, assert_in_cone
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret, load
 from statechart.testing.agreement import Sensitivity, assert_same

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.observation.difference import distance

@@ -15,7 +15,7 @@ from strategies import examples
 from contacts.kind import automaton
 from contacts.scene import Scene
 from statechart.automaton.trace import Outcome
-from statechart.cli import main
+from statechart.cli.main import main
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.scipy import SciPy

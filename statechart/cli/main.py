@@ -30,7 +30,7 @@ def program() -> int:
     """Be the process `statechart`: `main` with its signals, streams and garbage looked after."""
     try:
         interrupts.listen()
-        from statechart.streams import be_quiet, take_streams
+        from statechart.cli.streams import be_quiet, take_streams
 
         take_streams()
         be_quiet()
@@ -107,7 +107,7 @@ def _unexpected(error: Exception) -> str:
 
 
 def _verb(name: str) -> Callable[[argparse.Namespace], int]:
-    from statechart import cli_verbs
+    from statechart.cli import verbs as cli_verbs
 
     verb: Callable[[argparse.Namespace], int] = getattr(cli_verbs, name)
     return verb
