@@ -21,7 +21,7 @@ from collections import Counter
 
 import numpy as np
 
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from contacts.testing import properties
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text

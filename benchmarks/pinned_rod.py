@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from contacts.kind import automaton
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.engine import Engine

@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from contacts.kind import automaton
-from contacts.parts import Body, Contact, Coordinate, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.parts import Body, Contact, Coordinate, Point, Surface
+from contacts.scene.scene import Scene
 from statechart.automaton.dense_output import lowest
 from statechart.automaton.trace import Outcome, Trace
 from statechart.engines.choice import choose

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from contacts.kind import automaton
-from contacts.parts import Body, Contact, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.parts import Body, Contact, Point, Surface
+from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.engines.choice import choose
 from statechart.execution.simulator import Simulator

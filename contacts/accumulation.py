@@ -13,8 +13,8 @@ from contacts.classify import Choice
 from contacts.decision import decide
 from contacts.gates import hidden
 from contacts.jams import Jam
-from contacts.parts import Resolution
 from contacts.projection import landed, on_constraints
+from contacts.scene.parts import Resolution
 from contacts.setup import SceneSetup
 from contacts.simultaneous import impacts
 from contacts.snapshot import PerContact, Snapshot, solve_kkt

@@ -8,7 +8,7 @@ import numpy as np
 
 from contacts.joints import column_scales
 from contacts.mechanics import Mechanics
-from contacts.parts import Point
+from contacts.scene.parts import Point
 from contacts.setup import SceneSetup
 from contacts.snapshot import SnapshotTape
 from statechart.arrays import Array

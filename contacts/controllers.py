@@ -15,11 +15,11 @@ import numpy as np
 import sympy as sp
 
 from contacts.candidates import Candidate, candidates
-from contacts.controls import Controller, Transition
 from contacts.gates import Gates
 from contacts.laws import SceneLaws
 from contacts.mechanics import Mechanics
-from contacts.scene import Scene
+from contacts.scene.controls import Controller, Transition
+from contacts.scene.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.snapshot import SnapshotTape
 from contacts.states import OPEN

@@ -11,7 +11,7 @@ from contacts.candidates import ContactLaw
 from contacts.classify import Choice, choose
 from contacts.jams import Jam, jammed
 from contacts.painleve import paradoxes
-from contacts.parts import Resolution
+from contacts.scene.parts import Resolution
 from contacts.setup import SceneSetup
 from contacts.snapshot import PerContact, Snapshot
 from contacts.states import OFF

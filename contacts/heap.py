@@ -17,12 +17,12 @@ from contacts.heap_kernels import DONE, FULL, HARD, MEMORY, NOT_FINITE, step_hea
 from contacts.heap_numbers import heap_numbers, owners_of
 from contacts.impulse import Stepping
 from contacts.mechanics import Mechanics
-from contacts.numbers import check_finite, check_physical, check_shapes
-from contacts.other_laws import replaced
 from contacts.recognise import Chunk
-from contacts.regions import BODY_EDGES, BODY_STATES
 from contacts.scales import Scales, check_range
-from contacts.scene import Scene
+from contacts.scene.checks import check_finite, check_physical, check_shapes
+from contacts.scene.other_laws import replaced
+from contacts.scene.regions import BODY_EDGES, BODY_STATES
+from contacts.scene.scene import Scene
 from contacts.setup import SceneSetup, scene_parameters
 from contacts.states import FREE
 from contacts.step_kernels import smoothed

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.fields import copies
-from contacts.scene import Scene
+from contacts.scene.fields import copies
+from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse

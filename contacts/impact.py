@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contacts.candidates import ContactLaw
-from contacts.parts import MOREAU
+from contacts.scene.parts import MOREAU
 from contacts.snapshot import PerContact, Snapshot, solve_kkt
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode

@@ -6,12 +6,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.loading.kind import Kind
 
 if TYPE_CHECKING:
-    from contacts.modes import ContactSymbols
+    from contacts.scene.modes import ContactSymbols
 
 
 def automaton(scene: Scene) -> Automaton:
@@ -19,7 +19,7 @@ def automaton(scene: Scene) -> Automaton:
     from contacts.controllers import ControlledLaws, controller
     from contacts.laws import SceneLaws
     from contacts.mechanics import Mechanics
-    from contacts.regions import region
+    from contacts.scene.regions import region
     from contacts.setup import SceneNumbers, cones, scene_parameters
     from contacts.stepper import SceneStepper
     from statechart.automaton.laws import Laws

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import sympy as sp
 
-from contacts.modes import ContactSymbols
-from contacts.parts import Body, Contact, Pair, Path, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.modes import ContactSymbols
+from contacts.scene.parts import Body, Contact, Pair, Path, Point, Surface
+from contacts.scene.scene import Scene
 from statechart.automaton.regions import Margin
 from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse, parse_relation

@@ -12,11 +12,11 @@ from contacts.candidates import ContactLaw
 from contacts.gates import Gates
 from contacts.joints import redundant
 from contacts.mechanics import COEFFICIENTS, Mechanics
-from contacts.numbers import check_finite, check_physical
-from contacts.parts import Contact, Point
-from contacts.regions import states as states_of
 from contacts.scales import Scales, ScaleTape
-from contacts.scene import Scene
+from contacts.scene.checks import check_finite, check_physical
+from contacts.scene.parts import Contact, Point
+from contacts.scene.regions import states as states_of
+from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Margin

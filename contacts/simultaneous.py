@@ -19,7 +19,7 @@ import numpy as np
 from contacts.candidates import ContactLaw
 from contacts.collisions import Collision, collisions, coupled
 from contacts.impact import Impact, impact
-from contacts.parts import MOREAU, Simultaneous
+from contacts.scene.parts import MOREAU, Simultaneous
 from contacts.snapshot import PerContact, Snapshot
 from contacts.work import work_of
 from statechart.arrays import Array

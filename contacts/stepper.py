@@ -13,7 +13,7 @@ from contacts import impulse
 from contacts.closing import check_joints
 from contacts.impulse import Stepping
 from contacts.mechanics import Mechanics
-from contacts.other_laws import replaced
+from contacts.scene.other_laws import replaced
 from contacts.setup import SceneNumbers, SceneSetup
 from contacts.snapshot import SnapshotTape
 from contacts.starting import check_start

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contacts.controls import Controller, ControlState
-from contacts.parts import Body, Contact, Force, Joint, Pair, Path, Point, Surface
-from contacts.scene import Scene
-from contacts.shapes import Shape
+from contacts.scene.controls import Controller, ControlState
+from contacts.scene.parts import Body, Contact, Force, Joint, Pair, Path, Point, Surface
+from contacts.scene.scene import Scene
+from contacts.scene.shapes import Shape
 from statechart.documents.declaration import TIME, Stop
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation

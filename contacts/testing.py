@@ -14,7 +14,7 @@ import sympy as sp
 from pydantic import ValidationError
 
 from contacts.mechanics import Mechanics
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from contacts.setup import SceneSetup, cones, scene_parameters
 from contacts.states import OFF, OPEN
 from contacts.symmetry import mirrored, rescaled

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.states import OFF
 from statechart.automaton.trace import Key, Trace

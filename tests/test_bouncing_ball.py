@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from runs import ENGINES, golden, outputs, run
 
-from contacts.modes import Free, Slide
-from contacts.parts import Body, Contact, Force, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.modes import Free, Slide
+from contacts.scene.parts import Body, Contact, Force, Point, Surface
+from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import Stop
 from statechart.running.runner import Runner

@@ -10,7 +10,7 @@ import pytest
 import scipy.special
 from runs import ENGINES, engine, outputs, run
 
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from contacts.testing import properties
 from contacts.violations import violations
 from statechart.automaton.automaton import Automaton

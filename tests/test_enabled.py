@@ -10,9 +10,9 @@ import pytest
 from runs import ENGINES, engine
 
 from contacts.kind import automaton
-from contacts.modes import Pin, Slide
-from contacts.parts import Body, Contact, Force, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.modes import Pin, Slide
+from contacts.scene.parts import Body, Contact, Force, Point, Surface
+from contacts.scene.scene import Scene
 from contacts.symmetry import mirrored, rescaled
 from contacts.testing import properties
 from statechart.automaton.trace import Trace

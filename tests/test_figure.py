@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from contacts.kind import automaton
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.engines.taylor import Taylor

@@ -14,7 +14,7 @@ from runs import ENGINES, engine
 from strategies import examples
 from test_chart import compose, go, region, times
 
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.yaml_reader import read_text

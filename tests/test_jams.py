@@ -10,7 +10,7 @@ import pytest
 from runs import ENGINES, engine
 
 from contacts.kind import automaton
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.automaton.laws import UNBOUNDED, Flow
 from statechart.automaton.trace import Clock, Outcome, Trace
 from statechart.documents.validation import validate

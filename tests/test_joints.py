@@ -12,8 +12,8 @@ from runs import ENGINES, engine
 
 from contacts.kind import automaton
 from contacts.mechanics import Mechanics
-from contacts.parts import Body, Contact, Coordinate, Joint, Path, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.parts import Body, Contact, Coordinate, Joint, Path, Point, Surface
+from contacts.scene.scene import Scene
 from contacts.setup import cones, scene_parameters
 from contacts.symmetry import mirrored, rescaled
 from contacts.testing import assert_energy

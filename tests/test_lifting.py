@@ -13,7 +13,7 @@ from runs import ENGINES, engine
 from strategies import examples
 
 from contacts.kind import automaton
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.execution.simulator import Simulator

@@ -7,8 +7,8 @@ import pytest
 
 from contacts.kind import automaton
 from contacts.laws import SceneLaws
-from contacts.parts import Body, Coordinate, Force
-from contacts.scene import Scene
+from contacts.scene.parts import Body, Coordinate, Force
+from contacts.scene.scene import Scene
 
 
 def snapshot(scene: Scene, state: list[float]):

@@ -19,8 +19,8 @@ from runs import golden
 from scipy.optimize import linprog
 from strategies import examples
 
-from contacts.parts import Body, Contact, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.parts import Body, Contact, Point, Surface
+from contacts.scene.scene import Scene
 from statechart.documents.declaration import Stop
 from statechart.running.runner import Runner
 

@@ -13,8 +13,8 @@ import pytest
 from runs import ENGINES, engine, outputs, run
 
 from contacts.kind import automaton
-from contacts.parts import Simultaneous
-from contacts.scene import Scene
+from contacts.scene.parts import Simultaneous
+from contacts.scene.scene import Scene
 from statechart.cli.main import main
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from contacts.kind import automaton
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.engines.taylor import Taylor
 from statechart.errors import FormulaError

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from models import names, path
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text

@@ -16,9 +16,9 @@ from contacts.candidates import Candidate, by_lemke, candidates
 from contacts.classify import choose
 from contacts.kind import automaton
 from contacts.laws import SceneLaws
-from contacts.modes import Free, Slide
-from contacts.parts import Body, Contact, Force, Joint, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.modes import Free, Slide
+from contacts.scene.parts import Body, Contact, Force, Joint, Point, Surface
+from contacts.scene.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot
 from contacts.springs import springs

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.charts.chart import Chart
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text

@@ -11,8 +11,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import examples
 
-from contacts.parts import Body, Contact, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.parts import Body, Contact, Point, Surface
+from contacts.scene.scene import Scene
 from statechart.documents.declaration import Stop
 from statechart.documents.outputs import Integral, Maximum, Value
 from statechart.running.runner import Runner

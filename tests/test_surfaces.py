@@ -9,9 +9,9 @@ import pytest
 from runs import ENGINES, engine, modes
 
 from contacts.kind import automaton
-from contacts.modes import Free, Pin, Slide
-from contacts.parts import Body, Contact, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.modes import Free, Pin, Slide
+from contacts.scene.parts import Body, Contact, Point, Surface
+from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text

@@ -15,7 +15,7 @@ import pytest
 import xarray as xr
 
 from contacts.kind import automaton
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.documents import files
 from statechart.engines.taylor import Taylor

@@ -10,7 +10,7 @@ import runs
 from runs import ENGINES, outputs, run
 
 from contacts.kind import automaton
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.execution.simulator import Simulator

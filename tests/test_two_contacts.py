@@ -9,9 +9,9 @@ import pytest
 from runs import ENGINES, engine
 
 from contacts.kind import automaton
-from contacts.modes import Free, Slide
-from contacts.parts import Body, Contact, Point, Surface
-from contacts.scene import Scene
+from contacts.scene.modes import Free, Slide
+from contacts.scene.parts import Body, Contact, Point, Surface
+from contacts.scene.scene import Scene
 from statechart.automaton.product import graph, product_modes
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.scipy import SciPy

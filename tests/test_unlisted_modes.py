@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from strategies import examples
 
 from contacts.kind import automaton
-from contacts.scene import Scene
+from contacts.scene.scene import Scene
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main
 from statechart.documents.validation import validate

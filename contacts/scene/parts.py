@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag, model_validator
 
-from contacts.modes import ContactMode, Free, Pin, Slide, as_mode
-from contacts.shapes import INDEX, Shape
+from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
+from contacts.scene.shapes import INDEX, Shape
 from statechart.documents.fields import FiniteText, FormulaText, Part, RelationText
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse

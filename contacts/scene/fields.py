@@ -7,8 +7,8 @@ from typing import Literal, Self
 
 from pydantic import Field
 
-from contacts.controls import Controller, Controls
-from contacts.parts import (
+from contacts.scene.controls import Controller, Controls
+from contacts.scene.parts import (
     Body,
     Contact,
     Coordinate,
@@ -19,7 +19,7 @@ from contacts.parts import (
     Simultaneous,
     Surface,
 )
-from contacts.shapes import Collision
+from contacts.scene.shapes import Collision
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.fields import FormulaText, NameText, problem
 from statechart.errors import DeclarationProblem, FormulaError
@@ -29,7 +29,7 @@ _MOST_COPIES = 1000
 
 
 class SceneFields(Declaration):
-    """What a scene declares, before it is checked (see `contacts.scene.Scene`)."""
+    """What a scene declares, before it is checked (see `contacts.scene.scene.Scene`)."""
 
     kind: Literal["scene"] = "scene"
     gravity: Gravity = Field(

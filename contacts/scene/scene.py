@@ -7,13 +7,18 @@ from typing import Self, get_args
 
 from pydantic import model_validator
 
-from contacts.fields import SceneFields, copies
-from contacts.kinks import check_kinks
-from contacts.numbers import check_collisions, check_copies, check_finite, check_physical
-from contacts.other_laws import replaced
-from contacts.parts import Path, Point, Simultaneous
-from contacts.regions import BODY_CAUSES, BODY_STATES, edges, states
-from contacts.shapes import INDEX
+from contacts.scene.checks import (
+    check_collisions,
+    check_copies,
+    check_finite,
+    check_kinks,
+    check_physical,
+)
+from contacts.scene.fields import SceneFields, copies
+from contacts.scene.other_laws import replaced
+from contacts.scene.parts import Path, Point, Simultaneous
+from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
+from contacts.scene.shapes import INDEX
 from statechart.charts.transitions import check_listening
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText, check_names

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import pairwise
 
-from contacts.fields import SceneFields
-from contacts.parts import MOREAU, Contact, Point
+from contacts.scene.fields import SceneFields
+from contacts.scene.parts import MOREAU, Contact, Point
 from statechart.formulas.formula import parse
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import sympy as sp
 
-from contacts.modes import ContactSymbols, Free, Pin, Slide, off, shared
-from contacts.parts import Contact
+from contacts.scene.modes import ContactSymbols, Free, Pin, Slide, off, shared
+from contacts.scene.parts import Contact
 from contacts.states import OFF, OPEN
 from statechart.automaton.regions import Edge, Margin, Region, State
 
