@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from contacts.step_kernels import UNKNOWNS, solve_contacts
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS, solve_contacts
 from contacts.stepped_scene import widened
 from statechart.errors import UnsolvedImpulses
 from statechart.running.runner import Runner

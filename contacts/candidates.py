@@ -14,27 +14,13 @@ from typing import NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.complementarity import (
-    LcpStatus,
-    contact_impulses,
-    contact_problem,
-    delassus,
-    solve_lcp,
-)
-from contacts.kernels import (
-    AGAINST,
-    CONTRADICTORY,
-    INTO,
-    OUTSIDE,
-    PULLS,
-    REDUNDANT,
-    SOLVED,
-    UNDETERMINED,
-    solve_modes,
-)
 from contacts.scales import Scales
 from contacts.sharing import Share, share
 from contacts.snapshot import Snapshot
+from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
+from contacts.solvers.lcp import LcpStatus, solve_lcp
+from contacts.solvers.mode_solver import AGAINST, INTO, OUTSIDE, PULLS, solve_modes
+from contacts.solvers.saddle_point import CONTRADICTORY, REDUNDANT, SOLVED, UNDETERMINED
 from contacts.states import CODES, FREE, PIN
 from statechart.arrays import Array
 
@@ -55,7 +41,7 @@ _UNSOLVED = {
 _DETERMINED = (SOLVED, REDUNDANT)
 _UNEXPLAINED = "no forces within the cones explain its motion"
 _LESS = "moves like a mode that keeps more contacts closed or pinned"
-# Besides what `contacts.kernels` numbers: forces in no cone.
+# Besides what `contacts.solvers.saddle_point` numbers: forces in no cone.
 _NOWHERE = -1
 # Two motions are the same when their accelerations agree to this.
 _SAME_MOTION = 1e-9
@@ -105,7 +91,8 @@ class Candidate(NamedTuple):
     violation : float
         The largest inequality it breaks, in units of the scales; <= 0: none.
     broken : (str, int, float)
-        That inequality: contact, which (as `contacts.kernels` numbers them), its number.
+        That inequality: contact, which (as `contacts.solvers.saddle_point` numbers them), its
+        number.
     share : Share or None
         How the contacts share the forces, where the motion does not determine them.
     """

@@ -16,17 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.candidates import ContactLaw
-from contacts.complementarity import (
-    LcpStatus,
-    contact_impulses,
-    contact_problem,
-    delassus,
-    solve_lcp,
-)
-from contacts.exact import exact_impulses
-from contacts.kernels import SOLVED, solve_modes
-from contacts.redundancy import connected, into_cone, mode_columns, rank, smallest
 from contacts.snapshot import Snapshot
+from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
+from contacts.solvers.exact_lcp import exact_impulses
+from contacts.solvers.lcp import LcpStatus, solve_lcp
+from contacts.solvers.mode_solver import solve_modes
+from contacts.solvers.redundancy import connected, into_cone, mode_columns, rank, smallest
+from contacts.solvers.saddle_point import SOLVED
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.work import work_of
 from statechart.arrays import Array
@@ -50,7 +46,7 @@ _ROUNDED = 1e-4
 # Elimination does not tell columns closer to dependent apart.
 _NEARLY_DEPENDENT = 1e-10
 
-# As `contacts.kernels` numbers them; pressing is sticking that needs no friction.
+# As `contacts.solvers.saddle_point` numbers them; pressing is sticking that needs no friction.
 _PRESS = -1
 _NAMES = {FREE: "open", PIN: "stick", SLIDE_PLUS: "slip+", SLIDE_MINUS: "slip-", SLIDE: "slip"}
 _NAMES[_PRESS] = "stick"

@@ -24,8 +24,8 @@ from contacts.scene.other_laws import replaced
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.setup import SceneSetup, scene_parameters
+from contacts.solvers.contact_lcp_kernels import smoothed
 from contacts.states import FREE
-from contacts.step_kernels import smoothed
 from contacts.stepped_scene import softened_remark, widened
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from contacts.island_kernels import compliance, island_of, push, swept, velocity
 from contacts.polygons import FOUND, against_surface, between, place
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS, solve_impacts, steady_impulses
 from contacts.states import FREE, PIN, SLIDE
-from contacts.step_kernels import UNKNOWNS, solve_impacts, steady_impulses
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.step_kernels import UNKNOWNS, capped
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS, capped
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 

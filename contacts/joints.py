@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import SMALLEST
+from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array
 
 # A row that the others imply but for this part of it is implied: a start may be this far off.

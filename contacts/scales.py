@@ -10,8 +10,8 @@ from itertools import accumulate
 import numpy as np
 import sympy as sp
 
-from contacts.kernels import largest_sizes
 from contacts.mechanics import Mechanics
+from contacts.solvers.saddle_point import largest_sizes
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse

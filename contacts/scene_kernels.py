@@ -12,10 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.states import FREE, OFF_CODE, PIN, SLIDE
-from contacts.step_equations import CONTACT, JOINT, back, factored
-from contacts.step_forces import borne_mode, jammed, resting, shared_forces
-from contacts.step_kernels import (
+from contacts.solvers.contact_lcp_kernels import (
     UNKNOWNS,
     coupled_contacts,
     into_cone,
@@ -23,6 +20,9 @@ from contacts.step_kernels import (
     solve_impacts,
     steady_impulses,
 )
+from contacts.states import FREE, OFF_CODE, PIN, SLIDE
+from contacts.step_equations import CONTACT, JOINT, back, factored
+from contacts.step_forces import borne_mode, jammed, resting, shared_forces
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values

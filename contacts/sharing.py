@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import independent
-from contacts.redundancy import directions, mode_columns, unseen
 from contacts.snapshot import Snapshot
-from contacts.springs import APEX, INSIDE, LOWER, UPPER, springs
+from contacts.solvers.redundancy import directions, mode_columns, unseen
+from contacts.solvers.saddle_point import independent
+from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
 from contacts.states import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array
 
@@ -87,7 +87,7 @@ def share(
     Parameters
     ----------
     code : (c,) array of int
-        Modes, as `contacts.kernels` numbers them.
+        Modes, as `contacts.solvers.saddle_point` numbers them.
     snapshot : Snapshot
     cones : (c, 2), forces : (c, 2)
         Which explain the motion, in their cones or not.

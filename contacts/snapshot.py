@@ -11,8 +11,8 @@ import numpy as np
 import sympy as sp
 
 from contacts.joints import Block, JointNumbers, blocks, motions
-from contacts.kernels import INEXACT, SINGULAR, saddle
 from contacts.mechanics import Mechanics
+from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
 from statechart.errors import SingularMode
 from statechart.formulas.tape import Tape, compile_tape

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.kernels import independent
-from contacts.springs import springs
+from contacts.solvers.saddle_point import independent
+from contacts.solvers.smallest_forces import springs
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel

@@ -10,14 +10,15 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from contacts.candidates import ContactLaw
-from contacts.complementarity import contact_problem, solve_lcp
 from contacts.mechanics import Mechanics
 from contacts.recognise import Chunk
 from contacts.scene_kernels import BAD_INERTIA, DONE, HARD, step_scene
 from contacts.setup import SceneSetup
+from contacts.solvers.contact_lcp import contact_problem
+from contacts.solvers.contact_lcp_kernels import LOOSEST, UNKNOWNS, problem, smoothed, step_residual
+from contacts.solvers.lcp import solve_lcp
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.step_equations import CONTACT
-from contacts.step_kernels import LOOSEST, UNKNOWNS, problem, smoothed, step_residual
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, UnsolvedImpulses
 from statechart.formulas.tape import Tape, compile_tape

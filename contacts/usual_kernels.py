@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.kernels import solve_modes
+from contacts.solvers.mode_solver import solve_modes
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Ints32
 from statechart.kernels.jit import kernel
@@ -60,7 +60,7 @@ def usual(
     close, slow : float
         Tolerances of gap and speed.
     tie, force_scale, acceleration_scale : float
-        See `contacts.kernels.solve_modes`.
+        See `contacts.solvers.mode_solver.solve_modes`.
     numbers : (o,), taken : (c,) array
         To be filled: the scene's numbers; the state of every contact.
     """

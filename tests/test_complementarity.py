@@ -10,14 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import examples
 
-from contacts.complementarity import (
-    LcpSolution,
-    LcpStatus,
-    contact_impulses,
-    contact_problem,
-    enumerate_lcp,
-    solve_lcp,
-)
+from contacts.solvers.contact_lcp import contact_impulses, contact_problem
+from contacts.solvers.lcp import LcpSolution, LcpStatus, enumerate_lcp, solve_lcp
 
 
 def error(matrix: np.ndarray, vector: np.ndarray, solution: LcpSolution) -> float:

@@ -21,7 +21,7 @@ from contacts.scene.parts import Body, Contact, Force, Joint, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.setup import SceneSetup
 from contacts.snapshot import Snapshot
-from contacts.springs import springs
+from contacts.solvers.smallest_forces import springs
 from statechart.automaton.trace import Outcome, Trace
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer

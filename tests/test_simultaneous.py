@@ -12,11 +12,12 @@ from runs import golden, number
 
 from contacts.candidates import ContactLaw
 from contacts.collisions import collisions
-from contacts.complementarity import contact_impulses, contact_problem, enumerate_lcp
-from contacts.exact import exact_impulses
 from contacts.impact import impact
 from contacts.simultaneous import Impacts, impacts
 from contacts.snapshot import PerContact, Snapshot
+from contacts.solvers.contact_lcp import contact_impulses, contact_problem
+from contacts.solvers.exact_lcp import exact_impulses
+from contacts.solvers.lcp import enumerate_lcp
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 

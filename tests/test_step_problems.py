@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from contacts.complementarity import contact_problem, enumerate_lcp
-from contacts.step_kernels import (
+from contacts.solvers.contact_lcp import contact_problem
+from contacts.solvers.contact_lcp_kernels import (
     RESIDUAL,
     UNKNOWNS,
     impulses_of,
@@ -16,6 +16,7 @@ from contacts.step_kernels import (
     solve_impacts,
     step_residual,
 )
+from contacts.solvers.lcp import enumerate_lcp
 from contacts.stepped_scene import widened
 from statechart.errors import UnsolvedImpulses
 

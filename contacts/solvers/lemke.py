@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from contacts.kernels import SOLVED, saddle
+from contacts.solvers.saddle_point import SOLVED, saddle
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 

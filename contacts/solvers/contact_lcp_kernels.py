@@ -1,7 +1,7 @@
 """The contact problem of one time step, compiled once: guessed from the last step, else Lemke.
 
 Every solution is judged by its residual; what is not solved here is left to
-`contacts.complementarity`, which tries more ways.
+`contacts.solvers.lcp`, which tries more ways.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.lemke import FOUND, lemke, on_support
+from contacts.solvers.lemke import FOUND, lemke, on_support
 from statechart.arrays import Array, Bools
 from statechart.kernels.jit import kernel
 
@@ -36,7 +36,7 @@ _DELTA, _PROXIMAL_STEPS = 2.0**-16, 12
 
 @kernel
 def problem(delassus: Array, free: Array, cones: Array) -> tuple[Array, Array]:
-    """Return (M, q) as `contacts.complementarity.contact_problem`, four unknowns per contact.
+    """Return (M, q) as `contacts.solvers.contact_lcp.contact_problem`, four unknowns per contact.
 
     A contact without friction keeps its unknowns, with rows that hold by themselves.
     """
@@ -216,7 +216,7 @@ def solve_contacts(
     Parameters
     ----------
     delassus : (2 m, 2 m), free : (m, 2), cones : (m, 2)
-        As `contacts.complementarity.contact_problem` takes them.
+        As `contacts.solvers.contact_lcp.contact_problem` takes them.
     guess : (4 m,) array of bool
         Which unknowns may be positive, as of the step before.
     limit : int

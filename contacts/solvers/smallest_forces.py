@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.kernels import SOLVED, independent, saddle
+from contacts.solvers.saddle_point import SOLVED, independent, saddle
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel, part
 

@@ -1,7 +1,7 @@
 """Impulses of several contacts in rational arithmetic, where floating point finds none.
 
 Floats are rational numbers, and so are the solutions of a complementarity problem of them: with
-nothing rounded, ties are ties, and Lemke's path (see `contacts.complementarity`) ends in a solution
+nothing rounded, ties are ties, and Lemke's path (see `contacts.solvers.lcp`) ends in a solution
 wherever contacts at rest could hold. The tableau holds integers with one denominator (Edmonds 1967;
 Bareiss, Math. Comp. 22 (1968)), so that no fraction need be reduced. A second for six contacts
 whose inertias differ by 24 decades; nothing of the kind is met in scenes with ordinary numbers.

@@ -1,4 +1,4 @@
-"""Small dense linear systems, compiled once: saddle points of a mass matrix and contact rows."""
+"""Every combination of contact modes solved and judged, in one compiled call."""
 
 from __future__ import annotations
 
@@ -7,202 +7,22 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.solvers.saddle_point import (
+    CONTRADICTORY,
+    REDUNDANT,
+    SINGULAR,
+    SOLVED,
+    UNDETERMINED,
+    _solve,
+    independent,
+)
 from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel, part
 
-SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY, UNDETERMINED = range(6)
 INTO, PULLS, OUTSIDE, AGAINST = range(4)
-
-# A solution whose residual stays above this, relative to its terms, is refused.
-_RESIDUAL = 1e-8
-# Below it numbers lose digits, and the power of two that would bring them to size 1 overflows.
-SMALLEST = 2.0**-1022
-# Of a number: what it is known to.
-_ROUNDING = 2.0**-52
-# Rows this close to dependent are: elimination would give forces that are huge and cancel.
-_DEPENDENT = 1e-10
 # Constraints that others imply are contradicted when the accelerations miss them by this.
 _CONTRADICTED = 1e-9
-
-
-@kernel
-def power_of_two(size: float) -> float:
-    """Return the power of two (exact) whose product with a size is in [1, 2); 1 where none is."""
-    if size >= SMALLEST and math.isfinite(size):
-        return math.ldexp(1.0, 1 - math.frexp(size)[1])
-    return 1.0
-
-
-@part
-def _largest(values: Array) -> float:
-    largest = 0.0
-    for value in values:
-        largest = max(largest, abs(value))
-    return largest
-
-
-@part
-def _solve(scaled: Array, b: Array, x: Array) -> int:
-    """Solve ``scaled x = b`` with partial pivoting and two refinements.
-
-    Matrix and right side are equilibrated in place, by powers of two (exact). A pivot that its own
-    rounding could have made of zero is none: running error analysis (Wilkinson 1963), to the first
-    order, of entries that are known to a rounding each.
-    """
-    size = len(b)
-    column_scale, y, residual = np.empty(size), np.empty(size), np.empty(size)
-    order = np.empty(size, np.int64)
-    # Columns first: masses may span many decades.
-    for k in range(size):
-        largest = 0.0
-        for i in range(size):
-            largest = max(largest, abs(scaled[i, k]))
-        scale = power_of_two(largest)
-        for i in range(size):
-            scaled[i, k] *= scale
-        column_scale[k] = scale
-    for i in range(size):
-        largest = 0.0
-        for k in range(size):
-            largest = max(largest, abs(scaled[i, k]))
-        scale = power_of_two(largest)
-        for k in range(size):
-            scaled[i, k] *= scale
-        b[i] *= scale
-        residual[i], order[i], x[i] = b[i], i, 0.0
-    factors, errors = scaled.copy(), np.abs(scaled) * _ROUNDING
-    for k in range(size):
-        best = k
-        for i in range(k + 1, size):
-            if abs(factors[i, k]) > abs(factors[best, k]):
-                best = i
-        pivot = factors[best, k]
-        if abs(pivot) <= errors[best, k] or not math.isfinite(pivot):
-            return SINGULAR
-        if best != k:
-            for c in range(size):
-                factors[k, c], factors[best, c] = factors[best, c], factors[k, c]
-                errors[k, c], errors[best, c] = errors[best, c], errors[k, c]
-            order[k], order[best] = order[best], order[k]
-        for i in range(k + 1, size):
-            factor = factors[i, k] / pivot
-            unsure = (errors[i, k] + abs(factor) * errors[k, k]) / abs(pivot)
-            factors[i, k] = factor
-            if unsure != 0.0:
-                for c in range(k + 1, size):
-                    product = factor * factors[k, c]
-                    factors[i, c] -= product
-                    errors[i, c] += abs(factor) * errors[k, c] + unsure * abs(factors[k, c])
-                    errors[i, c] += _ROUNDING * abs(product)
-    for _ in range(3):
-        for i in range(size):
-            total = residual[order[i]]
-            for c in range(i):
-                total -= factors[i, c] * y[c]
-            y[i] = total
-        for i in range(size - 1, -1, -1):
-            total = y[i]
-            for c in range(i + 1, size):
-                total -= factors[i, c] * y[c]
-            y[i] = total / factors[i, i]
-        for i in range(size):
-            x[i] += y[i]
-        for i in range(size):
-            total = b[i]
-            for c in range(size):
-                total -= scaled[i, c] * x[c]
-            residual[i] = total
-    terms, largest = y, 0.0
-    for i in range(size):
-        if not math.isfinite(x[i]):
-            return SINGULAR
-        terms[i] = abs(b[i])
-        for c in range(size):
-            terms[i] += abs(scaled[i, c] * x[c])
-        largest = max(largest, terms[i])
-    # A row whose own terms all vanish (V = 0 at mu = inf) is compared with the rounding of others.
-    rounding = 1e-14 * largest
-    for i in range(size):
-        if abs(residual[i]) > _RESIDUAL * terms[i] + rounding:
-            return INEXACT
-        x[i] *= column_scale[i]
-    return SOLVED
-
-
-@kernel
-def largest_sizes(numbers: Array, begins: NDArray[np.int64], largest: Array) -> None:
-    """Write the largest finite absolute value of each group of numbers; 0 where it has none."""
-    for group in range(len(largest)):
-        size = 0.0
-        for i in range(begins[group], begins[group + 1]):
-            if size < abs(numbers[i]) < math.inf:
-                size = abs(numbers[i])
-        largest[group] = size
-
-
-@kernel
-def saddle(
-    mass: Array, right: Array, rows: Array, columns: Array, constants: Array
-) -> tuple[int, Array]:
-    """Solve ``mass a - columns f = right``, ``rows (a, f) = constants`` for (a, f)."""
-    n, m = len(right), len(constants)
-    matrix = np.zeros((n + m, n + m))
-    b = np.empty(n + m)
-    for i in range(n):
-        b[i] = right[i]
-        for k in range(n):
-            matrix[i, k] = mass[i, k]
-        for k in range(m):
-            matrix[i, n + k] = -columns[i, k]
-    for i in range(m):
-        b[n + i] = constants[i]
-        for k in range(n + m):
-            matrix[n + i, k] = rows[i, k]
-    x = np.empty(n + m)
-    return _solve(matrix, b, x), x
-
-
-@kernel
-def independent(rows: Array) -> tuple[int, NDArray[np.int64], NDArray[np.int64]]:
-    """Return the rank, and the orders of rows and columns: the first `rank` are independent.
-
-    Elimination with complete pivoting, rows and then columns scaled by powers of two; the first
-    of equal pivots is taken, so that rows that come earlier are kept.
-    """
-    count, size = rows.shape
-    left = rows.copy()
-    row_order, column_order = np.arange(count), np.arange(size)
-    for i in range(count):
-        scale = power_of_two(_largest(left[i]))
-        for k in range(size):
-            left[i, k] *= scale
-    for k in range(size):
-        scale = power_of_two(_largest(left[:, k]))
-        for i in range(count):
-            left[i, k] *= scale
-    for r in range(min(count, size)):
-        best, at, beside = 0.0, r, r
-        for i in range(r, count):
-            for k in range(r, size):
-                # Pivots within a factor of two are as good as each other.
-                if abs(left[i, k]) > 2.0 * best:
-                    best, at, beside = abs(left[i, k]), i, k
-        if not best > _DEPENDENT:
-            return r, row_order, column_order
-        if at != r:
-            row_order[r], row_order[at] = row_order[at], row_order[r]
-            for k in range(size):
-                left[r, k], left[at, k] = left[at, k], left[r, k]
-        if beside != r:
-            column_order[r], column_order[beside] = column_order[beside], column_order[r]
-            for i in range(count):
-                left[i, r], left[i, beside] = left[i, beside], left[i, r]
-        for i in range(r + 1, count):
-            factor = left[i, r] / left[r, r]
-            for k in range(r, size):
-                left[i, k] -= factor * left[r, k]
-    return min(count, size), row_order, column_order
 
 
 @part
