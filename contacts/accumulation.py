@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contacts.candidates import ContactLaw
 from contacts.classify import Choice
 from contacts.decision import decide
-from contacts.gates import hidden
+from contacts.dynamics.conditions import hidden
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.projection import landed, on_constraints
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import PerContact, Snapshot, solve_kkt
 from contacts.jams import Jam
-from contacts.projection import landed, on_constraints
 from contacts.scene.parts import Resolution
-from contacts.setup import SceneSetup
 from contacts.simultaneous import impacts
-from contacts.snapshot import PerContact, Snapshot, solve_kkt
 from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, plain
@@ -140,7 +140,8 @@ def _settled(
     those of one that sticks keep its point in place; so their sums follow from the gaps' rates
     being zero afterwards. None where they do not, as with more contacts than motions, or where a
     slip would be reversed or friction change far more than without it: then one of them does not
-    slide to the end. Without friction, `contacts.projection.on_constraints` gives the same.
+    slide to the end. Without friction, `contacts.dynamics.projection.on_constraints` gives the
+    same.
 
     Parameters
     ----------

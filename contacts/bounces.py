@@ -7,8 +7,8 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from contacts.classify import choose
-from contacts.setup import SceneSetup
-from contacts.snapshot import Snapshot
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import Snapshot
 from statechart.arrays import Array
 from statechart.errors import SimulationError
 

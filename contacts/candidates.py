@@ -14,9 +14,10 @@ from typing import NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.scales import Scales
+from contacts.dynamics.contact_law import ContactLaw, cones
+from contacts.dynamics.scales import Scales
+from contacts.dynamics.snapshot import Snapshot
 from contacts.sharing import Share, share
-from contacts.snapshot import Snapshot
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.lcp import LcpStatus, solve_lcp
 from contacts.solvers.mode_solver import AGAINST, INTO, OUTSIDE, PULLS, solve_modes
@@ -47,31 +48,6 @@ _NOWHERE = -1
 _SAME_MOTION = 1e-9
 # Relative to the scene's force: smaller forces cannot be told from none.
 _EXACT = 1e-13
-
-
-class ContactLaw(NamedTuple):
-    """What a contact may do.
-
-    Attributes
-    ----------
-    name : str
-        Of the contact.
-    states : tuple of str
-        Its region's states.
-    cone_n, cone_t : float
-        Unit edge of the friction cone.
-    restitution : float
-        Coefficient, 0 where the contact is never free.
-    impact : str
-        stronge, newton, poisson or moreau.
-    """
-
-    name: str
-    states: tuple[str, ...]
-    cone_n: float
-    cone_t: float
-    restitution: float
-    impact: str
 
 
 Undetermined = tuple[tuple[str, ...], str]
@@ -301,12 +277,6 @@ def _explain(
 def _within(code: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
     """Whether what every contact may bear in one mode it may bear in the other."""
     return bool(((code == other) | (code == FREE) | (other == PIN)).all())
-
-
-@lru_cache(maxsize=1024)
-def cones(laws: tuple[ContactLaw, ...]) -> Array:
-    """Return the unit edges (c, 2) of the contacts' friction cones."""
-    return np.array([(law.cone_n, law.cone_t) for law in laws], dtype=float).reshape(-1, 2)
 
 
 @lru_cache(maxsize=1024)

@@ -16,7 +16,6 @@ from contacts.candidates import (
     OPEN_LOAD,
     SINGULAR,
     Candidate,
-    ContactLaw,
     Undetermined,
     by_lemke,
     candidates,
@@ -24,9 +23,10 @@ from contacts.candidates import (
     openness,
     same_motion,
 )
-from contacts.scales import Scales
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.scales import Scales
+from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.sharing import OWN, Share
-from contacts.snapshot import PerContact, Snapshot
 from contacts.states import OFF, OPEN
 from statechart.errors import AmbiguousMode, NoConsistentMode
 

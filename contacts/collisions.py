@@ -15,8 +15,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.candidates import ContactLaw
-from contacts.snapshot import Snapshot
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.snapshot import Snapshot
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.exact_lcp import exact_impulses
 from contacts.solvers.lcp import LcpStatus, solve_lcp

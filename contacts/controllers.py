@@ -15,64 +15,21 @@ import numpy as np
 import sympy as sp
 
 from contacts.candidates import Candidate, candidates
-from contacts.gates import Gates
+from contacts.dynamics.conditions import Gates
+from contacts.dynamics.control_guards import ControlGuards, _relative, listening
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import SnapshotTape
 from contacts.laws import SceneLaws
-from contacts.mechanics import Mechanics
-from contacts.scene.controls import Controller, Transition
-from contacts.scene.scene import Scene
-from contacts.setup import SceneSetup
-from contacts.snapshot import SnapshotTape
 from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import CAPTURED, Flow, Setup, plain
-from statechart.automaton.regions import Edge, Margin, Region, State
+from statechart.automaton.regions import Region
 from statechart.automaton.trace import Clock, Jump, Key
-from statechart.charts.firing import Guard, Listening, Watch, considered, guards
-
-
-def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:
-    """Return the region of a controller."""
-
-    def build(state: str) -> State:
-        known = mechanics.observables
-        return State(
-            margins=tuple(
-                Margin(guard.margin, guard.relation.margin(known))
-                for guard in guards(0, name, declared.transitions, state)
-            ),
-            values=mechanics.sets(name, state),
-        )
-
-    # The first state is where a region starts.
-    states = sorted(declared.states, key=lambda state: state != declared.initial)
-    sets = {state: mechanics.scene.controlled.values(name, state) for state in states}
-
-    def edge(transition: Transition) -> Edge:
-        before, after = sets[transition.source], sets[transition.target]
-        changed = [control for control in after if after[control] != before[control]]
-        return Edge(
-            transition.name,
-            transition.source,
-            transition.target,
-            transition.guard or f"on {transition.on}",
-            ", ".join(f"{control} := {after[control]}" for control in changed),
-        )
-
-    return Region(name, tuple(states), build, tuple(map(edge, declared.transitions)))
-
-
-def listening(scene: Scene, regions: Sequence[Region]) -> Listening:
-    """Return what the controllers of a scene wait for; `regions` are all of the scene's."""
-    return Listening(
-        regions,
-        {
-            name: [(i, t.source, t.events) for i, t in enumerate(region.transitions) if t.on]
-            for name, region in scene.regions.items()
-        },
-    )
+from statechart.charts.firing import Guard, considered
 
 
 class ControlledLaws:
@@ -276,67 +233,3 @@ class ControlledLaws:
             tolerances={**setup.bands, **tolerances},
             pending=pending or {},
         )
-
-
-class ControlGuards:
-    """The guards of the controllers in some states, and the numbers that they depend on.
-
-    Accelerations and contact forces are inputs, solved for where a guard is on its boundary: no
-    mode is built for it. Accelerations are taken as constant there; how forces change is not
-    known, so that a guard on them waits for its margin to fall.
-    """
-
-    def __init__(
-        self, mechanics: Mechanics, parameters: Sequence[sp.Symbol], states: Mapping[str, str]
-    ) -> None:
-        set_: dict[sp.Symbol, sp.Expr] = {}
-        for control, value in mechanics.controlled(states):
-            set_[control] = value.xreplace(set_)
-        watched: list[Guard] = []
-        for place, (name, region) in enumerate(mechanics.scene.regions.items()):
-            watched += guards(place, name, region.transitions, states[name])
-        names = set().union(*(guard.relation.names for guard in watched))
-        forces = [force for pair in mechanics.forces.values() for force in pair]
-        forces += [row.force for row in mechanics.joint_rows]
-        unknown = sp.Symbol("unknown", real=True)
-        self.watch = Watch(
-            watched,
-            {n: e.xreplace(set_) for n, e in mechanics.observables.items() if n in names},
-            {
-                **dict(zip(mechanics.q, mechanics.v, strict=True)),
-                **dict(zip(mechanics.v, mechanics.a, strict=True)),
-                **dict.fromkeys(forces, unknown),
-            },
-            inputs=(*mechanics.q, *mechanics.v, *mechanics.a, *forces, unknown),
-            parameters=parameters,
-            time=mechanics.time,
-        )
-        self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
-
-    def typical(self, setup: SceneSetup) -> Array:
-        """Return the size of accelerations and forces."""
-        scales = setup.scales
-        rates = scales.sizes[len(scales.sizes) // 2 :]
-        forces = np.full(len(self._unsolved) - len(rates), scales.force)
-        return np.concatenate([rates * (scales.speed / scales.length), forces])
-
-    def rows(
-        self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
-    ) -> Array:
-        """Return what `Watch.at` does; `solved` are accelerations and forces."""
-        found = self._unsolved if solved is None else solved
-        inputs = np.concatenate([state, found, [np.nan]])
-        return self.watch.at(setup, inputs, self._sizes(setup), time)
-
-    def table(self, setup: SceneSetup, times: Array, states: Array, solved: Array) -> Array:
-        """Return `rows` for many instants (m,), states (m, 2 n) and unknowns (m, u)."""
-        inputs = np.hstack([states, solved, np.full((len(states), 1), np.nan)])
-        return self.watch.table(setup, inputs, self._sizes(setup), times)
-
-    def _sizes(self, setup: SceneSetup) -> Array:
-        return np.concatenate([setup.scales.sizes, self.typical(setup), [0.0]])
-
-
-def _relative(setup: SceneSetup) -> float:
-    """Return how well margins and their rates are known: as the contacts' gaps are."""
-    return setup.tolerances["gap"] / setup.scales.length

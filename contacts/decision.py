@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from contacts.candidates import ContactLaw
 from contacts.classify import Choice, choose
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.jams import Jam, jammed
 from contacts.painleve import paradoxes
 from contacts.scene.parts import Resolution
-from contacts.setup import SceneSetup
-from contacts.snapshot import PerContact, Snapshot
 from contacts.states import OFF
 from contacts.usual_kernels import ENDLESS
 from statechart.errors import NoConsistentMode

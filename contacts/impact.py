@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contacts.candidates import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.snapshot import PerContact, Snapshot, solve_kkt
 from contacts.scene.parts import MOREAU
-from contacts.snapshot import PerContact, Snapshot, solve_kkt
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
 

@@ -29,8 +29,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.dynamics.setup import SceneSetup
 from contacts.recognise import TERMS, Chunk, Recorder
-from contacts.setup import SceneSetup
 from statechart import interrupts
 from statechart.arrays import Array
 from statechart.automaton.trace import (

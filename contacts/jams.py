@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from contacts.candidates import ContactLaw
 from contacts.collisions import Collision, collisions
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impact import impact
 from contacts.painleve import paradoxes
 from contacts.simultaneous import Impacts, groups
-from contacts.snapshot import PerContact, Snapshot
 from contacts.states import OFF
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
 
 def automaton(scene: Scene) -> Automaton:
     """Compose the automaton of a scene; modes are built when a run enters them."""
-    from contacts.controllers import ControlledLaws, controller
+    from contacts.controllers import ControlledLaws
+    from contacts.dynamics.control_guards import controller
+    from contacts.dynamics.mechanics import Mechanics
+    from contacts.dynamics.setup import SceneNumbers, cones, scene_parameters
     from contacts.laws import SceneLaws
-    from contacts.mechanics import Mechanics
     from contacts.scene.regions import region
-    from contacts.setup import SceneNumbers, cones, scene_parameters
     from contacts.stepper import SceneStepper
     from statechart.automaton.laws import Laws
     from statechart.automaton.regions import Margin

@@ -12,20 +12,19 @@ import numpy as np
 
 from contacts.accumulation import closed_at_once
 from contacts.bounces import opens_in_vain, rests_of_bounces, stands_for_bounces
-from contacts.candidates import ContactLaw
 from contacts.classify import Choice, Considered
-from contacts.closing import check_joints
 from contacts.configuration import judged
-from contacts.dead_points import dead_point
 from contacts.decision import check_listed, decide, explained
-from contacts.gates import Gates, hidden
+from contacts.dynamics.assembly import check_joints
+from contacts.dynamics.conditions import Gates, hidden
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.projection import Projection, dead_point, landed, on_constraints
+from contacts.dynamics.setup import SceneNumbers, SceneSetup
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape
+from contacts.dynamics.starting import check_start
 from contacts.jams import Jam, closed_state, listed, unbounded, without_collision
-from contacts.mechanics import Mechanics
-from contacts.projection import Projection, landed, on_constraints
-from contacts.setup import SceneNumbers, SceneSetup
 from contacts.simultaneous import Impacts, impacts
-from contacts.snapshot import Snapshot, SnapshotTape
-from contacts.starting import check_start
 from contacts.states import OFF, OPEN
 from contacts.usual import usual_mode
 from statechart.arrays import Array
@@ -62,7 +61,7 @@ class SceneLaws:
     mechanics : Mechanics
         The scene's equations.
     parameters : Parameters
-        From `contacts.setup.scene_parameters`.
+        From `contacts.dynamics.setup.scene_parameters`.
     numbers : SceneNumbers
         From the values of the parameters to the numbers of a run.
     """

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contacts.candidates import ContactLaw
-from contacts.snapshot import PerContact, Snapshot, solve_kkt
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.snapshot import PerContact, Snapshot, solve_kkt
 
 # Of the response to a normal force alone: p this small cannot be told from none, and the force
 # that it asks for stops slip in less time than can be told from none.

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.snapshot import Snapshot
+from contacts.dynamics.snapshot import Snapshot
 from contacts.solvers.redundancy import directions, mode_columns, unseen
 from contacts.solvers.saddle_point import independent
 from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contacts.candidates import ContactLaw
 from contacts.collisions import Collision, collisions, coupled
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impact import Impact, impact
 from contacts.scene.parts import MOREAU, Simultaneous
-from contacts.snapshot import PerContact, Snapshot
 from contacts.work import work_of
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode

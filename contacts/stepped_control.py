@@ -14,10 +14,10 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from contacts.controllers import ControlGuards, listening
-from contacts.mechanics import Mechanics
+from contacts.dynamics.control_guards import ControlGuards, listening
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.recognise import Chunk, Recorder
-from contacts.setup import SceneNumbers, SceneSetup
 from contacts.stepped_scene import SteppedScene, SteppedTape
 from statechart.arrays import Array
 from statechart.automaton.regions import Region

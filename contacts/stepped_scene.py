@@ -9,11 +9,11 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from contacts.candidates import ContactLaw
-from contacts.mechanics import Mechanics
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneSetup
 from contacts.recognise import Chunk
 from contacts.scene_kernels import BAD_INERTIA, DONE, HARD, step_scene
-from contacts.setup import SceneSetup
 from contacts.solvers.contact_lcp import contact_problem
 from contacts.solvers.contact_lcp_kernels import LOOSEST, UNKNOWNS, problem, smoothed, step_residual
 from contacts.solvers.lcp import solve_lcp

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts import impulse
-from contacts.closing import check_joints
+from contacts.dynamics.assembly import check_joints
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneNumbers, SceneSetup
+from contacts.dynamics.snapshot import SnapshotTape
+from contacts.dynamics.starting import check_start
 from contacts.impulse import Stepping
-from contacts.mechanics import Mechanics
 from contacts.scene.other_laws import replaced
-from contacts.setup import SceneNumbers, SceneSetup
-from contacts.snapshot import SnapshotTape
-from contacts.starting import check_start
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.stepped_control import StepControl, SteppedTapes
 from contacts.stepped_scene import SteppedScene
@@ -51,7 +51,7 @@ class SceneStepper:
     mechanics : Mechanics
         The scene's equations.
     parameters : Parameters
-        From `contacts.setup.scene_parameters`.
+        From `contacts.dynamics.setup.scene_parameters`.
     stops : mapping
         Stop condition -> margin.
     regions : tuple of Region

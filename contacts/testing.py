@@ -13,9 +13,9 @@ import numpy as np
 import sympy as sp
 from pydantic import ValidationError
 
-from contacts.mechanics import Mechanics
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneSetup, cones, scene_parameters
 from contacts.scene.scene import Scene
-from contacts.setup import SceneSetup, cones, scene_parameters
 from contacts.states import OFF, OPEN
 from contacts.symmetry import mirrored, rescaled
 from contacts.violations import cone_edges

@@ -11,10 +11,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.candidates import cones
-from contacts.projection import landing
-from contacts.setup import SceneSetup
-from contacts.snapshot import SnapshotTape
+from contacts.dynamics.contact_law import cones
+from contacts.dynamics.projection import landing
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import SnapshotTape
 from contacts.states import CODES, FREE, OFF, OPEN
 from contacts.usual_kernels import usual
 from statechart.arrays import Array

@@ -46,7 +46,7 @@ def usual(
     Parameters
     ----------
     code, constants, outputs
-        Tape of the scene's numbers (`contacts.snapshot.SnapshotTape`).
+        Tape of the scene's numbers (`contacts.dynamics.snapshot.SnapshotTape`).
     state, parameters, time
         Where.
     allowed : (c, 5) array

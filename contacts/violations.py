@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
-from contacts.setup import SceneSetup
 from contacts.states import OFF
 from statechart.automaton.trace import Key, Trace
 from statechart.documents.fields import FormulaText

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import cones, scene_parameters
 from contacts.kind import automaton as scene_automaton
-from contacts.mechanics import Mechanics
-from contacts.setup import cones, scene_parameters
 from contacts.symmetry import LENGTH, TIMES, mirrored, rescaled
 from contacts.testing import assert_energy
 from contacts.testing import properties as contact_properties

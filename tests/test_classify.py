@@ -10,9 +10,9 @@ from runs import automaton, golden, number
 
 from contacts.candidates import Candidate, candidates
 from contacts.classify import choose
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import Snapshot
 from contacts.laws import SceneLaws
-from contacts.setup import SceneSetup
-from contacts.snapshot import Snapshot
 from statechart.errors import NoConsistentMode
 
 PAINLEVE = golden("painleve")

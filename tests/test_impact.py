@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from runs import ENGINES, golden
 
-from contacts.candidates import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impact import Impact, impact
-from contacts.snapshot import PerContact, Snapshot
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 

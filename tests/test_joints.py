@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from runs import ENGINES, engine
 
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import cones, scene_parameters
 from contacts.kind import automaton
-from contacts.mechanics import Mechanics
 from contacts.scene.parts import Body, Contact, Coordinate, Joint, Path, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.setup import cones, scene_parameters
 from contacts.symmetry import mirrored, rescaled
 from contacts.testing import assert_energy
 from statechart.automaton.trace import Outcome, Trace

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from runs import ENGINES, engine, golden
 
+from contacts.dynamics.setup import SceneSetup
 from contacts.kind import automaton
 from contacts.laws import SceneLaws
 from contacts.painleve import paradoxes
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.setup import SceneSetup
 from statechart.automaton.trace import Outcome, Trace
 from statechart.execution.simulator import Simulator
 

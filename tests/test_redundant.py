@@ -14,13 +14,13 @@ from scipy.optimize import minimize
 
 from contacts.candidates import Candidate, by_lemke, candidates
 from contacts.classify import choose
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import Snapshot
 from contacts.kind import automaton
 from contacts.laws import SceneLaws
 from contacts.scene.modes import Free, Slide
 from contacts.scene.parts import Body, Contact, Force, Joint, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.setup import SceneSetup
-from contacts.snapshot import Snapshot
 from contacts.solvers.smallest_forces import springs
 from statechart.automaton.trace import Outcome, Trace
 from statechart.execution.simulator import Simulator

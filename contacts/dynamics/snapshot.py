@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.joints import Block, JointNumbers, blocks, motions
-from contacts.mechanics import Mechanics
+from contacts.dynamics.joints import Block, JointNumbers, blocks, motions
+from contacts.dynamics.mechanics import Mechanics
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
 from statechart.errors import SingularMode

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import sympy as sp
 
-from contacts.mechanics import Mechanics
-from contacts.snapshot import Snapshot
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.snapshot import Snapshot
 from contacts.states import OFF
 from statechart.arrays import Array
 from statechart.automaton.trace import Key

@@ -144,3 +144,33 @@ def column_scales(rows: Array) -> Array:
     largest = np.abs(rows).max(axis=0, initial=0.0)
     largest[(largest < SMALLEST) | ~np.isfinite(largest)] = 1.0
     return np.ldexp(1.0, -np.frexp(largest)[1])
+
+
+# Constraints that are so near to dependent, in the scene's sizes, leave forces to rounding.
+_DEAD_POINT = 1e-5
+# Of a unit combination: whose share is less takes no part.
+_SHARE = 1e-3
+
+
+def dependent(rows: Sequence[tuple[str, Array]]) -> str:
+    """Return whose rows have become dependent, as a sentence; "" where none have.
+
+    Parameters
+    ----------
+    rows : sequence of (str, (n,) array)
+        Whose constraint it is, and its derivatives by the coordinates, in their sizes.
+    """
+    if len(rows) < 2:
+        return ""
+    scaled = np.array([row for _, row in rows])
+    scaled /= np.linalg.norm(scaled, axis=1, keepdims=True)
+    left, values, _ = np.linalg.svd(scaled)
+    if len(values) == len(rows) and values[-1] > _DEAD_POINT:
+        return ""
+    names = dict.fromkeys(
+        name for (name, _), share in zip(rows, left[:, -1], strict=True) if abs(share) > _SHARE
+    )
+    return (
+        f"the constraints of {', '.join(names)} have become dependent (a dead point of the "
+        "linkage): the motion can go on in more than one way"
+    )

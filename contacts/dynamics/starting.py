@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from contacts.candidates import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw
 from contacts.states import OFF
 from statechart.errors import DeclarationProblem
 

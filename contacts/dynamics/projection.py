@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 import sympy as sp
 
-from contacts.dead_points import dependent
-from contacts.joints import JointNumbers, well_posed
-from contacts.mechanics import Mechanics
-from contacts.scales import Scales
-from contacts.snapshot import Snapshot, SnapshotTape, solve_kkt
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.joints import JointNumbers, dependent, well_posed
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.scales import Scales
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape, solve_kkt
 from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
@@ -274,3 +274,27 @@ def _brought(
     if shift is None or change is None:
         return state
     return state + np.concatenate([shift[0], change[0]])
+
+
+def dead_point(snapshot: Snapshot, laws: Sequence[ContactLaw], moving: Key, sizes: Array) -> str:
+    """Return which contacts' constraints have become dependent; "" where they are not.
+
+    A linkage that comes to a dead point (two rods that fold on each other, each with its end on
+    the floor) can go on in more than one way, and its forces are not determined there.
+
+    Parameters
+    ----------
+    moving : tuple of str
+        The mode of every contact.
+    sizes : (n,) array
+        Of the coordinates.
+    """
+    rows = [
+        (law.name, snapshot.jacobians[i, d])
+        for i, (law, state) in enumerate(zip(laws, moving, strict=True))
+        if state not in OPEN
+        for d in range(2 if state == "pin" else 1)
+    ]
+    if snapshot.held is None:
+        rows = [(name, row * sizes) for name, row in rows]
+    return dependent(rows)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from contacts.joints import column_scales
-from contacts.mechanics import Mechanics
+from contacts.dynamics.joints import column_scales
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import SnapshotTape
 from contacts.scene.parts import Point
-from contacts.setup import SceneSetup
-from contacts.snapshot import SnapshotTape
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 

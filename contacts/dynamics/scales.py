@@ -10,7 +10,7 @@ from itertools import accumulate
 import numpy as np
 import sympy as sp
 
-from contacts.mechanics import Mechanics
+from contacts.dynamics.mechanics import Mechanics
 from contacts.solvers.saddle_point import largest_sizes
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-from contacts.candidates import ContactLaw
-from contacts.gates import Gates
-from contacts.joints import redundant
-from contacts.mechanics import COEFFICIENTS, Mechanics
-from contacts.scales import Scales, ScaleTape
+from contacts.dynamics.conditions import Gates
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.joints import redundant
+from contacts.dynamics.mechanics import COEFFICIENTS, Mechanics
+from contacts.dynamics.scales import Scales, ScaleTape
 from contacts.scene.checks import check_finite, check_physical
 from contacts.scene.parts import Contact, Point
 from contacts.scene.regions import states as states_of
@@ -123,7 +123,7 @@ def scene_parameters(scene: Scene) -> Parameters:
             if body.inertia is not None:
                 result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
         for name, joint in scene.joints.items():
-            # Found from the start of a run, see `contacts.joints.redundant`.
+            # Found from the start of a run, see `contacts.dynamics.joints.redundant`.
             result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
         return result
 

@@ -1,0 +1,41 @@
+"""What a contact may do in a run, and the edge of its cone of friction."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from statechart.arrays import Array
+
+
+class ContactLaw(NamedTuple):
+    """What a contact may do.
+
+    Attributes
+    ----------
+    name : str
+        Of the contact.
+    states : tuple of str
+        Its region's states.
+    cone_n, cone_t : float
+        Unit edge of the friction cone.
+    restitution : float
+        Coefficient, 0 where the contact is never free.
+    impact : str
+        stronge, newton, poisson or moreau.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    cone_n: float
+    cone_t: float
+    restitution: float
+    impact: str
+
+
+@lru_cache(maxsize=1024)
+def cones(laws: tuple[ContactLaw, ...]) -> Array:
+    """Return the unit edges (c, 2) of the contacts' friction cones."""
+    return np.array([(law.cone_n, law.cone_t) for law in laws], dtype=float).reshape(-1, 2)
