@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contacts.classify import Choice
 from contacts.decision import decide
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.contact_law import ContactLaw
@@ -16,6 +15,7 @@ from contacts.dynamics.projection import landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, solve_kkt
 from contacts.jams import Jam
+from contacts.modes.classification import Choice
 from contacts.scene.parts import Resolution
 from contacts.simultaneous import impacts
 from contacts.states import OPEN

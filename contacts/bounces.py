@@ -6,9 +6,9 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from contacts.classify import choose
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
+from contacts.modes.classification import choose
 from statechart.arrays import Array
 from statechart.errors import SimulationError
 

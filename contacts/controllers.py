@@ -14,13 +14,13 @@ from dataclasses import replace
 import numpy as np
 import sympy as sp
 
-from contacts.candidates import Candidate, candidates
 from contacts.dynamics.conditions import Gates
 from contacts.dynamics.control_guards import ControlGuards, _relative, listening
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.laws import SceneLaws
+from contacts.modes.candidates import Candidate, candidates
 from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from contacts.classify import Choice, choose
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.jams import Jam, jammed
-from contacts.painleve import paradoxes
+from contacts.modes.classification import Choice, choose
+from contacts.modes.fast_classification import ENDLESS
+from contacts.modes.painleve import paradoxes
 from contacts.scene.parts import Resolution
 from contacts.states import OFF
-from contacts.usual_kernels import ENDLESS
 from statechart.errors import NoConsistentMode
 
 

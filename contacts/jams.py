@@ -16,7 +16,7 @@ from contacts.collisions import Collision, collisions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impact import impact
-from contacts.painleve import paradoxes
+from contacts.modes.painleve import paradoxes
 from contacts.simultaneous import Impacts, groups
 from contacts.states import OFF
 from statechart.automaton.trace import Key

@@ -12,8 +12,6 @@ import numpy as np
 
 from contacts.accumulation import closed_at_once
 from contacts.bounces import opens_in_vain, rests_of_bounces, stands_for_bounces
-from contacts.classify import Choice, Considered
-from contacts.configuration import judged
 from contacts.decision import check_listed, decide, explained
 from contacts.dynamics.assembly import check_joints
 from contacts.dynamics.conditions import Gates, hidden
@@ -24,9 +22,11 @@ from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_start
 from contacts.jams import Jam, closed_state, listed, unbounded, without_collision
+from contacts.modes.classification import Choice, Considered
+from contacts.modes.configuration import judged
+from contacts.modes.fast_classification import usual_mode
 from contacts.simultaneous import Impacts, impacts
 from contacts.states import OFF, OPEN
-from contacts.usual import usual_mode
 from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.feasibility import Feasibility
@@ -146,7 +146,7 @@ class SceneLaws:
         state: Array,
         fired: tuple[str, ...],
     ) -> tuple[Jump | None, Flow] | None:
-        """Classify every contact from the state; see `contacts.classify`."""
+        """Classify every contact from the state; see `contacts.modes.classification`."""
         assert isinstance(setup, SceneSetup)
         if self._plain and flow.mode == flow.flow and fired != (UNBOUNDED,):
             mode = usual_mode(setup, self._tape, state, clock.high, flow.flow)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from runs import automaton, golden, number
 
-from contacts.candidates import Candidate, candidates
-from contacts.classify import choose
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.laws import SceneLaws
+from contacts.modes.candidates import Candidate, candidates
+from contacts.modes.classification import choose
 from statechart.errors import NoConsistentMode
 
 PAINLEVE = golden("painleve")

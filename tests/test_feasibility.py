@@ -16,7 +16,7 @@ from scipy.linalg import null_space
 from scipy.optimize import nnls
 from strategies import examples
 
-from contacts.feasibility import DRIVEN, Feasibility, feasible_modes, without_direction
+from contacts.modes.feasibility import DRIVEN, Feasibility, feasible_modes, without_direction
 
 CASES = golden("planar_contact_modes")["cases"]
 ALL = ("free", "pin", "slide+", "slide-")

@@ -38,7 +38,7 @@ def _no_product(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(compose, "product_modes", refused)
     monkeypatch.setattr("statechart.diagram.build.product", refused)
-    monkeypatch.setattr("contacts.configuration.product", refused)
+    monkeypatch.setattr("contacts.modes.configuration.product", refused)
 
 
 def test_a_run_builds_the_modes_that_it_visits_and_no_other() -> None:

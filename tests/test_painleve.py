@@ -11,7 +11,7 @@ from runs import ENGINES, engine, golden
 from contacts.dynamics.setup import SceneSetup
 from contacts.kind import automaton
 from contacts.laws import SceneLaws
-from contacts.painleve import paradoxes
+from contacts.modes.painleve import paradoxes
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.trace import Outcome, Trace

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from runs import ENGINES, engine
 from scipy.optimize import minimize
 
-from contacts.candidates import Candidate, by_lemke, candidates
-from contacts.classify import choose
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.kind import automaton
 from contacts.laws import SceneLaws
+from contacts.modes.candidates import Candidate, by_lemke, candidates
+from contacts.modes.classification import choose
 from contacts.scene.modes import Free, Slide
 from contacts.scene.parts import Body, Contact, Force, Joint, Point, Surface
 from contacts.scene.scene import Scene

@@ -110,7 +110,7 @@ def off(contact: ContactSymbols, gates: tuple[Margin, ...]) -> State:
 
 
 def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, part: str) -> State:
-    """Return the state of a contact that shares its load (see `contacts.sharing`).
+    """Return the state of a contact that shares its load (see `contacts.modes.load_sharing`).
 
     Parameters
     ----------

@@ -12,7 +12,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
-from contacts.candidates import (
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.scales import Scales
+from contacts.dynamics.snapshot import PerContact, Snapshot
+from contacts.modes.candidates import (
     OPEN_LOAD,
     SINGULAR,
     Candidate,
@@ -23,10 +26,7 @@ from contacts.candidates import (
     openness,
     same_motion,
 )
-from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.scales import Scales
-from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.sharing import OWN, Share
+from contacts.modes.load_sharing import OWN, Share
 from contacts.states import OFF, OPEN
 from statechart.errors import AmbiguousMode, NoConsistentMode
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
-from contacts.feasibility import DRIVEN, feasible_modes, without_direction
+from contacts.modes.feasibility import DRIVEN, feasible_modes, without_direction
 from statechart.arrays import Array
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.regions import Region

@@ -1,7 +1,7 @@
 """Modes of the closed contacts, solved and judged by their own inequalities.
 
 Where contacts can stand in for each other, a mode is judged by whether some forces in the cones
-explain its motion (`contacts.sharing`).
+explain its motion (`contacts.modes.load_sharing`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.snapshot import Snapshot
-from contacts.sharing import Share, share
+from contacts.modes.load_sharing import Share, share
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.lcp import LcpStatus, solve_lcp
 from contacts.solvers.mode_solver import AGAINST, INTO, OUTSIDE, PULLS, solve_modes
