@@ -21,8 +21,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from test_complementarity import stack
 from test_simultaneous import body, check, in_grooves, law, random_scene
 
-from contacts.impact import impact
-from contacts.simultaneous import impacts
+from contacts.impacts.impact import impact
+from contacts.impacts.simultaneous import impacts
 from contacts.solvers.contact_lcp import contact_problem
 from contacts.solvers.lcp import LcpStatus, solve_lcp
 from statechart.errors import NoConsistentMode

@@ -94,9 +94,9 @@ def explained(outcome: str, message: str) -> bool:
     """Whether a run ended where it should.
 
     At a dead point the constraints of the contacts that the message names have become dependent
-    (`contacts.jams.dead_point` has tested the rank there): the paths that the contacts allow
-    branch, and on the way there the forces that keep to one branch grow without bound, as 1/angle
-    against the path, unless masses and friction are in balance. Rigid bodies have no unique
+    (`contacts.impacts.jamming.dead_point` has tested the rank there): the paths that the contacts
+    allow branch, and on the way there the forces that keep to one branch grow without bound, as
+    1/angle against the path, unless masses and friction are in balance. Rigid bodies have no unique
     continuation then. Other singular modes are defects: no scene here has equations that leave
     something open by nature.
     """

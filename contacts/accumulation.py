@@ -14,10 +14,10 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, solve_kkt
-from contacts.jams import Jam
+from contacts.impacts.jamming import Jam
+from contacts.impacts.simultaneous import impacts
 from contacts.modes.classification import Choice
 from contacts.scene.parts import Resolution
-from contacts.simultaneous import impacts
 from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, plain

@@ -10,7 +10,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.jams import Jam, jammed
+from contacts.impacts.jamming import Jam, jammed
 from contacts.modes.classification import Choice, choose
 from contacts.modes.fast_classification import ENDLESS
 from contacts.modes.painleve import paradoxes

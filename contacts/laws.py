@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 
 from contacts.accumulation import closed_at_once
-from contacts.bounces import opens_in_vain, rests_of_bounces, stands_for_bounces
 from contacts.decision import check_listed, decide, explained
 from contacts.dynamics.assembly import check_joints
 from contacts.dynamics.conditions import Gates, hidden
@@ -21,11 +20,12 @@ from contacts.dynamics.projection import Projection, dead_point, landed, on_cons
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_start
-from contacts.jams import Jam, closed_state, listed, unbounded, without_collision
+from contacts.impacts.bounces import opens_in_vain, rests_of_bounces, stands_for_bounces
+from contacts.impacts.jamming import Jam, closed_state, listed, unbounded, without_collision
+from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Choice, Considered
 from contacts.modes.configuration import judged
 from contacts.modes.fast_classification import usual_mode
-from contacts.simultaneous import Impacts, impacts
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
@@ -298,7 +298,7 @@ class SceneLaws:
         """Close all contacts that took part in impacts whose intervals shrink to nothing.
 
         A block that rocks from corner to corner, a bar that rattles on both ends; the bounces of
-        one contact are summed where they happen (`contacts.bounces`).
+        one contact are summed where they happen (`contacts.impacts.bounces`).
         """
         assert isinstance(setup, SceneSetup)
         jump = jumps[-1]

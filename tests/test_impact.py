@@ -10,7 +10,7 @@ from runs import ENGINES, golden
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.impact import Impact, impact
+from contacts.impacts.impact import Impact, impact
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from runs import golden, number
 
-from contacts.collisions import collisions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.impact import impact
-from contacts.simultaneous import Impacts, impacts
+from contacts.impacts.impact import impact
+from contacts.impacts.impulses import collisions
+from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem
 from contacts.solvers.exact_lcp import exact_impulses
 from contacts.solvers.lcp import enumerate_lcp

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from contacts.collisions import Collision, collisions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.impact import impact
+from contacts.impacts.impact import impact
+from contacts.impacts.impulses import Collision, collisions
+from contacts.impacts.simultaneous import Impacts, groups
 from contacts.modes.painleve import paradoxes
-from contacts.simultaneous import Impacts, groups
 from contacts.states import OFF
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode

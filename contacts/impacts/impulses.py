@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import Snapshot
+from contacts.impacts.work import work_of
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.exact_lcp import exact_impulses
 from contacts.solvers.lcp import LcpStatus, solve_lcp
@@ -24,7 +25,6 @@ from contacts.solvers.mode_solver import solve_modes
 from contacts.solvers.redundancy import connected, into_cone, mode_columns, rank, smallest
 from contacts.solvers.saddle_point import SOLVED
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
-from contacts.work import work_of
 from statechart.arrays import Array
 
 # Enumeration can prove that there is one solution or several; beyond this it costs too much.

@@ -79,7 +79,8 @@ def impact(
     restitution : float
         Coefficient, 0 to 1.
     braking : bool
-        Slip is stopped first, though the contact does not approach (see `contacts.jams`).
+        Slip is stopped first, though the contact does not approach (see
+        `contacts.impacts.jamming`).
 
     Raises
     ------

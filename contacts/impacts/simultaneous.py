@@ -1,9 +1,9 @@
 """Impacts over all closed contacts at once: plastic, capped by the energy, or one after another.
 
 Contacts that share no coordinate do not feel each other; a contact alone has its own law: a path
-(`contacts.impact`), or Moreau's. That one solves for the velocities after it, of all contacts at
-once. There are two impulses then (`contacts.collisions`): the plastic one never raises the energy;
-the one with restitution may. The largest share of the way from one to the
+(`contacts.impacts.impact`), or Moreau's. That one solves for the velocities after it, of all
+contacts at once. There are two impulses then (`contacts.impacts.impulses`): the plastic one never
+raises the energy; the one with restitution may. The largest share of the way from one to the
 other that keeps the energy keeps the cones (they are convex) and ``v_n+ >= 0`` (it is linear) as
 well.
 """
@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contacts.collisions import Collision, collisions, coupled
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.impact import Impact, impact
+from contacts.impacts.impact import Impact, impact
+from contacts.impacts.impulses import Collision, collisions, coupled
+from contacts.impacts.work import work_of
 from contacts.scene.parts import MOREAU, Simultaneous
-from contacts.work import work_of
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
 
@@ -50,7 +50,7 @@ class Impacts:
         Of the way from the plastic impulse to the one with restitution; the smallest where
         several groups of contacts are hit, 1 where no group needs it.
     indeterminate : tuple of bool
-        See `contacts.collisions.Collision`.
+        See `contacts.impacts.impulses.Collision`.
     warning : str
         "" or sentences.
     """
