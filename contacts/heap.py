@@ -12,21 +12,21 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import sympy as sp
 
-from contacts import impulse
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup, scene_parameters
 from contacts.heap_kernels import DONE, FULL, HARD, MEMORY, NOT_FINITE, step_heap
 from contacts.heap_numbers import heap_numbers, owners_of
-from contacts.impulse import Stepping
-from contacts.recognise import Chunk
 from contacts.scene.checks import check_finite, check_physical, check_shapes
 from contacts.scene.other_laws import replaced
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.solvers.contact_lcp_kernels import smoothed
 from contacts.states import FREE
-from contacts.stepped_scene import softened_remark, widened
+from contacts.time_stepping import loop as impulse
+from contacts.time_stepping.loop import Stepping
+from contacts.time_stepping.recorder import Chunk
+from contacts.time_stepping.scene_steps import softened_remark, widened
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Region, State

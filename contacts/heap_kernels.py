@@ -1,8 +1,9 @@
 """Time steps of many free bodies that collide, compiled once: block by block, island by island.
 
-The scheme is that of `contacts.scene_kernels`. The mass matrix is diagonal; bodies that touch each
-other form islands, each with a contact problem of its own, and islands too large for a dense
-problem are swept contact by contact (projected Gauss-Seidel; Moreau and Jean's contact dynamics).
+The scheme is that of `contacts.time_stepping.scene_step`. The mass matrix is diagonal; bodies that
+touch each other form islands, each with a contact problem of its own, and islands too large for a
+dense problem are swept contact by contact (projected Gauss-Seidel; Moreau and Jean's contact
+dynamics).
 """
 
 from __future__ import annotations

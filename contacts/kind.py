@@ -22,7 +22,7 @@ def automaton(scene: Scene) -> Automaton:
     from contacts.dynamics.setup import SceneNumbers, cones, scene_parameters
     from contacts.laws import SceneLaws
     from contacts.scene.regions import region
-    from contacts.stepper import SceneStepper
+    from contacts.time_stepping.scene_stepper import SceneStepper
     from statechart.automaton.laws import Laws
     from statechart.automaton.regions import Margin
     from statechart.formulas.formula import parse_relation

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from contacts.stepped_scene import SteppedScene
+from contacts.time_stepping.scene_steps import SteppedScene
 from statechart import interrupts
 from statechart.cli.main import main
 from statechart.errors import StatechartError

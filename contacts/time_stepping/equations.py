@@ -96,7 +96,7 @@ def factored(
     Parameters
     ----------
     numbers : (m,)
-        Of the step; see `contacts.scene_kernels.step_scene`.
+        Of the step; see `contacts.time_stepping.scene_step.step_scene`.
     n : int
         Number of coordinates.
     h : float

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts import impulse
 from contacts.dynamics.assembly import check_joints
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_start
-from contacts.impulse import Stepping
 from contacts.scene.other_laws import replaced
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS, STATES
-from contacts.stepped_control import StepControl, SteppedTapes
-from contacts.stepped_scene import SteppedScene
+from contacts.time_stepping import loop as impulse
+from contacts.time_stepping.control import StepControl, SteppedTapes
+from contacts.time_stepping.loop import Stepping
+from contacts.time_stepping.scene_steps import SteppedScene
 from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Key, Trace
 from statechart.errors import SimulationError

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.recognise import Chunk
-from contacts.scene_kernels import BAD_INERTIA, DONE, HARD, step_scene
 from contacts.solvers.contact_lcp import contact_problem
 from contacts.solvers.contact_lcp_kernels import LOOSEST, UNKNOWNS, problem, smoothed, step_residual
 from contacts.solvers.lcp import solve_lcp
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
-from contacts.step_equations import CONTACT
+from contacts.time_stepping.equations import CONTACT
+from contacts.time_stepping.recorder import Chunk
+from contacts.time_stepping.scene_step import BAD_INERTIA, DONE, HARD, step_scene
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode, UnsolvedImpulses
 from statechart.formulas.tape import Tape, compile_tape
@@ -99,7 +99,7 @@ class SteppedTape:
 
 @dataclass(eq=False)
 class _Memory:
-    """What lasts from step to step; see `contacts.scene_kernels.step_scene`."""
+    """What lasts from step to step; see `contacts.time_stepping.scene_step.step_scene`."""
 
     level: Array
     closed: NDArray[np.bool_]

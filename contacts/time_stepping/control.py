@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from contacts.dynamics.control_guards import ControlGuards, listening
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
-from contacts.recognise import Chunk, Recorder
-from contacts.stepped_scene import SteppedScene, SteppedTape
+from contacts.time_stepping.recorder import Chunk, Recorder
+from contacts.time_stepping.scene_steps import SteppedScene, SteppedTape
 from statechart.arrays import Array
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key

@@ -2,7 +2,7 @@
 
 Moreau's midpoint rule (the theta method with theta = 1/2; Moreau 1988, Acary and Brogliato 2008,
 10.1): half a step with the old velocities, all impulses there at once, half a step with the new
-ones. Contacts that last are kept closed to the second order: see `contacts.impulse`.
+ones. Contacts that last are kept closed to the second order: see `contacts.time_stepping.loop`.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from contacts.solvers.contact_lcp_kernels import (
     steady_impulses,
 )
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE
-from contacts.step_equations import CONTACT, JOINT, back, factored
-from contacts.step_forces import borne_mode, jammed, resting, shared_forces
+from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
+from contacts.time_stepping.forces import borne_mode, jammed, resting, shared_forces
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
