@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from contacts.heap_numbers import HeapNumbers, heap_numbers, owners_of
+from contacts.collisions.outlines import HeapNumbers, heap_numbers, owners_of
 from contacts.scene.scene import Scene
 from contacts.testing import assert_in_cone, largest_of, no_growth, step_ends
 from statechart.arrays import Array

@@ -28,7 +28,7 @@ def automaton(scene: Scene) -> Automaton:
     from statechart.formulas.formula import parse_relation
 
     if scene.collisions:
-        from contacts.heap import heap
+        from contacts.collisions.bodies import heap
 
         return heap(scene)
     parameters = scene_parameters(scene)

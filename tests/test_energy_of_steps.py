@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contacts.heap_numbers import heap_numbers, owners_of
+from contacts.collisions.outlines import heap_numbers, owners_of
 from contacts.heap_testing import assert_depths, assert_energy_of_steps
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from contacts.heap_numbers import heap_numbers, owners_of
+from contacts.collisions.outlines import heap_numbers, owners_of
 from contacts.heap_testing import (
     assert_depths,
     assert_energy_of_steps,

@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.island_kernels import compliance, island_of, push, swept, velocity
-from contacts.polygons import FOUND, against_surface, between, place
+from contacts.collisions.detection import FOUND, against_surface, between, place
+from contacts.collisions.islands import compliance, island_of, push, swept, velocity
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS, solve_impacts, steady_impulses
 from contacts.states import FREE, PIN, SLIDE
 from statechart.arrays import Array, Ints

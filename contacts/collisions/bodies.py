@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import sympy as sp
 
+from contacts.collisions.body_step import DONE, FULL, HARD, MEMORY, NOT_FINITE, step_heap
+from contacts.collisions.outlines import heap_numbers, owners_of
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup, scene_parameters
-from contacts.heap_kernels import DONE, FULL, HARD, MEMORY, NOT_FINITE, step_heap
-from contacts.heap_numbers import heap_numbers, owners_of
 from contacts.scene.checks import check_finite, check_physical, check_shapes
 from contacts.scene.other_laws import replaced
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
