@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 def automaton(scene: Scene) -> Automaton:
     """Compose the automaton of a scene; modes are built when a run enters them."""
-    from contacts.controllers import ControlledLaws
     from contacts.dynamics.control_guards import controller
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.setup import SceneNumbers, cones, scene_parameters
-    from contacts.laws import SceneLaws
+    from contacts.event_driven.controlled_laws import ControlledLaws
+    from contacts.event_driven.laws import SceneLaws
     from contacts.scene.regions import region
     from contacts.time_stepping.scene_stepper import SceneStepper
     from statechart.automaton.laws import Laws

@@ -10,7 +10,7 @@ from runs import automaton, golden, number
 
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
-from contacts.laws import SceneLaws
+from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Candidate, candidates
 from contacts.modes.classification import choose
 from statechart.errors import NoConsistentMode

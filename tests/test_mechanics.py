@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from contacts.event_driven.laws import SceneLaws
 from contacts.kind import automaton
-from contacts.laws import SceneLaws
 from contacts.scene.parts import Body, Coordinate, Force
 from contacts.scene.scene import Scene
 

@@ -9,8 +9,8 @@ import pytest
 from runs import ENGINES, engine, golden
 
 from contacts.dynamics.setup import SceneSetup
+from contacts.event_driven.laws import SceneLaws
 from contacts.kind import automaton
-from contacts.laws import SceneLaws
 from contacts.modes.painleve import paradoxes
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene

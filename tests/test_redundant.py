@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
+from contacts.event_driven.laws import SceneLaws
 from contacts.kind import automaton
-from contacts.laws import SceneLaws
 from contacts.modes.candidates import Candidate, by_lemke, candidates
 from contacts.modes.classification import choose
 from contacts.scene.modes import Free, Slide

@@ -1,7 +1,7 @@
 """The usual instant: no impact, nothing to be brought back, and one mode that agrees.
 
 One compiled call then says which; everything else is left to the laws, which go through it step by
-step (`contacts.laws`).
+step (`contacts.event_driven.laws`).
 """
 
 from __future__ import annotations

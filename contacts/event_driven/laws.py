@@ -10,8 +10,6 @@ from functools import partial
 
 import numpy as np
 
-from contacts.accumulation import closed_at_once
-from contacts.decision import check_listed, decide, explained
 from contacts.dynamics.assembly import check_joints
 from contacts.dynamics.conditions import Gates, hidden
 from contacts.dynamics.contact_law import ContactLaw
@@ -20,6 +18,8 @@ from contacts.dynamics.projection import Projection, dead_point, landed, on_cons
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_start
+from contacts.event_driven.accumulation import closed_at_once
+from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import opens_in_vain, rests_of_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, closed_state, listed, unbounded, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contacts.decision import decide
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, solve_kkt
+from contacts.event_driven.decision import decide
 from contacts.impacts.jamming import Jam
 from contacts.impacts.simultaneous import impacts
 from contacts.modes.classification import Choice
@@ -74,7 +74,7 @@ def closed_at_once(
     rest : float
         How long further impacts would take.
     paradox : str
-        See `contacts.decision.decide`.
+        See `contacts.event_driven.decision.decide`.
     """
     snapshot = hidden(at(state), flow.mode)
     rates = [c.gap_rate for c, part in zip(snapshot.contacts, took_part, strict=True) if part]

@@ -19,7 +19,7 @@ from contacts.dynamics.control_guards import ControlGuards, _relative, listening
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
-from contacts.laws import SceneLaws
+from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Candidate, candidates
 from contacts.states import OPEN
 from statechart.arrays import Array

@@ -1,0 +1,5 @@
+"""The laws of a scene at the instants between flows.
+
+`laws` classifies the contacts at the start and after every event; `decision` is a mode or a jam,
+`accumulation` ends impacts in turn. `controlled_laws` adds controllers.
+"""
