@@ -22,7 +22,7 @@ from collections import Counter
 import numpy as np
 
 from contacts.scene.scene import Scene
-from contacts.testing import properties
+from contacts.testing.scene_properties import properties
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, DeclarationProblem

@@ -10,9 +10,9 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import cones, scene_parameters
 from contacts.kind import automaton as scene_automaton
-from contacts.symmetry import LENGTH, TIMES, mirrored, rescaled
-from contacts.testing import assert_energy
-from contacts.testing import properties as contact_properties
+from contacts.testing.scene_properties import assert_energy
+from contacts.testing.scene_properties import properties as contact_properties
+from contacts.testing.symmetry import LENGTH, TIMES, mirrored, rescaled
 from statechart.automaton.regions import State
 from statechart.charts.chart import Chart
 from statechart.documents.yaml_reader import read_text

@@ -11,8 +11,8 @@ import scipy.special
 from runs import ENGINES, engine, outputs, run
 
 from contacts.scene.scene import Scene
-from contacts.testing import properties
-from contacts.violations import violations
+from contacts.testing.scene_properties import properties
+from contacts.testing.violations import violations
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.product import feasibility
 from statechart.automaton.trace import Trace

@@ -13,8 +13,8 @@ from contacts.kind import automaton
 from contacts.scene.modes import Pin, Slide
 from contacts.scene.parts import Body, Contact, Force, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.symmetry import mirrored, rescaled
-from contacts.testing import properties
+from contacts.testing.scene_properties import properties
+from contacts.testing.symmetry import mirrored, rescaled
 from statechart.automaton.trace import Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from contacts.collisions.outlines import heap_numbers, owners_of
-from contacts.heap_testing import assert_depths, assert_energy_of_steps
+from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 from statechart.testing.subject import Subject

@@ -15,8 +15,8 @@ from contacts.dynamics.setup import cones, scene_parameters
 from contacts.kind import automaton
 from contacts.scene.parts import Body, Contact, Coordinate, Joint, Path, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.symmetry import mirrored, rescaled
-from contacts.testing import assert_energy
+from contacts.testing.scene_properties import assert_energy
+from contacts.testing.symmetry import mirrored, rescaled
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from contacts.collisions.outlines import heap_numbers, owners_of
-from contacts.heap_testing import (
+from contacts.testing.assertions import assert_in_cone
+from contacts.testing.body_properties import (
     assert_depths,
     assert_energy_of_steps,
     assert_free_fall,
     assert_impulses_of_bodies,
 )
-from contacts.testing import assert_cone, assert_in_cone
+from contacts.testing.scene_properties import assert_cone
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret, load

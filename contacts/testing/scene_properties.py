@@ -6,8 +6,7 @@ automaton that was run. See `statechart.testing` for how to use them.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import sympy as sp
@@ -17,8 +16,9 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup, cones, scene_parameters
 from contacts.scene.scene import Scene
 from contacts.states import OFF, OPEN
-from contacts.symmetry import mirrored, rescaled
-from contacts.violations import cone_edges
+from contacts.testing.assertions import _ROUNDING, assert_in_cone, largest_of, no_growth, step_ends
+from contacts.testing.symmetry import mirrored, rescaled
+from contacts.testing.violations import cone_edges
 from statechart.arrays import Array
 from statechart.automaton.laws import uncaptured
 from statechart.automaton.trace import Arc, Jump, Trace
@@ -26,7 +26,6 @@ from statechart.testing.agreement import Reading, assert_same, identical
 from statechart.testing.properties import Property, dense
 from statechart.testing.subject import Case, Subject
 
-_ROUNDING, _EPSILON = 1e-13, 2.0**-52
 # Errors of the energy add up to at most so many times steps times tolerance.
 _ENERGY = 100.0
 # Nodes and weights that integrate the power from one point of the grid to the next.
@@ -80,24 +79,6 @@ def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
         edges = cone_edges(scene, trace, jump.source)
         for name, impulse in jump.impulse.items():
             assert_in_cone(impulse, edges[name], largest, f"of {name} at t = {jump.t:.17g}")
-
-
-def largest_of(impulses: Iterable[Mapping[str, tuple[float, float]]]) -> float:
-    """Return the size of the largest impulse of a run."""
-    return max((math.hypot(*impulse) for some in impulses for impulse in some.values()), default=0)
-
-
-def assert_in_cone(
-    impulse: tuple[float, float], edge: tuple[float, float], largest: float, where: str
-) -> None:
-    """Check that an impulse pushes, within friction; beside the largest, rounding is nothing."""
-    normal, tangential = impulse
-    allowed = 100.0 * _ROUNDING * math.hypot(normal, tangential) + 4.0 * _EPSILON * largest
-    assert normal >= -allowed, f"the impulse {where} pulls: {normal:.6g}"
-    outside = edge[0] * abs(tangential) - edge[1] * normal
-    assert outside <= allowed, (
-        f"the impulse {where} is outside the cone: {tangential:.6g}/{normal:.6g}"
-    )
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
@@ -199,39 +180,6 @@ def _work_of_joints(mechanics: Mechanics, subject: Subject, trace: Trace, jump: 
     return float((change - pushes) @ jump.after[n : 2 * n])
 
 
-def step_ends(trace: Trace, arc: Arc) -> slice:
-    """Return the places among an arc's times that a scheme answers for: all where it is exact.
-
-    A time step with an impact is drawn in two halves; the scheme knows its ends alone.
-    """
-    if trace.step is None:
-        return slice(None)
-    first = arc.j > 0 and trace.jumps[arc.j - 1].energy is not None
-    last = arc.j < len(trace.jumps) and trace.jumps[arc.j].energy is not None
-    return slice(1 if first else 0, -1 if last else None)
-
-
-def no_growth(points: Sequence[tuple[float, float, str]], allowed: float, rate: float) -> None:
-    """Check that an energy never grows by more than `allowed`, and `rate` per time.
-
-    Parameters
-    ----------
-    points : sequence of (float, float, str)
-        Time, energy less work, and where that is.
-    allowed, rate : float
-        What errors explain at an instant, and in the time since the energy was least.
-    """
-    least = math.inf
-    for t, value, where in points:
-        grown = value - rate * t - least
-        if grown > allowed:
-            raise AssertionError(
-                f"energy grows by {grown:.6g} up to t = {t:.17g} {where}, more than it may; "
-                f"errors explain {allowed:.1e}"
-            )
-        least = min(least, value - rate * t)
-
-
 def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
     """Return how much energy, per time, time steps may add to a scene of points and surfaces.
 
@@ -254,7 +202,7 @@ def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
 def properties(scene: Scene) -> tuple[Property, ...]:
     """Return what holds for every scene, besides what holds for every automaton."""
     if scene.collisions:
-        from contacts.heap_testing import heap_properties
+        from contacts.testing.body_properties import heap_properties
 
         return (*heap_properties(scene), *_relations(scene))
     parameters = scene_parameters(scene)

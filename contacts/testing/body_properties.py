@@ -12,7 +12,7 @@ import numpy as np
 
 from contacts.collisions.outlines import HeapNumbers, heap_numbers, owners_of
 from contacts.scene.scene import Scene
-from contacts.testing import assert_in_cone, largest_of, no_growth, step_ends
+from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, step_ends
 from statechart.arrays import Array
 from statechart.automaton.trace import Trace
 from statechart.testing.properties import Property

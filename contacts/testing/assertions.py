@@ -1,0 +1,61 @@
+"""What properties of scenes share: cones, the growth of energy, the ends of steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+from statechart.automaton.trace import Arc, Trace
+
+_ROUNDING, _EPSILON = 1e-13, 2.0**-52
+
+
+def largest_of(impulses: Iterable[Mapping[str, tuple[float, float]]]) -> float:
+    """Return the size of the largest impulse of a run."""
+    return max((math.hypot(*impulse) for some in impulses for impulse in some.values()), default=0)
+
+
+def assert_in_cone(
+    impulse: tuple[float, float], edge: tuple[float, float], largest: float, where: str
+) -> None:
+    """Check that an impulse pushes, within friction; beside the largest, rounding is nothing."""
+    normal, tangential = impulse
+    allowed = 100.0 * _ROUNDING * math.hypot(normal, tangential) + 4.0 * _EPSILON * largest
+    assert normal >= -allowed, f"the impulse {where} pulls: {normal:.6g}"
+    outside = edge[0] * abs(tangential) - edge[1] * normal
+    assert outside <= allowed, (
+        f"the impulse {where} is outside the cone: {tangential:.6g}/{normal:.6g}"
+    )
+
+
+def step_ends(trace: Trace, arc: Arc) -> slice:
+    """Return the places among an arc's times that a scheme answers for: all where it is exact.
+
+    A time step with an impact is drawn in two halves; the scheme knows its ends alone.
+    """
+    if trace.step is None:
+        return slice(None)
+    first = arc.j > 0 and trace.jumps[arc.j - 1].energy is not None
+    last = arc.j < len(trace.jumps) and trace.jumps[arc.j].energy is not None
+    return slice(1 if first else 0, -1 if last else None)
+
+
+def no_growth(points: Sequence[tuple[float, float, str]], allowed: float, rate: float) -> None:
+    """Check that an energy never grows by more than `allowed`, and `rate` per time.
+
+    Parameters
+    ----------
+    points : sequence of (float, float, str)
+        Time, energy less work, and where that is.
+    allowed, rate : float
+        What errors explain at an instant, and in the time since the energy was least.
+    """
+    least = math.inf
+    for t, value, where in points:
+        grown = value - rate * t - least
+        if grown > allowed:
+            raise AssertionError(
+                f"energy grows by {grown:.6g} up to t = {t:.17g} {where}, more than it may; "
+                f"errors explain {allowed:.1e}"
+            )
+        least = min(least, value - rate * t)
