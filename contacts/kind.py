@@ -28,9 +28,9 @@ def automaton(scene: Scene) -> Automaton:
     from statechart.formulas.formula import parse_relation
 
     if scene.collisions:
-        from contacts.collisions.bodies import heap
+        from contacts.collisions.bodies import bodies_automaton
 
-        return heap(scene)
+        return bodies_automaton(scene)
     parameters = scene_parameters(scene)
     mechanics = Mechanics(scene, parameters.symbols, cones(scene, parameters.symbols))
     names = mechanics.names

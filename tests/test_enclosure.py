@@ -12,7 +12,7 @@ from test_tape import P, T, X, Y, expressions, tape_of
 
 from statechart.automaton.dense_output import integrals, lowest, sample
 from statechart.engines.event_location import Verdict, first_crossing
-from statechart.formulas.tape import compile_tape, plain
+from statechart.formulas.tape import compile_tape, contiguous
 from statechart.kernels.boxes import enclose, judge, prepare
 from statechart.kernels.intervals import wave
 from statechart.kernels.jets import run_jets
@@ -34,7 +34,7 @@ def margin(expression, *, tolerance=0.0, coeffs=((0.0, 1.0),), times=(0.0, 1.0),
 
 def jets_over(tape, coeffs, parameters, times, start, m, w, order=2):
     """Enclosures of the outputs over [m - w, m + w] of the first step; shape (n_out, 6)."""
-    coeffs, times, parameters = plain(coeffs), plain(times), plain(parameters)
+    coeffs, times, parameters = contiguous(coeffs), contiguous(times), contiguous(parameters)
     n = tape.n_variables
     values = np.concatenate([np.zeros(n + 1), parameters, tape.constants])
     jets = np.zeros((len(values) + len(tape.code), 6))

@@ -16,7 +16,7 @@ from scipy.linalg import null_space
 from scipy.optimize import nnls
 from strategies import examples
 
-from contacts.modes.feasibility import DRIVEN, Feasibility, feasible_modes, without_direction
+from contacts.modes.feasibility import DRIVEN, ModeVerdict, feasible_modes, without_direction
 
 CASES = golden("planar_contact_modes")["cases"]
 ALL = ("free", "pin", "slide+", "slide-")
@@ -202,7 +202,7 @@ def test_a_contact_that_nothing_moves_is_pinned() -> None:
 
 
 def test_without_contacts_there_is_one_mode_and_it_is_possible() -> None:
-    assert feasible_modes(np.zeros((0, 2, 3)), []) == (Feasibility((), True, ""),)
+    assert feasible_modes(np.zeros((0, 2, 3)), []) == (ModeVerdict((), True, ""),)
 
 
 def test_reasons_name_the_contacts_and_what_they_hold() -> None:

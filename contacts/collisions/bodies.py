@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import sympy as sp
 
-from contacts.collisions.body_step import DONE, FULL, HARD, MEMORY, NOT_FINITE, step_heap
-from contacts.collisions.outlines import heap_numbers, owners_of
+from contacts.collisions.body_step import DONE, FULL, HARD, MEMORY, NOT_FINITE, step_bodies
+from contacts.collisions.outlines import body_numbers, owners_of
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup, scene_parameters
@@ -56,7 +56,7 @@ _PER_BODY = 24
 _MOST_GIVEN = 4096
 
 
-def heap(scene: Scene) -> Automaton:
+def bodies_automaton(scene: Scene) -> Automaton:
     """Return the automaton of a scene with collisions: its regions, and what steps it."""
     bodies = scene.single_bodies()
     owners = owners_of(scene)
@@ -77,8 +77,8 @@ def heap(scene: Scene) -> Automaton:
         for name, text in scene.stop.conditions.items()
     }
 
-    def stepper() -> HeapStepper:
-        return HeapStepper(scene, owners, mechanics, parameters, stops, observables["energy"])
+    def stepper() -> BodyStepper:
+        return BodyStepper(scene, owners, mechanics, parameters, stops, observables["energy"])
 
     return Automaton(
         name=scene.name,
@@ -114,7 +114,7 @@ def _energy(scene: Scene, mechanics: Mechanics, known: Mapping[str, sp.Expr]) ->
     return sp.Add(*terms)
 
 
-class HeapStepper:
+class BodyStepper:
     """Steps colliding bodies (see `statechart.automaton.laws.TimeStepper`).
 
     Parameters
@@ -296,7 +296,7 @@ class SteppedHeap:
     """
 
     def __init__(self, scene: Scene, owners: Sequence[str], known: Mapping[str, float]) -> None:
-        self.numbers = heap_numbers(scene, owners, known)
+        self.numbers = body_numbers(scene, owners, known)
         laws = self.numbers.materials
         self._materials = np.column_stack([smoothed(laws[:, :2]), laws[:, 2]])
         self._names = tuple(scene.bodies)
@@ -336,7 +336,7 @@ class SteppedHeap:
         approach, closing = np.zeros(count), np.zeros(count)
         given, done, softened = np.zeros(0), 0, False
         while done < count:
-            taken, status, self._remembered, delassus, least, cones = step_heap(
+            taken, status, self._remembered, delassus, least, cones = step_bodies(
                 of.vertices, of.firsts, of.radii, of.sizes, of.inverse,
                 of.gravity, of.surfaces, of.pairs, self._materials, self._plastic, h, now,
                 self._keys, self._memory, self._remembered, given, softened,

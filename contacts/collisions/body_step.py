@@ -74,7 +74,7 @@ def _swept_steady(
 
 
 @kernel
-def step_heap(
+def step_bodies(
     vertices: Array,
     firsts: Ints,
     radii: Array,

@@ -17,7 +17,7 @@ from statechart.formulas.formula import parse
 
 
 @dataclass(frozen=True, eq=False)
-class HeapNumbers:
+class BodyNumbers:
     """What does not change in a run of colliding bodies.
 
     Attributes
@@ -57,7 +57,7 @@ def owners_of(scene: Scene) -> list[str]:
     ]
 
 
-def heap_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]) -> HeapNumbers:
+def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]) -> BodyNumbers:
     """Evaluate a scene with collisions.
 
     Parameters
@@ -100,7 +100,7 @@ def heap_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]
         inverse.append([1.0 / mass, 1.0 / mass, 1.0 / inertia])
     declared = scene.gravity
     pairs, materials = _materials(scene, owners, number)
-    return HeapNumbers(
+    return BodyNumbers(
         np.array(corners, dtype=float).reshape(-1, 2),
         np.array(firsts, dtype=np.int64),
         np.array(radii),

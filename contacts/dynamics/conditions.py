@@ -23,7 +23,7 @@ from statechart.formulas.tape import compile_tape
 _BAND = 1e-13
 
 
-class Gates:
+class Conditions:
     """Judges the conditions of a scene's contacts.
 
     Parameters

@@ -13,7 +13,7 @@ from contacts.scene.controls import Controller, Transition
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.regions import Edge, Margin, Region, State
-from statechart.charts.firing import Guard, Listening, Watch, guards
+from statechart.charts.firing import Guard, GuardWatch, Listening, guards
 
 
 def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:
@@ -79,7 +79,7 @@ class ControlGuards:
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [row.force for row in mechanics.joint_rows]
         unknown = sp.Symbol("unknown", real=True)
-        self.watch = Watch(
+        self.watch = GuardWatch(
             watched,
             {n: e.xreplace(set_) for n, e in mechanics.observables.items() if n in names},
             {
@@ -117,6 +117,6 @@ class ControlGuards:
         return np.concatenate([setup.scales.sizes, self.typical(setup), [0.0]])
 
 
-def _relative(setup: SceneSetup) -> float:
+def precision(setup: SceneSetup) -> float:
     """Return how well margins and their rates are known: as the contacts' gaps are."""
     return setup.tolerances["gap"] / setup.scales.length

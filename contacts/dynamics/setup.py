@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-from contacts.dynamics.conditions import Gates
+from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.joints import redundant
 from contacts.dynamics.mechanics import COEFFICIENTS, Mechanics
@@ -177,7 +177,7 @@ class SceneNumbers:
         self._parameters = parameters
         self._places = {name: i for i, name in enumerate(parameters.names)}
         self._scales = ScaleTape(mechanics, symbols)
-        self.gates = Gates(mechanics, symbols)
+        self.gates = Conditions(mechanics, symbols)
         self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
         self._stops = tuple(stops)
         forces = [force for pair in mechanics.forces.values() for force in pair]

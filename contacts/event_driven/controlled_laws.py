@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.conditions import Gates
-from contacts.dynamics.control_guards import ControlGuards, _relative, listening
+from contacts.dynamics.conditions import Conditions
+from contacts.dynamics.control_guards import ControlGuards, listening, precision
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
@@ -26,7 +26,7 @@ from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.laws import CAPTURED, Flow, Setup, plain
+from statechart.automaton.laws import CAPTURED, Flow, Setup, shown_mode
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Clock, Jump, Key
 from statechart.charts.firing import Guard, considered
@@ -158,7 +158,7 @@ class ControlledLaws:
             named = dict(zip(self._names, states, strict=True))
             self._under[states] = self._contacts.under(
                 SnapshotTape(self._mechanics, self._parameters, named),
-                Gates(self._mechanics, self._parameters, named),
+                Conditions(self._mechanics, self._parameters, named),
             )
         return self._under[states]
 
@@ -180,7 +180,7 @@ class ControlledLaws:
         if (guarded.rows(setup, clock.high, state)[:, 0] > tolerances).all():
             return {}
         snapshot = self._at(own).snapshot(setup, state, clock.high)
-        modes = plain(flow.flow[: self._count])
+        modes = shown_mode(flow.flow[: self._count])
         closed = [mode not in OPEN for mode in modes]
         solved = candidates(
             snapshot, setup.contacts, [(mode,) for mode in modes], closed, closed, setup.scales
@@ -192,7 +192,7 @@ class ControlledLaws:
             forces = np.where(captured[:, None], 0.0, solved.forces)
             found = np.concatenate([accelerations, forces.ravel(), joints])
         rows = guarded.rows(setup, clock.high, state, found)
-        relative = _relative(setup)
+        relative = precision(setup)
 
         def later(guard: Guard) -> float:
             return self._courses.sign(
@@ -225,7 +225,7 @@ class ControlledLaws:
         guarded = self._guards(states)
         # The size of a guard's terms is asked for, not its value: forces of the scene's size do.
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
-        tolerances = guarded.watch.tolerances(rows, _relative(setup))
+        tolerances = guarded.watch.tolerances(rows, precision(setup))
         return flow._replace(
             mode=(*flow.mode, *states),
             flow=(*flow.flow, *states),

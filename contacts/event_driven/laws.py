@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from contacts.dynamics.assembly import check_joints
-from contacts.dynamics.conditions import Gates, hidden
+from contacts.dynamics.conditions import Conditions, hidden
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import Projection, dead_point, landed, on_constraints
@@ -25,12 +25,12 @@ from contacts.impacts.jamming import Jam, closed_state, listed, unbounded, witho
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Choice, Considered
 from contacts.modes.configuration import judged
-from contacts.modes.fast_classification import usual_mode
+from contacts.modes.fast_classification import fast_mode
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.laws import CAPTURED, UNBOUNDED, Flow, Setup, plain, uncaptured
+from statechart.automaton.laws import CAPTURED, UNBOUNDED, Flow, Setup, shown_mode, uncaptured
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Clock, Jump, Key
 from statechart.errors import DeclarationProblem, NoConsistentMode, SingularMode
@@ -80,7 +80,7 @@ class SceneLaws:
         self._plain = not mechanics.joint_rows and not self._gates.present
         self._projection = Projection(mechanics, symbols, self._tape)
 
-    def under(self, tape: SnapshotTape, gates: Gates) -> SceneLaws:
+    def under(self, tape: SnapshotTape, gates: Conditions) -> SceneLaws:
         """Return the laws where forces are those of `tape`, and conditions those of `gates`."""
         laws = copy.copy(self)
         laws._tape, laws._gates = tape, gates
@@ -95,7 +95,7 @@ class SceneLaws:
         assert isinstance(setup, SceneSetup)
         state = setup.initial
         if self._plain and not self._modes:
-            mode = usual_mode(setup, self._tape, state, 0.0, None)
+            mode = fast_mode(setup, self._tape, state, 0.0, None)
             if mode is not None:
                 return self._flow(setup, mode[0]), state
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
@@ -149,7 +149,7 @@ class SceneLaws:
         """Classify every contact from the state; see `contacts.modes.classification`."""
         assert isinstance(setup, SceneSetup)
         if self._plain and flow.mode == flow.flow and fired != (UNBOUNDED,):
-            mode = usual_mode(setup, self._tape, state, clock.high, flow.flow)
+            mode = fast_mode(setup, self._tape, state, clock.high, flow.flow)
             if mode is not None:
                 return self._usual(setup, clock, j, flow, state, fired, *mode)
         before = state
@@ -169,7 +169,7 @@ class SceneLaws:
         snapshot = hidden(snapshot, flow.mode)
         # Between steps a dense output leaves the constraints by its own error: a contact that the
         # flow kept closed is judged as closed.
-        moving = plain(flow.flow)
+        moving = shown_mode(flow.flow)
         state = landed(moving, snapshot, state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         rested = self._rested(flow, moving, snapshot, fired, 2.0 * slow)
@@ -351,7 +351,7 @@ class SceneLaws:
         """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
         assert isinstance(setup, SceneSetup)
         return self._projection.constraints(
-            plain(flow), start, anchor, setup.values, setup.tolerances, setup.scales
+            shown_mode(flow), start, anchor, setup.values, setup.tolerances, setup.scales
         )
 
     def feasibility(
@@ -412,9 +412,11 @@ class SceneLaws:
             else:
                 considered, moving, notes = choice.considered, choice.taken.flow, choice.notes
                 warnings += [choice.warning] if choice.warning else []
-            after = landed(plain(moving), following, after, setup.tolerances)
+            after = landed(shown_mode(moving), following, after, setup.tolerances)
             # Where bounces are skipped the contact is still free, and moves as if closed.
-            target = tuple("free" if i in rests else name for i, name in enumerate(plain(moving)))
+            target = tuple(
+                "free" if i in rests else name for i, name in enumerate(shown_mode(moving))
+            )
         if jam is None and not rests:
             # What is hit without rebound and thrown off by the turning of its body closes first.
             ended = tuple(
@@ -469,7 +471,7 @@ class SceneLaws:
         # Where a long flight's rounding has left a gap below its tolerance, it opens from there.
         below = {
             f"{law.name}.gap": -2.0 * contact.gap
-            for law, contact, now in zip(laws, following.contacts, plain(moving), strict=True)
+            for law, contact, now in zip(laws, following.contacts, shown_mode(moving), strict=True)
             if now == "free" and contact.gap < -setup.tolerances["gap"]
         }
         return jump, flow._replace(tolerances={**flow.tolerances, **below}) if below else flow

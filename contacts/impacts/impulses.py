@@ -53,7 +53,7 @@ _NAMES[_PRESS] = "stick"
 
 
 @dataclass(frozen=True, eq=False)
-class Collision:
+class Impulses:
     """One solution of the impact's complementarity problem.
 
     Attributes
@@ -82,7 +82,7 @@ def collisions(
     laws: Sequence[ContactLaw],
     closed: Sequence[bool],
     restitution: Sequence[float],
-) -> tuple[Collision, ...]:
+) -> tuple[Impulses, ...]:
     """Return the impulses that agree with the laws, one per distinct motion, preferred first.
 
     ``0 <= P_n``, ``v_n+ + e min(v_n-, 0) >= 0``, their product 0; friction in its cone, against
@@ -100,14 +100,14 @@ def collisions(
     """
     group = [i for i, shut in enumerate(closed) if shut]
     problem = _Problem.of(snapshot, laws, group, restitution)
-    agree: list[Collision] = []
+    agree: list[Impulses] = []
     if len(group) > _ENUMERATED:
         agree = problem.solve(problem.by_lemke())
     if not agree and len(group) <= _ENUMERATED_LAST:
         agree = problem.solve(list(product(*(_choices(laws[i]) for i in group))))
     if not agree:
         agree = problem.exactly()
-    found: list[Collision] = []
+    found: list[Impulses] = []
     for collision in sorted(agree, key=_preference):
         if not any(problem.same_motion(collision, one) for one in found):
             found.append(collision)
@@ -180,7 +180,7 @@ class _Problem:
             not any(restitution[i] > 0.0 for i in group),
         )
 
-    def solve(self, codes: Sequence[Sequence[int]]) -> list[Collision]:
+    def solve(self, codes: Sequence[Sequence[int]]) -> list[Impulses]:
         """Solve the combinations of modes, and return those that agree with the laws."""
         table = np.array(codes, dtype=np.int64).reshape(-1, len(self.group))
         # A contact that presses is open, and its twin without friction closed.
@@ -220,9 +220,9 @@ class _Problem:
 
     def _collision(
         self, code: NDArray[np.int64], change: Array, impulses: Array, violation: float
-    ) -> Collision:
+    ) -> Impulses:
         names = tuple(_NAMES[int(c)] for c in code)
-        return Collision(change, impulses, names, (False,) * len(code), float(violation))
+        return Impulses(change, impulses, names, (False,) * len(code), float(violation))
 
     def _after(self, change: Array) -> tuple[Array, Array]:
         """Return the velocities (.., g, 2) after, and the sizes of the terms they consist of."""
@@ -312,7 +312,7 @@ class _Problem:
         impulses = contact_impulses(solution.z, self.cones)
         return [tuple(map(_mode, impulses.tolist(), self.cones.tolist()))]
 
-    def exactly(self) -> list[Collision]:
+    def exactly(self) -> list[Impulses]:
         """Return what rational arithmetic finds: for inertias and impulses too far apart."""
         found = exact_impulses(self.mass, self.jacobians, self.start, self.cones)
         if found is None:
@@ -321,12 +321,12 @@ class _Problem:
         violation = self._violations(code[None], change[None], impulses[None]).item()
         return [self._collision(code, change, impulses, violation)] if violation <= _TIE else []
 
-    def same_motion(self, one: Collision, other: Collision) -> bool:
+    def same_motion(self, one: Impulses, other: Impulses) -> bool:
         """Whether the contacts, whose impulses are all that moves the bodies, move alike."""
         (after, terms), (beside, sizes) = self._after(one.change), self._after(other.change)
         return bool((np.abs(after - beside) <= _SAME * (terms + sizes)).all())
 
-    def shared_out(self, collision: Collision, count: int) -> Collision:
+    def shared_out(self, collision: Impulses, count: int) -> Impulses:
         """Return it for all coordinates and contacts, with the smallest impulses that move so."""
         after, terms = self._after(collision.change)
         shut = np.abs(after[:, 0]) <= _TIE * terms[:, 0]
@@ -346,7 +346,7 @@ class _Problem:
         states, indeterminate = ["open"] * count, [False] * count
         for k, i in enumerate(self.group):
             states[i], indeterminate[i] = collision.states[k], unknown[k]
-        return Collision(change, impulses, tuple(states), tuple(indeterminate), collision.violation)
+        return Impulses(change, impulses, tuple(states), tuple(indeterminate), collision.violation)
 
 
 def _choices(law: ContactLaw) -> tuple[int, ...]:
@@ -373,7 +373,7 @@ def _mode(impulse: tuple[float, float], cone: tuple[float, float]) -> int:
     return SLIDE_MINUS if H > 0.0 else SLIDE_PLUS
 
 
-def _preference(collision: Collision) -> tuple[bool, int, int, tuple[str, ...]]:
+def _preference(collision: Impulses) -> tuple[bool, int, int, tuple[str, ...]]:
     """Most contacts closed first, then most of them sticking; names make ties deterministic."""
     states = collision.states
     return (

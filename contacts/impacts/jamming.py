@@ -15,7 +15,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.impact import impact
-from contacts.impacts.impulses import Collision, collisions
+from contacts.impacts.impulses import Impulses, collisions
 from contacts.impacts.simultaneous import Impacts, groups
 from contacts.modes.painleve import paradoxes
 from contacts.states import OFF
@@ -179,7 +179,7 @@ def _sliding(
 
 def _at_once(
     snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int]
-) -> Collision | None:
+) -> Impulses | None:
     """Return the preferred plastic impulse that is not none."""
     contacts = tuple(c._replace(gap_rate=0.0) for c in snapshot.contacts)
     closed = [i in places for i in range(len(laws))]

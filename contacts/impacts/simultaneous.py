@@ -19,7 +19,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.impact import Impact, impact
-from contacts.impacts.impulses import Collision, collisions, coupled
+from contacts.impacts.impulses import Impulses, collisions, coupled
 from contacts.impacts.work import work_of
 from contacts.scene.parts import MOREAU, Simultaneous
 from statechart.arrays import Array
@@ -50,7 +50,7 @@ class Impacts:
         Of the way from the plastic impulse to the one with restitution; the smallest where
         several groups of contacts are hit, 1 where no group needs it.
     indeterminate : tuple of bool
-        See `contacts.impacts.impulses.Collision`.
+        See `contacts.impacts.impulses.Impulses`.
     warning : str
         "" or sentences.
     """
@@ -200,7 +200,7 @@ def _at_once(
 
 
 def _shares(
-    snapshot: Snapshot, group: Sequence[int], plastic: Collision, target: Collision
+    snapshot: Snapshot, group: Sequence[int], plastic: Impulses, target: Impulses
 ) -> tuple[float, float]:
     """Return (1 - s, s) for the largest s at which the impulses do no work on the bodies.
 
@@ -222,7 +222,7 @@ def _shares(
     return min(max(rest, 0.0), 1.0), min(max(share, 0.0), 1.0)
 
 
-def _work(snapshot: Snapshot, group: Sequence[int], found: Collision) -> tuple[float, float]:
+def _work(snapshot: Snapshot, group: Sequence[int], found: Impulses) -> tuple[float, float]:
     """Return what `work_of` does, of one solution."""
     before = np.array([snapshot.contacts[i][1:3] for i in group])
     work, size = work_of(

@@ -25,7 +25,7 @@ from statechart.kernels.tapes import tape_values
 _NAMES = {code: name for name, code in CODES.items() if name != OFF}
 
 
-def usual_mode(
+def fast_mode(
     setup: SceneSetup, tape: SnapshotTape, state: Array, time: float, flow: Key | None
 ) -> tuple[Key, float] | None:
     """Return the mode that the state calls for and the energy; None where the instant is not usual.

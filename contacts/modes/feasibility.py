@@ -48,7 +48,7 @@ _MOST_MODES = 4096
 
 
 @dataclass(frozen=True)
-class Feasibility:
+class ModeVerdict:
     """Whether a mode is kinematically possible.
 
     Attributes
@@ -70,7 +70,7 @@ class Feasibility:
 
 def feasible_modes(
     jacobians: ArrayLike, options: Sequence[Sequence[str]], names: Sequence[str] | None = None
-) -> tuple[Feasibility, ...]:
+) -> tuple[ModeVerdict, ...]:
     """Judge every combination of `options`.
 
     Parameters
@@ -119,7 +119,7 @@ def feasible_modes(
     return _judged(jacobians, product(*options), names)
 
 
-def without_direction(judged: Iterable[Feasibility]) -> dict[tuple[str, ...], str]:
+def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], str]:
     """Return modes without their directions of sliding, and why they are not possible.
 
     Parameters
@@ -133,7 +133,7 @@ def without_direction(judged: Iterable[Feasibility]) -> dict[tuple[str, ...], st
         Mode -> reason; "" where one of its directions is possible. A reason that asks for no
         direction stands alone, else those of all directions are joined.
     """
-    groups: dict[tuple[str, ...], list[Feasibility]] = {}
+    groups: dict[tuple[str, ...], list[ModeVerdict]] = {}
     for mode in judged:
         groups.setdefault(tuple(s.rstrip("+-") for s in mode.states), []).append(mode)
     return {
@@ -144,7 +144,7 @@ def without_direction(judged: Iterable[Feasibility]) -> dict[tuple[str, ...], st
 
 def _judged(
     jacobians: ArrayLike, modes: Iterable[tuple[str, ...]], names: Sequence[str]
-) -> tuple[Feasibility, ...]:
+) -> tuple[ModeVerdict, ...]:
     rows = _scaled(np.asarray(jacobians, float))
     conflicts: set[frozenset[Condition]] = set()
     held: dict[tuple[str, ...], frozenset[Condition] | None] = {}
@@ -166,10 +166,10 @@ def _judged(
         )
     ]
     return tuple(
-        Feasibility(states, True, "")
+        ModeVerdict(states, True, "")
         if conditions is None
         else next(
-            Feasibility(states, False, reason, formulas)
+            ModeVerdict(states, False, reason, formulas)
             for conflict, reason, formulas in refusals
             if conflict <= conditions
         )
@@ -177,7 +177,7 @@ def _judged(
     )
 
 
-def _reason(directions: Iterable[Feasibility]) -> str:
+def _reason(directions: Iterable[ModeVerdict]) -> str:
     """Join the reasons of all directions, unless one of them asks for no direction."""
     reasons = {
         mode.reason: any(formula in ("v_t > 0", "v_t < 0") for _, formula in mode.conflict)

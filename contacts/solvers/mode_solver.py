@@ -13,8 +13,8 @@ from contacts.solvers.saddle_point import (
     SINGULAR,
     SOLVED,
     UNDETERMINED,
-    _solve,
     independent,
+    solve_refined,
 )
 from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array
@@ -207,7 +207,7 @@ def solve_modes(
         size = n + rank
         matrix, b, x = np.zeros((size, size)), np.empty(size), np.empty(size)
         _assemble(mass, right, rows, constants, columns, first, bearing, matrix, b)
-        status[k] = _solve(matrix, b, x)
+        status[k] = solve_refined(matrix, b, x)
         if status[k] != SOLVED:
             continue
         for i in range(n):

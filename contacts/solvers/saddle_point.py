@@ -39,7 +39,7 @@ def _largest(values: Array) -> float:
 
 
 @part
-def _solve(scaled: Array, b: Array, x: Array) -> int:
+def solve_refined(scaled: Array, b: Array, x: Array) -> int:
     """Solve ``scaled x = b`` with partial pivoting and two refinements.
 
     Matrix and right side are equilibrated in place, by powers of two (exact). A pivot that its own
@@ -156,7 +156,7 @@ def saddle(
         for k in range(n + m):
             matrix[n + i, k] = rows[i, k]
     x = np.empty(n + m)
-    return _solve(matrix, b, x), x
+    return solve_refined(matrix, b, x), x
 
 
 @kernel

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from contacts.collisions.outlines import HeapNumbers, heap_numbers, owners_of
+from contacts.collisions.outlines import BodyNumbers, body_numbers, owners_of
 from contacts.scene.scene import Scene
 from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, step_ends
 from statechart.arrays import Array
@@ -21,7 +21,7 @@ from statechart.testing.subject import Case, Subject
 _ROUNDING = 1e-13
 
 
-def assert_depths(numbers: HeapNumbers, trace: Trace) -> None:
+def assert_depths(numbers: BodyNumbers, trace: Trace) -> None:
     """Check that nothing overlaps by more than the fastest approach makes in a step."""
     count = len(numbers.sizes)
     starts = [arc.coefficients[:, : 3 * count, 0] for arc in trace.arcs]
@@ -51,7 +51,7 @@ def assert_depths(numbers: HeapNumbers, trace: Trace) -> None:
             )
 
 
-def _placed(numbers: HeapNumbers, states: Array, b: int) -> Array:
+def _placed(numbers: BodyNumbers, states: Array, b: int) -> Array:
     """Return the corners (m, k, 2) of a polygon, or the centre (m, 1, 2) of a disc."""
     own = numbers.vertices[numbers.firsts[b] : numbers.firsts[b + 1]]
     if not len(own):
@@ -88,7 +88,7 @@ def _along_normals(one: Array, other: Array) -> Array:
     return np.asarray(away.min(axis=2).max(axis=1))
 
 
-def assert_free_fall(numbers: HeapNumbers, trace: Trace) -> None:
+def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
     """Check that gravity alone acts on a body that is free."""
     count = len(numbers.sizes)
     fall = np.array([*numbers.gravity, 0.0])
@@ -108,7 +108,7 @@ def assert_free_fall(numbers: HeapNumbers, trace: Trace) -> None:
             )
 
 
-def assert_impulses_of_bodies(numbers: HeapNumbers, trace: Trace) -> None:
+def assert_impulses_of_bodies(numbers: BodyNumbers, trace: Trace) -> None:
     """Check that impulses push, and stay within the friction of the roughest contact."""
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
@@ -120,7 +120,7 @@ def assert_impulses_of_bodies(numbers: HeapNumbers, trace: Trace) -> None:
             assert_in_cone(impulse, (n, t), largest, f"on {name} at t = {jump.t:.17g}")
 
 
-def assert_energy_of_steps(numbers: HeapNumbers, subject: Subject, trace: Trace) -> None:
+def assert_energy_of_steps(numbers: BodyNumbers, subject: Subject, trace: Trace) -> None:
     """Check that the energy grows in no step by more than ``h^2/8 f^T M^-1 f``."""
     assert trace.step is not None
     energy = [subject.automaton.observables["energy"]]
@@ -137,16 +137,16 @@ def assert_energy_of_steps(numbers: HeapNumbers, subject: Subject, trace: Trace)
     no_growth(points, 100.0 * _ROUNDING * size + rate * trace.step, rate)
 
 
-def heap_properties(scene: Scene) -> tuple[Property, ...]:
+def body_properties(scene: Scene) -> tuple[Property, ...]:
     """Return what holds for every scene of colliding bodies."""
 
-    def each(check: Callable[[HeapNumbers, Subject, Trace], None]) -> Callable[[Case], None]:
+    def each(check: Callable[[BodyNumbers, Subject, Trace], None]) -> Callable[[Case], None]:
         def holds(case: Case) -> None:
             model, trace = case.subject.model, case.trace
             assert isinstance(model, Scene)
             values = {name: trace.parameters[name] for name in model.parameters}
             single = model.model_copy(update={"bodies": model.single_bodies()})
-            numbers = heap_numbers(single, owners_of(model), model.values(values))
+            numbers = body_numbers(single, owners_of(model), model.values(values))
             check(numbers, case.subject, trace)
 
         return holds

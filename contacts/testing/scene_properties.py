@@ -202,9 +202,9 @@ def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
 def properties(scene: Scene) -> tuple[Property, ...]:
     """Return what holds for every scene, besides what holds for every automaton."""
     if scene.collisions:
-        from contacts.testing.body_properties import heap_properties
+        from contacts.testing.body_properties import body_properties
 
-        return (*heap_properties(scene), *_relations(scene))
+        return (*body_properties(scene), *_relations(scene))
     parameters = scene_parameters(scene)
     mechanics = Mechanics(scene, parameters.symbols, cones(scene, parameters.symbols))
     none = "" if scene.contacts else "the scene has no contacts"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from statechart.formulas.tape import Tape, plain
+from statechart.formulas.tape import Tape, contiguous
 from statechart.kernels.polynomials import integrate_outputs, sample_states
 
 
@@ -36,7 +36,7 @@ def lowest(
     ValueError
         If a shape does not fit.
     """
-    times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
+    times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
     s = np.arange(per_step + 1) / per_step
     begin, end = times[:-1, None], times[1:, None]
     local = np.where(s < 1.0, begin + s * (end - begin), end)
@@ -73,7 +73,7 @@ def integrals(
     ValueError
         If a shape does not fit.
     """
-    times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
+    times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
     return integrate_outputs(
         tape.code,
         tape.constants,
@@ -111,7 +111,7 @@ def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> NDArray[np.fl
     ValueError
         If a shape does not fit.
     """
-    coeffs, times, tau = plain(coeffs), plain(times), plain(tau)
+    coeffs, times, tau = contiguous(coeffs), contiguous(times), contiguous(tau)
     if coeffs.ndim != 3 or len(coeffs) == 0 or times.shape != (len(coeffs) + 1,) or tau.ndim != 1:
         raise ValueError(
             f"coeffs, times and tau have shapes {coeffs.shape}, {times.shape} and {tau.shape}, "
@@ -120,10 +120,11 @@ def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> NDArray[np.fl
     return sample_states(coeffs, times, tau)
 
 
-def _arc(
+def checked_arc(
     tape: Tape, times: ArrayLike, coeffs: ArrayLike, parameters: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    times, coeffs, parameters = plain(times), plain(coeffs), plain(parameters)
+    """Return an arc's arrays and the parameters as kernels want them; their shapes fit the tape."""
+    times, coeffs, parameters = contiguous(times), contiguous(coeffs), contiguous(parameters)
     tape.require(parameters)
     if coeffs.ndim != 3 or times.shape != (len(coeffs) + 1,) or coeffs.shape[1] != tape.n_variables:
         raise ValueError(

@@ -39,7 +39,7 @@ def uncaptured(flow: Key) -> Key:
 
 
 @lru_cache(maxsize=1024)
-def plain(flow: Key) -> Key:
+def shown_mode(flow: Key) -> Key:
     """Return the mode of a flow: its states without what chooses among equivalent equations.
 
     Where a mode's equations leave quantities open that do not change the motion, a flow says after

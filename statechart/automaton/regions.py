@@ -11,7 +11,7 @@ import sympy as sp
 from statechart.automaton.trace import Key
 from statechart.formulas.linear import Definition
 
-Kind = Literal["plain", "gap", "speed", "force"]
+MarginKind = Literal["plain", "gap", "speed", "force"]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Margin:
 
     name: str
     expression: sp.Expr
-    kind: Kind = "plain"
+    kind: MarginKind = "plain"
 
 
 @dataclass(frozen=True)

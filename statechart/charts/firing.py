@@ -139,7 +139,7 @@ def considered(region: Region) -> tuple[dict[str, str], ...]:
     )
 
 
-class Watch:
+class GuardWatch:
     """The guards of a mode, evaluated together at an instant.
 
     Parameters

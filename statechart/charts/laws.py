@@ -25,7 +25,7 @@ from statechart.automaton.regions import Edge, Margin, Region, State
 from statechart.automaton.trace import Clock, Jump, Key, between
 from statechart.charts.chart import Chart, Transition
 from statechart.charts.chart import Region as DeclaredRegion
-from statechart.charts.firing import Guard, Listening, Watch, considered, guards, size_of
+from statechart.charts.firing import Guard, GuardWatch, Listening, considered, guards, size_of
 from statechart.documents.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.formulas.formula import parse, parse_relation
@@ -159,7 +159,7 @@ class ChartLaws:
         self._chart = chart
         self._symbols = symbols
         self._regions = tuple(chart.regions)
-        self._watches: dict[Key, Watch] = {}
+        self._watches: dict[Key, GuardWatch] = {}
         self._updates: dict[tuple[int, int], Tape] = {}
         self._courses = Courses(
             tuple(symbols.variables.values()),
@@ -303,7 +303,7 @@ class ChartLaws:
             raise NonFinite(f"the guard of {watch.guards[place].margin} has no value")
         return flow._replace(tolerances=watch.tolerances(rows, _ROUNDING))
 
-    def _watch(self, flow: Key) -> Watch:
+    def _watch(self, flow: Key) -> GuardWatch:
         """Return the guards of a mode; regions that are held have none."""
         if flow not in self._watches:
             known, variables = self._symbols.known, self._symbols.variables
@@ -317,7 +317,7 @@ class ChartLaws:
                 for variable, text in region.states[state].flows.items():
                     rates[variables[variable]] = parse(text).to_sympy(known)
                 watched += guards(place, name, region.transitions, state)
-            self._watches[flow] = Watch(
+            self._watches[flow] = GuardWatch(
                 watched,
                 known,
                 rates,

@@ -26,8 +26,8 @@ from statechart.documents.outputs import (
     Minimum,
     Output,
     Value,
-    _check_member,
     check_event,
+    check_member,
 )
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.formulas.formula import evaluate_parameters, parse, parse_relation
@@ -265,8 +265,8 @@ class Declaration(Part):
                 case Integral():
                     check_names(parse(output.integral), names, *loc, "integral")
                     for region, state in output.during.items():
-                        _check_member("region", region, states, *loc, "during", region)
-                        _check_member("state", state, states[region], *loc, "during", region)
+                        check_member("region", region, states, *loc, "during", region)
+                        check_member("state", state, states[region], *loc, "during", region)
                 case Count():
                     self._check_events(output.events, causes, states, *loc, "count")
                 case Minimum():

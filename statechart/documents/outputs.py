@@ -172,14 +172,14 @@ def check_event(
         If it cannot.
     """
     if event.region is not None:
-        _check_member("region", event.region, causes, *loc)
+        check_member("region", event.region, causes, *loc)
         known = {*causes[event.region], *states[event.region]}
     else:
         known = set().union(*causes.values())
-    _check_member("cause or state", event.cause, known, *loc)
+    check_member("cause or state", event.cause, known, *loc)
 
 
-def _check_member(what: str, name: str, known: Collection[str], *loc: str | int) -> None:
+def check_member(what: str, name: str, known: Collection[str], *loc: str | int) -> None:
     """Check that something is declared that a name refers to."""
     if name not in known:
         raise DeclarationProblem(f"no {what} {name!r}", advice=close_matches(name, known), loc=loc)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engines.engine import Begin, Engine, Path, Steps, Watch
+from statechart.engines.engine import Begin, Engine, FlowWatch, Path, Steps
 from statechart.errors import OutOfBudget
 
 
@@ -71,7 +71,7 @@ class Limited(Engine):
         self,
         stepper: object,
         path: Path,
-        watch: Watch,
+        watch: FlowWatch,
         state: Array,
         until: float,
         count: int,

@@ -100,7 +100,7 @@ class Begin(Enum):
     ON = "the same flow, where it was left"
 
 
-class Watch(NamedTuple):
+class FlowWatch(NamedTuple):
     """A flow, and what it is watched for.
 
     Attributes
@@ -185,7 +185,7 @@ class Engine(ABC):
         self,
         stepper: object,
         path: Path,
-        watch: Watch,
+        watch: FlowWatch,
         state: Array,
         until: float,
         count: int,

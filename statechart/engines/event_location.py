@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from statechart.automaton.dense_output import _arc
-from statechart.formulas.tape import Tape, plain
+from statechart.automaton.dense_output import checked_arc
+from statechart.formulas.tape import Tape, contiguous
 from statechart.kernels.search import BUDGET, CROSSING, GRAZE, NON_FINITE, NONE
 from statechart.kernels.search import search as kernel
 
@@ -145,8 +145,8 @@ def first_crossing(
     ValueError
         If a shape does not fit or a tolerance is negative.
     """
-    times, coeffs, parameters = _arc(tape, times, coeffs, parameters)
-    tolerances = plain(tolerances)
+    times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
+    tolerances = contiguous(tolerances)
     if tolerances.shape != tape.outputs.shape:
         raise ValueError(f"the tolerances have shape {tolerances.shape}, not {tape.outputs.shape}")
     return search(tape, tolerances, times, coeffs, parameters, float(start), 0, len(coeffs), budget)

@@ -11,7 +11,7 @@ from scipy import integrate
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engines.engine import Begin, Engine, Path, Steps, Watch, rates_tape
+from statechart.engines.engine import Begin, Engine, FlowWatch, Path, Steps, rates_tape
 from statechart.errors import NonFinite, StepFailure
 from statechart.formulas.tape import Tape
 
@@ -57,7 +57,7 @@ class SciPy(Engine):
         self,
         stepper: object,
         path: Path,
-        watch: Watch,
+        watch: FlowWatch,
         state: Array,
         until: float,
         count: int,
@@ -85,7 +85,7 @@ class SciPy(Engine):
     def _step(
         self,
         stepper: _Stepper,
-        watch: Watch,
+        watch: FlowWatch,
         start: float,
         state: Array,
         duration: float,

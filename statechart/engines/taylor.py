@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Steps, Watch
+from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch, Path, Steps
 from statechart.engines.event_location import BOXES, Verdict, as_search
 from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, Step, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
@@ -140,7 +140,7 @@ class Taylor(Engine):
         self,
         stepper: object,
         path: Path,
-        watch: Watch,
+        watch: FlowWatch,
         state: Array,
         until: float,
         count: int,

@@ -12,7 +12,7 @@ from statechart import interrupts
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, Path, Watch
+from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch, Path
 from statechart.engines.event_location import Crossing, Search, Verdict, search
 from statechart.errors import NonFinite, SimulationError, StepFailure, TooLong, Undecided
 from statechart.formulas.series import size_at
@@ -116,7 +116,7 @@ def advance(
     engine: Engine,
     compiled: CompiledMode,
     path: Path,
-    watch: Watch,
+    watch: FlowWatch,
     *,
     state: Array,
     duration: float,
@@ -266,7 +266,7 @@ def _check_pace(steps: int, took: float, left: float) -> None:
         )
 
 
-def _constrained(watch: Watch, state: Array, local: float) -> tuple[Array, float]:
+def _constrained(watch: FlowWatch, state: Array, local: float) -> tuple[Array, float]:
     """Return a state brought onto its constraints, and how far it was off; the same if near."""
     time = watch.start + local
     off = watch.constraints.off(state, watch.parameters, time)
@@ -278,7 +278,7 @@ def _constrained(watch: Watch, state: Array, local: float) -> tuple[Array, float
 
 
 def _blind(
-    watch: Watch, path: Path, first: int, last: int, found: Search
+    watch: FlowWatch, path: Path, first: int, last: int, found: Search
 ) -> tuple[int, float] | None:
     """Return the step, up to what was found in them, that leaves its constraints, and when."""
     within = watch.constraints.within
@@ -302,7 +302,12 @@ def _blind(
 
 
 def _noise(
-    engine: Engine, compiled: CompiledMode, watch: Watch, path: Path, initial: Array, found: Search
+    engine: Engine,
+    compiled: CompiledMode,
+    watch: FlowWatch,
+    path: Path,
+    initial: Array,
+    found: Search,
 ) -> Array | None:
     """Return wider tolerances where what was found is no fall but noise; None where it may be one.
 
@@ -335,7 +340,7 @@ def _noise(
 def _decide(
     found: Search,
     compiled: CompiledMode,
-    watch: Watch,
+    watch: FlowWatch,
     path: Path,
     reached: float,
 ) -> Crossing:

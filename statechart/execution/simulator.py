@@ -13,7 +13,7 @@ import sympy as sp
 from statechart import interrupts
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import CAPTURED, HELD, UNBOUNDED, Flow, Setup, plain, uncaptured
+from statechart.automaton.laws import CAPTURED, HELD, UNBOUNDED, Flow, Setup, shown_mode, uncaptured
 from statechart.automaton.modes import build_mode, captured
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import (
@@ -27,7 +27,7 @@ from statechart.automaton.trace import (
     between,
     check_size,
 )
-from statechart.engines.engine import Engine, Path, Watch
+from statechart.engines.engine import Engine, FlowWatch, Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.execution.flow import CompiledMode, advance, compile_mode
 from statechart.execution.outcome import Progress, error_of
@@ -132,7 +132,7 @@ class Simulator:
                 stepper = None if bare == key else self.compiled(bare, setup).stepper
                 found = compile_mode(self.engine, self.automaton, mode, stepper)
                 if HELD not in key:
-                    self._built.add(plain(key))
+                    self._built.add(shown_mode(key))
             self._compiled[key, setup.zeros] = found
         return found
 
@@ -260,7 +260,7 @@ class _Run:
             self.simulator.engine,
             compiled,
             path,
-            Watch(compiled.guards, np.array(allowed), constraints, setup.values, start),
+            FlowWatch(compiled.guards, np.array(allowed), constraints, setup.values, start),
             state=self.state,
             duration=duration,
             horizon=self.horizon,

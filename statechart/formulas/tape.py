@@ -42,7 +42,7 @@ _RECIPROCAL: dict[type[sp.Basic], str] = {sp.cot: "tan", sp.sec: "cos", sp.csc: 
 _COMMUTATIVE = {OPCODES[name] for name in ("add", "mul", "min", "max", "hypot")}
 
 
-def plain(array: ArrayLike) -> NDArray[np.float64]:
+def contiguous(array: ArrayLike) -> NDArray[np.float64]:
     """Return the array as the kernels want it: float64, contiguous, aligned, writeable.
 
     Any other kind of array would be another type to numba, and compiled for once more.
@@ -107,7 +107,7 @@ class Tape:
         ValueError
             If a shape does not fit.
         """
-        state, parameters = plain(state), plain(parameters)
+        state, parameters = contiguous(state), contiguous(parameters)
         if state.shape != (self.n_variables,):
             raise ValueError(f"the state has shape {state.shape}, not ({self.n_variables},)")
         self.require(parameters)
@@ -148,7 +148,7 @@ class Tape:
         ValueError
             If a shape does not fit.
         """
-        states, parameters, times = plain(states), plain(parameters), plain(times)
+        states, parameters, times = contiguous(states), contiguous(parameters), contiguous(times)
         if times.ndim != 1 or states.shape != (len(times), self.n_variables):
             raise ValueError(
                 f"states and times have shapes {states.shape} and {times.shape}, "

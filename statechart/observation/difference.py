@@ -12,7 +12,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Trace, sizes
-from statechart.observation.outputs import Result as Output
+from statechart.observation.outputs import OutputValue as Output
 from statechart.observation.sampling import at_times
 from statechart.observation.zeno_tails import without_summed
 

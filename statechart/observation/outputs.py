@@ -10,7 +10,7 @@ from statechart.automaton.trace import Jump, Trace
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Value
 from statechart.observation.observer import Observer
 
-Result = float | int | list[float] | None
+OutputValue = float | int | list[float] | None
 """A number; a list for a value at `each` event; None where the event never happened."""
 
 
@@ -52,7 +52,7 @@ class Outputs:
                 case Maximum():
                     self._extremes.append((name, output.maximum, 1))
 
-    def of(self, trace: Trace) -> dict[str, Result]:
+    def of(self, trace: Trace) -> dict[str, OutputValue]:
         """Return the outputs of a run, in the order of the declaration.
 
         A value at an event that never happened is None, the count of it 0, the list empty.
@@ -63,7 +63,7 @@ class Outputs:
             If a formula cannot be evaluated.
         """
         observer = self.observer
-        found: dict[str, Result] = {}
+        found: dict[str, OutputValue] = {}
         for name, output, when, events in self._at:
             found[name] = self._at_jumps(trace, output, when, events)
         for name, events in self._counts:
@@ -84,14 +84,14 @@ class Outputs:
             found |= zip(self._integrals, totals.tolist(), strict=True)
         return {name: found[name] for name in self._names}
 
-    def sizes(self, trace: Trace) -> dict[str, Result]:
+    def sizes(self, trace: Trace) -> dict[str, OutputValue]:
         """Return how large outputs are, in the form of `of`: what their errors are relative to.
 
         Of a value, the largest magnitude that its formula had at the start, at the jumps up to
         its moment and then: where a body comes back to zero, the value there is rounding. The
         others are as large as themselves, and left out.
         """
-        found: dict[str, Result] = {}
+        found: dict[str, OutputValue] = {}
         for name, output, when, events in self._at:
             largest = self._largest(trace, output.value)
             chosen = {id(jump) for jump in self._chosen(trace, when, events)}
@@ -142,6 +142,6 @@ class Outputs:
         ]
 
 
-def outputs(observer: Observer, trace: Trace) -> dict[str, Result]:
+def outputs(observer: Observer, trace: Trace) -> dict[str, OutputValue]:
     """Return the declared outputs of one run; see `Outputs.of`."""
     return Outputs(observer).of(trace)

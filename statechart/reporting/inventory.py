@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import HELD, Setup, plain
+from statechart.automaton.laws import HELD, Setup, shown_mode
 from statechart.automaton.trace import Trace
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
@@ -36,13 +36,13 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
     setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
     modes: dict[tuple[str, ...], dict[str, Any]] = {}
     for arc in trace.arcs:
-        if HELD in arc.flow or plain(arc.flow) in modes:
+        if HELD in arc.flow or shown_mode(arc.flow) in modes:
             continue
         mode = simulator.compiled(arc.flow, setup).mode
         # Contacts that are open have forces that are zero: they are no unknowns.
         solved = [s for s, e in mode.definitions if s in automaton.unknowns and e != 0]
-        modes[plain(arc.flow)] = {
-            "mode": dict(zip(trace.regions, plain(arc.flow), strict=True)),
+        modes[shown_mode(arc.flow)] = {
+            "mode": dict(zip(trace.regions, shown_mode(arc.flow), strict=True)),
             "unknowns": len(solved),
             "guards": {m.name: trace.evidence.get(m.name, "") for m in mode.margins},
         }

@@ -14,7 +14,7 @@ from statechart.errors import DeclarationError
 from statechart.observation.difference import difference
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
-from statechart.observation.outputs import Result as Output
+from statechart.observation.outputs import OutputValue as Output
 
 """The step from one tolerance to the next when an error is estimated. Measured over 180 runs: with
 it the difference of the two bounds the error in 179, at 3.2 to 3.7 times the cost of one."""

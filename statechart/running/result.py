@@ -12,7 +12,7 @@ from typing import Any
 from statechart.automaton.trace import Trace
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
-from statechart.observation.outputs import Result as Output
+from statechart.observation.outputs import OutputValue as Output
 from statechart.reporting.pieces import Pieces
 from statechart.running.estimate import Cost
 

@@ -26,7 +26,7 @@ from statechart.loading.kind import offered
 from statechart.observation.difference import compare, distance, paired, parted
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
-from statechart.observation.outputs import Result as Output
+from statechart.observation.outputs import OutputValue as Output
 from statechart.running.estimate import BRIEF, Answer, Cost, tighten
 from statechart.study.record import Errors, Point, Setting, Study
 
