@@ -1,0 +1,48 @@
+"""Rigid bodies in contact, as statecharts: free, slide, pin.
+
+A `Scene` declares bodies, surfaces and contacts with their modes; `statechart.run` and the other
+functions of `statechart` take it as they take any model. What this page does not name is internal.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from contacts.scene.modes import Free, Pin, Slide
+    from contacts.scene.parts import Body, Contact, Coordinate, Force, Joint, Path, Point, Surface
+    from contacts.scene.scene import Scene
+    from contacts.scene.shapes import Collision, Shape
+
+__all__ = [
+    "Body",
+    "Collision",
+    "Contact",
+    "Coordinate",
+    "Force",
+    "Free",
+    "Joint",
+    "Path",
+    "Pin",
+    "Point",
+    "Scene",
+    "Shape",
+    "Slide",
+    "Surface",
+]
+
+_HOMES = {
+    "scene.modes": ("Free", "Pin", "Slide"),
+    "scene.scene": ("Scene",),
+    "scene.shapes": ("Collision", "Shape"),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME.get(name, 'scene.parts')}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,108 @@
+"""Hybrid statecharts: declared, composed, drawn, run and checked.
+
+A model is a YAML file, or its pydantic model (`Chart` here, `Scene` in `contacts`). `run` runs it
+once, `Runner` many times; `draw` draws its statechart, `check` tests what must hold of its runs,
+`trade` measures what speed costs in accuracy. What this page does not name is internal.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from statechart.automaton.trace import Outcome, Trace
+    from statechart.charts.chart import Chart
+    from statechart.documents.declaration import Settings, Stop
+    from statechart.documents.outputs import Count, Integral, Maximum, Minimum, Value
+    from statechart.errors import (
+        AmbiguousMode,
+        DeclarationError,
+        EventLoop,
+        FormulaError,
+        NoConsistentMode,
+        NonFinite,
+        OutOfBudget,
+        SimulationError,
+        SingularMode,
+        StatechartError,
+        StepFailure,
+        StepTooLarge,
+        TooLong,
+        Undecided,
+        UnsolvedImpulses,
+        Unsupported,
+        Zeno,
+    )
+    from statechart.loading.load import load
+    from statechart.running.drawing import draw
+    from statechart.running.result import Result
+    from statechart.running.runner import Runner, run
+    from statechart.study.trade import trade
+    from statechart.testing.checking import check
+
+    __version__: str
+
+__all__ = [
+    "AmbiguousMode",
+    "Chart",
+    "Count",
+    "DeclarationError",
+    "EventLoop",
+    "FormulaError",
+    "Integral",
+    "Maximum",
+    "Minimum",
+    "NoConsistentMode",
+    "NonFinite",
+    "OutOfBudget",
+    "Outcome",
+    "Result",
+    "Runner",
+    "Settings",
+    "SimulationError",
+    "SingularMode",
+    "StatechartError",
+    "StepFailure",
+    "StepTooLarge",
+    "Stop",
+    "TooLong",
+    "Trace",
+    "Undecided",
+    "UnsolvedImpulses",
+    "Unsupported",
+    "Value",
+    "Zeno",
+    "check",
+    "draw",
+    "load",
+    "run",
+    "trade",
+]
+
+# Nothing is imported before it is used: the command line starts as fast as without this page.
+_HOMES = {
+    "automaton.trace": ("Outcome", "Trace"),
+    "charts.chart": ("Chart",),
+    "documents.declaration": ("Settings", "Stop"),
+    "documents.outputs": ("Count", "Integral", "Maximum", "Minimum", "Value"),
+    "loading.load": ("load",),
+    "running.drawing": ("draw",),
+    "running.result": ("Result",),
+    "running.runner": ("Runner", "run"),
+    "study.trade": ("trade",),
+    "testing.checking": ("check",),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("contact-statecharts")
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME.get(name, 'errors')}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, "__version__"})

@@ -195,7 +195,7 @@ def swept(
     members : (m,) array of int
         The island's contacts.
     bodies, rows, inverse, cones, wanted, before, free, rebounds
-        Of all contacts, and of bodies; see `heap_kernels.step_heap`.
+        Of all contacts, and of bodies; see `body_step.step_bodies`.
     loose : (b, 3)
         Rates without impulses.
     pushes, sliding, guesses

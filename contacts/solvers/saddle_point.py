@@ -118,7 +118,7 @@ def solve_refined(scaled: Array, b: Array, x: Array) -> int:
             terms[i] += abs(scaled[i, c] * x[c])
         largest = max(largest, terms[i])
     # A row whose own terms all vanish (V = 0 at mu = inf) is compared with the rounding of others.
-    rounding = 1e-14 * largest
+    rounding = 1e-14 * largest + SMALLEST
     for i in range(size):
         if abs(residual[i]) > _RESIDUAL * terms[i] + rounding:
             return INEXACT

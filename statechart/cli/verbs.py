@@ -241,27 +241,22 @@ def modes(arguments: argparse.Namespace) -> int:
 
 def draw(arguments: argparse.Namespace) -> int:
     """Draw the statechart, with the path of a run where asked for or needed."""
-    from statechart.automaton.product import feasibility
-    from statechart.diagram.build import build, needs_run
     from statechart.diagram.write import SUFFIXES, write
+    from statechart.running.drawing import drawn
 
     path = Path(arguments.output)
     if path.suffix.lower() not in SUFFIXES:
         raise DeclarationError(
             f"-o {arguments.output}: the suffix must be one of {', '.join(SUFFIXES)}"
         )
-    runner = _runner(arguments.file, progress=True)
-    start, _ = runner.start()
-    trace, code = None, 0
-    if arguments.visited or needs_run(runner.automaton):
-        trace = runner.run(throw=False).trace
+    diagram, trace = drawn(_runner(arguments.file, progress=True), visited=arguments.visited)
+    code = 0
+    if trace is not None:
         _warn(trace.warnings)
         if not trace.outcome.succeeded:
             _warn([f"the run ended early: {trace.outcome.name}, {trace.message}"])
             code = 1
-    setup = runner.setup()
-    found = feasibility(runner.automaton, setup, setup.initial, 0.0)
-    write(build(runner.automaton, start, trace, found), path)
+    write(diagram, path)
     print(path)
     return code
 

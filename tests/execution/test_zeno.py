@@ -23,7 +23,7 @@ from statechart.execution.simulator import Simulator
 from statechart.execution.zeno import Accumulation
 from statechart.loading.load import load
 
-GOLDEN = json.loads((Path(__file__).parent / "golden" / "bouncing_ball_flat.json").read_text())
+GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "bouncing_ball_flat.json").read_text())
 FIRST = math.sqrt(2.0 / 9.81)
 
 

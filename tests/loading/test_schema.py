@@ -13,7 +13,7 @@ from statechart.documents.yaml_reader import read
 from statechart.errors import DeclarationError
 from statechart.loading.schema import schema
 
-FOLDER = Path(__file__).parent.parent / "docs" / "schema"
+FOLDER = Path(__file__).parents[2] / "docs" / "schema"
 
 
 @pytest.mark.parametrize("kind", ["scene", "chart"])

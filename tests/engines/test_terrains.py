@@ -17,7 +17,7 @@ HILLS = compile_tape(
 BUMPS = compile_tape(
     [Y - A * sp.exp(-(((X - C) / W) ** 2))], variables=[X, Y], parameters=[A, C, W], time=T
 )
-GOLDEN = Path(__file__).parent / "golden" / "hilly_ball.json"
+GOLDEN = Path(__file__).parents[1] / "golden" / "hilly_ball.json"
 
 
 def flight(x, y, vx, vy, g, h):

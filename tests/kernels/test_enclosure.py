@@ -7,8 +7,7 @@ import pytest
 import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import examples
-from test_tape import P, T, X, Y, expressions, tape_of
+from strategies import P, T, X, Y, examples, expressions, tape_of
 
 from statechart.automaton.dense_output import integrals, lowest, sample
 from statechart.engines.event_location import Verdict, first_crossing

@@ -11,31 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from runs import ENGINES, engine
+from scenes import compose, go, region, run, scene, times
 from strategies import examples
-from test_chart import compose, go, region, times
 
-from contacts.scene.scene import Scene
-from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.yaml_reader import read_text
 from statechart.execution.simulator import Simulator
-from statechart.loading.kind import kind
-from statechart.loading.load import interpret
 from statechart.running.runner import run as run_model
 
 both = pytest.mark.parametrize("name", ENGINES)
-
-
-def run(automaton: Automaton, name: str, until: float, **parameters: float) -> Trace:
-    return Simulator(automaton, engine(name)).run(parameters, until=until)
-
-
-def scene(text: str) -> Automaton:
-    model = interpret(read_text(text, "f.yaml"))
-    assert isinstance(model, Scene)
-    built = kind("scene").automaton(model)
-    assert isinstance(built, Automaton)
-    return built
 
 
 @both

@@ -327,7 +327,7 @@ def test_pictures_need_no_program_and_carry_their_font(tmp_path):
         "    write(Diagram('t', (Node('a', 'a'),), ()), Path('x' + s))\n"
     )
     keep = {k: v for k, v in os.environ.items() if k in ("PYTHONPATH", "SYSTEMROOT")}
-    keep["PYTHONPATH"] = str(Path(__file__).parents[1])
+    keep["PYTHONPATH"] = str(Path(__file__).parents[2])
     done = subprocess.run(
         [sys.executable, "-c", script],
         env={**keep, "PATH": ""},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from runs import ENGINES
 from strategies import examples
@@ -71,8 +71,13 @@ def test_impacts_in_turn_that_no_gap_resolves_are_the_end_of_them(engine: str) -
     assert_energy_never_grows(trace)
 
 
+# A slope whose products lose their digits.
+FLAT = {"slope": 2.0**-1023, "inertia": 0.02, "half": 0.36, "depth": 0.085, "e": 0.085, "mu": 0.5}
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 @examples(8)
+@example(v=0.0, w=0.085, **FLAT)
 @given(
     inertia=st.floats(0.02, 0.4),
     half=st.floats(0.1, 0.6),

@@ -225,7 +225,7 @@ def test_modes_that_differ_for_a_moment_only_are_passed_over() -> None:
 
 
 def test_an_accuracy_is_delivered_on_random_scenes_or_refused_with_the_reason() -> None:
-    path = Path(__file__).parents[1] / "benchmarks" / "accuracy_of_random_scenes.py"
+    path = Path(__file__).parents[2] / "benchmarks" / "accuracy_of_random_scenes.py"
     spec = importlib.util.spec_from_file_location("accuracy_of_random_scenes", path)
     assert spec is not None
     assert spec.loader is not None

@@ -15,7 +15,7 @@ from statechart.errors import DeclarationError
 from statechart.loading.load import interpret
 from statechart.running.runner import Runner, run
 
-GOLDEN = Path(__file__).parent / "golden"
+GOLDEN = Path(__file__).parents[1] / "golden"
 STEPPING = json.loads((GOLDEN / "impacts_and_timestepping.json").read_text())
 STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy as sp
+from scenes import compose, go, region, times
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD
@@ -24,38 +25,8 @@ TAYLOR, SCIPY = Taylor(2.2e-16), SciPy(1e-12)
 both = pytest.mark.parametrize("engine", [TAYLOR, SCIPY], ids=["taylor", "scipy"])
 
 
-def compose(
-    variables: dict[str, Any], regions: dict[str, Any], parameters: dict[str, Any] | None = None
-) -> Automaton:
-    return automaton(
-        Chart.model_validate(
-            {
-                "name": "test",
-                "variables": variables,
-                "regions": regions,
-                "parameters": parameters or {},
-            }
-        )
-    )
-
-
-def region(
-    states: dict[str, dict[str, Any]], *transitions: dict[str, Any], initial: str | None = None
-) -> dict[str, Any]:
-    flows = {name: {"flows": flows} for name, flows in states.items()}
-    return {"initial": initial or next(iter(states)), "states": flows, "transitions": transitions}
-
-
-def go(source: str, target: str, guard: str, name: str = "go", **updates: Any) -> dict[str, Any]:
-    return {"name": name, "from": source, "to": target, "guard": guard, "updates": updates}
-
-
 def run(chart: Automaton, engine: Engine, until: float, **parameters: float) -> Trace:
     return Simulator(chart, engine).run(parameters, until=until)
-
-
-def times(trace: Trace, cause: str = "go") -> list[float]:
-    return [jump.t for jump in trace.jumps if jump.cause == cause]
 
 
 @both

@@ -35,7 +35,7 @@ FILES = {"run.json", "events.csv", "samples.csv", "trace.nc", "figure.svg", "fig
 
 @pytest.fixture(scope="module")
 def observer() -> Observer:
-    scene = load(Path(__file__).parent.parent / "models" / "toppling_stick.yaml")
+    scene = load(Path(__file__).parents[2] / "models" / "toppling_stick.yaml")
     assert isinstance(scene, Scene)
     return Observer(Simulator(automaton(scene), Taylor(2.2e-16)))
 

@@ -17,8 +17,8 @@ from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs, outputs
 from statechart.reporting.report import report
 
-MODELS = Path(__file__).parent.parent / "models"
-GOLDEN = json.loads((Path(__file__).parent / "golden" / "toppling_stick.json").read_text())
+MODELS = Path(__file__).parents[2] / "models"
+GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "toppling_stick.json").read_text())
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from statechart.reporting.figure import figure, render
 
 @pytest.fixture(scope="module")
 def observer() -> Observer:
-    scene = load(Path(__file__).parent.parent / "models" / "toppling_stick.yaml")
+    scene = load(Path(__file__).parents[2] / "models" / "toppling_stick.yaml")
     assert isinstance(scene, Scene)
     return Observer(Simulator(automaton(scene), Taylor(2.2e-16)))
 
@@ -53,7 +53,7 @@ def test_panels_show_states_forces_with_the_cone_and_modes(
 
 
 def test_a_chart_of_few_variables_has_a_panel_each() -> None:
-    chart = load(Path(__file__).parent.parent / "models" / "bouncing_ball_chart.yaml")
+    chart = load(Path(__file__).parents[2] / "models" / "bouncing_ball_chart.yaml")
     made = kind("chart").automaton(chart)
     assert isinstance(made, Automaton)
     simulator = Simulator(made, Taylor(1e-12))

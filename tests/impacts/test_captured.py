@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from runs import ENGINES, engine
+from scenes import run, scene, times
 from strategies import examples
-from test_guards import run, scene, times
 
 from statechart.automaton.trace import Outcome
 from statechart.execution.simulator import Simulator

@@ -1,0 +1,100 @@
+"""What users import: every public name once, as the types say, and nothing before it is used."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import contacts
+import statechart
+from contacts import (
+    Body,
+    Collision,
+    Contact,
+    Coordinate,
+    Force,
+    Free,
+    Joint,
+    Pin,
+    Point,
+    Scene,
+    Shape,
+    Slide,
+    Surface,
+)
+from statechart import Chart, Outcome, Result, Runner, Stop, Trace, Value
+
+
+def sled() -> Scene:
+    return Scene(
+        name="sled",
+        parameters={"mu": 0.5},
+        gravity=9.81,
+        bodies={"sled": Body(mass=1, start={"dx": 3})},
+        surfaces={"floor": Surface(height=0)},
+        contacts={
+            "base": Contact(
+                point=Point(body="sled"), surface="floor", modes=(Slide(), Pin()), friction="mu"
+            )
+        },
+        forces={"wind": Force(body="sled", force=("-time", 0))},
+        stop=Stop(time=2),
+        outputs={"rest": Value(value="time", at="first base.stick")},
+    )
+
+
+def test_a_scene_is_built_run_drawn_and_its_run_kept(tmp_path: Path) -> None:
+    scene: Scene = sled()
+    result: Result = statechart.run(scene, parameters={"mu": 0.25})
+    trace: Trace = result.trace
+    outcome: Outcome = trace.outcome
+    assert outcome is Outcome.HORIZON
+    assert Runner(scene).run().trace.modes == trace.modes
+    path: Path = statechart.draw(scene, tmp_path / "sled.dot")
+    assert "pin" in path.read_text(encoding="utf-8")
+
+
+def test_parts_of_scenes_say_what_they_are() -> None:
+    parts = (
+        Coordinate(start=1),
+        Shape(disc=1),
+        Collision(bodies=("a", "b"), friction=0, restitution=0),
+        Joint(point=Point(body="a"), to=Point(body="b")),
+        Free(),
+    )
+    assert all(part.model_dump() for part in parts)
+
+
+def test_a_shipped_model_loads_by_its_name() -> None:
+    model = statechart.load("bouncing_ball_chart")
+    assert isinstance(model, Chart)
+    assert model.alternatives() == {}
+
+
+def test_errors_are_one_tree() -> None:
+    with pytest.raises(statechart.DeclarationError):
+        statechart.load("no such model")
+    assert issubclass(statechart.Zeno, statechart.SimulationError)
+    assert issubclass(statechart.SimulationError, statechart.StatechartError)
+
+
+@pytest.mark.parametrize("face", [statechart, contacts])
+def test_every_public_name_is_there_and_listed(face: object) -> None:
+    for name in face.__all__:  # type: ignore[attr-defined]
+        assert getattr(face, name).__doc__
+        assert name in dir(face)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = face.nothing  # type: ignore[attr-defined]
+
+
+def test_the_version_is_that_of_the_distribution() -> None:
+    assert statechart.__version__.count(".") == 2
+
+
+def test_a_face_imports_nothing_before_it_is_used() -> None:
+    code = "import sys, statechart, contacts; print('numpy' in sys.modules, len(dir(statechart)))"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.startswith("False")
