@@ -15,7 +15,7 @@ from typing import Any
 
 from statechart.errors import StatechartError
 
-_OURS = Path(__file__).resolve().parents[1]
+_OURS = Path(__file__).resolve().parents[2]
 
 
 def load(entry: EntryPoint) -> Any:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from statechart.automaton import feasibility
-from statechart.automaton import modes as compose
+from statechart.automaton import product
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
 from statechart.documents.yaml_reader import read_text
@@ -36,7 +35,7 @@ def _no_product(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_: object) -> None:
         raise AssertionError("the product was enumerated")
 
-    monkeypatch.setattr(compose, "product_modes", refused)
+    monkeypatch.setattr(product, "product_modes", refused)
     monkeypatch.setattr("statechart.diagram.build.product", refused)
     monkeypatch.setattr("contacts.modes.configuration.product", refused)
 
@@ -66,7 +65,7 @@ def test_its_picture_has_the_modes_visited_and_one_chart_for_all_contacts() -> N
     start, _ = runner.start()
     assert needs_run(runner.automaton)
     setup = runner.setup()
-    found = feasibility.feasibility(runner.automaton, setup, setup.initial, 0.0)
+    found = product.feasibility(runner.automaton, setup, setup.initial, 0.0)
     assert found is None
     diagram = build(runner.automaton, start, runner.run().trace, found)
     assert [node.label for node in diagram.groups["modes of the run"]] == [

@@ -415,7 +415,7 @@ def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
 def test_a_run_imports_neither_plots_nor_tables_nor_the_other_engine() -> None:
     pytest.importorskip("heyoka")
     code = (
-        "import sys; from statechart.cli.main.main import main; main(['run', 'toppling_stick']);"
+        "import sys; from statechart.cli.main import main; main(['run', 'toppling_stick']);"
         "print(sorted({'matplotlib', 'pandas', 'xarray', 'scipy.integrate', 'hypothesis',"
         "'networkx', 'pygraphviz'} & sys.modules.keys()))"
     )

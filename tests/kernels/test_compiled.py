@@ -12,7 +12,7 @@ from numba import njit
 from statechart.kernels.jit import is_cached
 
 LOWER = """\
-from statechart.compiled import {decorator}
+from statechart.kernels.jit import {decorator}
 
 @{decorator}
 def lower(x):
