@@ -94,7 +94,7 @@ class SceneFields(Declaration):
 
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the scene itself, or the one with as many copies as `overrides` make."""
-        if copies(self, self.values()) == copies(self, self.values(overrides)):
+        if not self.whole or copies(self, self.values()) == copies(self, self.values(overrides)):
             return self
         return self.model_copy(update={"parameters": {**self.parameters, **overrides}})
 

@@ -30,7 +30,7 @@ from statechart.documents.outputs import (
     check_member,
 )
 from statechart.errors import DeclarationProblem, FormulaError
-from statechart.formulas.formula import evaluate_parameters, parse, parse_relation
+from statechart.formulas.formula import Constants, parse, parse_relation
 from statechart.formulas.syntax import close_matches
 
 TIME = "time"
@@ -125,8 +125,11 @@ class Declaration(Part):
         FormulaError
             If an override names no parameter, or a formula has no value.
         """
-        formulas = {name: parse(text) for name, text in self.parameters.items()}
-        return evaluate_parameters(formulas, overrides or {})
+        return self.constants().values(overrides or {})
+
+    def constants(self) -> Constants:
+        """Return the parameters, read once for many values."""
+        return Constants({name: parse(text) for name, text in self.parameters.items()})
 
     @property
     def whole(self) -> frozenset[str]:

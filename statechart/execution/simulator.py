@@ -536,14 +536,17 @@ class _Run:
 
 def _terms(times: Array, coefficients: Array) -> Array:
     """Return what each variable was summed from as a flow ended, its rounded time among them."""
-    last = coefficients[-1]
-    lengths = np.diff(times)
+    last, long = coefficients[-1], len(coefficients)
     # A last step shorter than the time can tell has no rate; the one before it has.
-    (long,) = np.flatnonzero(lengths)[-1:] if lengths.any() else (None,)
-    if long is None:
+    while long and times[long] == times[long - 1]:
+        long -= 1
+    if not long:
         return last
-    rates = coefficients[long] @ np.arange(last.shape[1]) / lengths[long]
-    return np.column_stack([last, rates * times[-1]])
+    terms = np.empty((len(last), last.shape[1] + 1))
+    terms[:, :-1] = last
+    rates = coefficients[long - 1] @ np.arange(last.shape[1])
+    terms[:, -1] = rates / (times[long] - times[long - 1]) * times[-1]
+    return terms
 
 
 _UNCERTIFIED = (Outcome.UNDECIDED, Outcome.NON_FINITE)

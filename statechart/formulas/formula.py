@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import graphlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -307,13 +307,17 @@ def parse_relation(text: str, *, position: Position | None = None) -> Relation:
     return Relation(Formula(text, left, position), Formula(text, right, position), operator, text)
 
 
-def order_parameters(formulas: Mapping[str, Formula]) -> tuple[str, ...]:
+def order_parameters(
+    formulas: Mapping[str, Formula], given: Collection[str] = ()
+) -> tuple[str, ...]:
     """Return the names so that each comes after those that its formula uses.
 
     Parameters
     ----------
     formulas : mapping of str to Formula
         The formula of every parameter.
+    given : collection of str
+        Parameters that have a value already.
 
     Raises
     ------
@@ -322,14 +326,14 @@ def order_parameters(formulas: Mapping[str, Formula]) -> tuple[str, ...]:
     """
     for name, formula in formulas.items():
         for used in names_in(formula.root):
-            if used.name not in formulas:
+            if used.name not in formulas and used.name not in given:
                 formula._source.fail(
                     f"unknown name {used.name!r}",
                     used.offset,
                     close_matches(used.name, formulas),
                     name=name,
                 )
-    uses = {name: sorted(formula.names) for name, formula in formulas.items()}
+    uses = {name: sorted(formula.names.difference(given)) for name, formula in formulas.items()}
     try:
         return tuple(graphlib.TopologicalSorter(uses).static_order())
     except graphlib.CycleError as error:
@@ -342,40 +346,53 @@ def order_parameters(formulas: Mapping[str, Formula]) -> tuple[str, ...]:
         )
 
 
-def evaluate_parameters(
-    formulas: Mapping[str, Formula], overrides: Mapping[str, float]
-) -> dict[str, float]:
-    """Evaluate parameters that are formulas of each other.
+class Constants:
+    """Parameters that are formulas of each other, in the order in which they can be evaluated.
 
     Parameters
     ----------
     formulas : mapping of str to Formula
         The formula of every parameter.
-    overrides : mapping of str to float
-        Values that replace the formulas of some of them; the others follow.
-
-    Returns
-    -------
-    dict of str to float
-        In the order of `formulas`; finite or infinite, never NaN.
-
-    Raises
-    ------
-    FormulaError
-        If an override names no parameter, or a formula has no value.
     """
-    for name in overrides:
-        if name not in formulas:
-            raise FormulaError(
-                f"unknown parameter {name!r}", advice=close_matches(name, formulas), name=name
-            )
-    replaced = {name: parse(value) for name, value in overrides.items()}
-    effective = {**formulas, **replaced}
-    values: dict[str, float] = {}
-    for name in order_parameters(effective):
-        try:
-            values[name] = effective[name].value(values)
-        except FormulaError as error:
-            error.name = name
-            raise
-    return {name: values[name] for name in formulas}
+
+    def __init__(self, formulas: Mapping[str, Formula]) -> None:
+        self.formulas = formulas
+        self._orders: dict[frozenset[str], tuple[str, ...]] = {}
+
+    def values(self, overrides: Mapping[str, float]) -> dict[str, float]:
+        """Return the value of every parameter.
+
+        Parameters
+        ----------
+        overrides : mapping of str to float
+            Values that replace the formulas of some of them; the others follow.
+
+        Returns
+        -------
+        dict of str to float
+            In the order of the formulas; finite or infinite, never NaN.
+
+        Raises
+        ------
+        FormulaError
+            If an override names no parameter, or a formula has no value.
+        """
+        for name in overrides:
+            if name not in self.formulas:
+                raise FormulaError(
+                    f"unknown parameter {name!r}",
+                    advice=close_matches(name, self.formulas),
+                    name=name,
+                )
+        given = frozenset(overrides)
+        if given not in self._orders:
+            left = {n: f for n, f in self.formulas.items() if n not in given}
+            self._orders[given] = order_parameters(left, given)
+        values = {name: parse(value).value({}) for name, value in overrides.items()}
+        for name in self._orders[given]:
+            try:
+                values[name] = self.formulas[name].value(values)
+            except FormulaError as error:
+                error.name = name
+                raise
+        return {name: values[name] for name in self.formulas}

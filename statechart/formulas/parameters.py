@@ -10,7 +10,7 @@ import sympy as sp
 
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
-from statechart.formulas.formula import Formula, evaluate_parameters, order_parameters, parse
+from statechart.formulas.formula import Constants, Formula, order_parameters, parse
 from statechart.formulas.syntax import close_matches
 from statechart.formulas.tape import Tape, compile_tape
 
@@ -82,7 +82,7 @@ class Parameters:
         parameters, further = found[: len(self.names)], found[len(self.names) :]
         if math.isnan(found.min(initial=0.0)):
             # Evaluated one by one, the formula at fault is named.
-            evaluate_parameters(self._formulas, dict(overrides))
+            Constants(self._formulas).values(overrides)
         return parameters, further
 
     def _tape(self, given: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:

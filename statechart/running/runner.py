@@ -91,6 +91,8 @@ class Runner:
             self.document = model
             model = _declaration(model)
         self.model = model
+        self._constants = model.constants()
+        self._end = None if model.stop.time is None else parse(model.stop.time)
         read_at = time.perf_counter()
         try:
             self.automaton = _automaton(model)
@@ -238,15 +240,14 @@ class Runner:
             if not 0.0 <= until < math.inf:
                 raise DeclarationError(f"the end must be a finite time from 0 on, not {until:g}")
             return until
-        text = self.model.stop.time
-        with located(self.document, {} if text is None else overrides, ("stop", "time")):
-            if text is None:
+        with located(self.document, {} if self._end is None else overrides, ("stop", "time")):
+            if self._end is None:
                 raise DeclarationProblem(
                     "the run has no end",
                     advice="write stop: {time: 10}, or say until when",
                     loc=("stop",),
                 )
-            end = parse(text).value(values)
+            end = self._end.value(values)
             if not 0.0 <= end < math.inf:
                 raise DeclarationProblem(
                     f"must be a finite time, not {end:g}", loc=("stop", "time")
@@ -265,7 +266,7 @@ class Runner:
             if math.isnan(value):
                 raise DeclarationError(f"parameter {name!r} must be a number, not nan")
         with located(self.document, overrides):
-            return self.model.values(overrides)
+            return self._constants.values(overrides)
 
     def _once(
         self, tolerance: float, overrides: Mapping[str, float], end: float, *, off: bool = False
@@ -320,18 +321,18 @@ class Runner:
         def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
             return self._once(tolerance, overrides, end, off=off)
 
-        if self.step is not None:
-            observer, trace = once(math.nan, False)
+        if self.accuracy is None and self._allowance is None:
+            tolerance = math.nan if self.step is not None else self._engine.tolerance
+            observer, trace = once(tolerance, False)
             return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
         floor = self._choose(math.ulp(0.0))[0].tolerance
         first = self._request.first
-        if self.accuracy is not None and first is not None:
-            return tighten(once, self.accuracy, first=first, floor=floor)
         if self._allowance is not None:
             self._allowance.begin()
             return within(once, self._allowance.seconds, first=first, floor=floor)
-        observer, trace = once(self._engine.tolerance, False)
-        return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
+        assert self.accuracy is not None
+        assert first is not None
+        return tighten(once, self.accuracy, first=first, floor=floor)
 
     def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         with located(self.document, overrides):

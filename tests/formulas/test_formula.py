@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart.errors import DeclarationError, FormulaError, Position, StatechartError
-from statechart.formulas.formula import evaluate_parameters, order_parameters, parse, parse_relation
+from statechart.formulas.formula import Constants, order_parameters, parse, parse_relation
 from statechart.formulas.syntax import FUNCTIONS
 
 # The right-hand sides are Python's own arithmetic, an implementation independent of the reader.
@@ -243,10 +243,10 @@ def test_parameters_are_ordered_and_evaluated() -> None:
     formulas = {"a": parse("b + c"), "b": parse("2*c"), "c": parse(3), "mu": parse("inf")}
     order = order_parameters(formulas)
     assert order.index("c") < order.index("b") < order.index("a")
-    assert evaluate_parameters(formulas, {}) == {"a": 9, "b": 6, "c": 3, "mu": math.inf}
-    assert list(evaluate_parameters(formulas, {})) == ["a", "b", "c", "mu"]
-    assert evaluate_parameters(formulas, {"c": 1, "mu": 0.5}) == {"a": 3, "b": 2, "c": 1, "mu": 0.5}
-    assert evaluate_parameters(formulas, {"b": 1})["a"] == 4
+    assert Constants(formulas).values({}) == {"a": 9, "b": 6, "c": 3, "mu": math.inf}
+    assert list(Constants(formulas).values({})) == ["a", "b", "c", "mu"]
+    assert Constants(formulas).values({"c": 1, "mu": 0.5}) == {"a": 3, "b": 2, "c": 1, "mu": 0.5}
+    assert Constants(formulas).values({"b": 1})["a"] == 4
 
 
 def test_cyclic_parameters_name_the_cycle() -> None:
@@ -262,20 +262,20 @@ def test_cyclic_parameters_name_the_cycle() -> None:
 
 
 def test_a_value_given_to_one_of_them_breaks_the_cycle() -> None:
-    assert evaluate_parameters({"a": parse("b"), "b": parse("a")}, {"a": 2}) == {"a": 2, "b": 2}
+    assert Constants({"a": parse("b"), "b": parse("a")}).values({"a": 2}) == {"a": 2, "b": 2}
 
 
 def test_wrong_parameters_are_named() -> None:
     with pytest.raises(FormulaError, match=r"unknown parameter 'nu'.*known: mu"):
-        evaluate_parameters({"mu": parse(1)}, {"nu": 1})
+        Constants({"mu": parse(1)}).values({"nu": 1})
     with pytest.raises(FormulaError, match="unknown name 'm'") as caught:
-        evaluate_parameters({"mu": parse("m")}, {})
+        Constants({"mu": parse("m")}).values({})
     assert caught.value.name == "mu"
     with pytest.raises(FormulaError, match="division by zero") as caught:
-        evaluate_parameters({"a": parse("1/b"), "b": parse(0)}, {})
+        Constants({"a": parse("1/b"), "b": parse(0)}).values({})
     assert caught.value.name == "a"
     with pytest.raises(FormulaError):
-        evaluate_parameters({"a": parse(1)}, {"a": math.nan})
+        Constants({"a": parse(1)}).values({"a": math.nan})
 
 
 def test_errors_are_one_tree_and_can_be_sent_to_another_process() -> None:
