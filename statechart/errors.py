@@ -9,7 +9,6 @@
         NoConsistentMode      no mode explains the state
         AmbiguousMode         several modes with different motions explain it
         EventLoop             jumps without end at one instant
-        InitialPenetration    the run would start inside a surface
         StepFailure           the integrator cannot meet its tolerance
         NonFinite             the state became infinite or undefined
         SingularMode          the equations of a mode do not determine the motion
@@ -222,12 +221,6 @@ class EventLoop(SimulationError):
     """Jumps without end at one instant."""
 
     outcome = "EVENT_LOOP"
-
-
-class InitialPenetration(SimulationError):
-    """The run would start inside a surface."""
-
-    outcome = "INITIAL_PENETRATION"
 
 
 class SingularMode(SimulationError):

@@ -53,21 +53,17 @@ class LcpSolution:
 
     Attributes
     ----------
-    z, w : (n,) array
-        The unknowns and ``w = M z + q``; of the best candidate unless `status` is SOLVED.
+    z : (n,) array
+        The unknowns; of the best candidate unless `status` is SOLVED.
     status : LcpStatus
     residual : float
         The largest violation of a row relative to the row's terms ``|M| z + |q|``; `z` itself is
         not negative. Scaling rows or columns does not change it.
-    way : str
-        The attempt that found it.
     """
 
     z: Array
-    w: Array
     status: LcpStatus
     residual: float
-    way: str
 
 
 def solve_lcp(
@@ -98,11 +94,11 @@ def solve_lcp(
         return _enumerated(matrix, vector)
     best: LcpSolution | None = None
     outcomes = []
-    for way, outcome, basis in _attempts(matrix, vector):
+    for outcome, basis in _attempts(matrix, vector):
         outcomes.append(outcome)
         if outcome != FOUND:
             continue
-        found = _judge(matrix, vector, basis, way)
+        found = _judge(matrix, vector, basis)
         if found.status is LcpStatus.SOLVED:
             return found
         if best is None or found.residual < best.residual:
@@ -115,7 +111,7 @@ def solve_lcp(
         return best
     status = LcpStatus.ITERATIONS if SPENT in outcomes else LcpStatus.RAY
     zero = np.zeros(len(vector))
-    return LcpSolution(zero, vector.copy(), status, row_residual(matrix, vector, zero), "")
+    return LcpSolution(zero, status, row_residual(matrix, vector, zero))
 
 
 def enumerate_lcp(matrix: Array, vector: Array) -> tuple[LcpSolution, ...]:
@@ -141,7 +137,7 @@ def enumerate_lcp(matrix: Array, vector: Array) -> tuple[LcpSolution, ...]:
     found: list[LcpSolution] = []
     for mask in bases:
         basis = np.array([mask >> i & 1 for i in range(size)], dtype=np.bool_)
-        solution = _judge(matrix, vector, basis, "enumeration")
+        solution = _judge(matrix, vector, basis)
         if solution.status is not LcpStatus.SOLVED:
             continue
         z = solution.z
@@ -166,15 +162,15 @@ def _enumerated(matrix: Array, vector: Array) -> LcpSolution:
         return min(found, key=lambda solution: solution.residual)
     zero = np.zeros(len(vector))
     residual = row_residual(matrix, vector, zero)
-    return LcpSolution(zero, vector, LcpStatus.RAY, residual, "enumeration")
+    return LcpSolution(zero, LcpStatus.RAY, residual)
 
 
-def _judge(matrix: Array, vector: Array, basis: Bools, way: str) -> LcpSolution:
+def _judge(matrix: Array, vector: Array, basis: Bools) -> LcpSolution:
     """Solve for the basic unknowns from the data, and judge what comes out."""
     z = _determined(matrix, vector, basis)
     residual = row_residual(matrix, vector, z)
     status = LcpStatus.SOLVED if residual <= _RESIDUAL else LcpStatus.UNVERIFIED
-    return LcpSolution(z, matrix @ z + vector, status, residual, way)
+    return LcpSolution(z, status, residual)
 
 
 def _determined(matrix: Array, vector: Array, basis: Bools) -> Array:
@@ -197,27 +193,22 @@ def _determined(matrix: Array, vector: Array, basis: Bools) -> Array:
     return np.where(z > _NOISES * noise, z, 0.0) if solved else np.zeros(len(z))
 
 
-def _attempts(matrix: Array, vector: Array) -> Iterator[tuple[str, int, Bools]]:
-    """Yield (way, outcome, basic ones of z), the most promising way first."""
+def _attempts(matrix: Array, vector: Array) -> Iterator[tuple[int, Bools]]:
+    """Yield (outcome, basic ones of z), the most promising way first."""
     size = len(vector)
     limit = 50 + 20 * size
     # The same factor on row and column keeps copositivity, on which Lemke's guarantee rests.
     both = _symmetric_scales(matrix)
     rows, columns = _row_column_scales(matrix)
     spread = 0.5 + np.modf(np.arange(1, size + 1) * 0.6180339887498949)[0]
-    for name, left, right in (("symmetric", both, both), ("row and column", rows, columns)):
+    for left, right in ((both, both), (rows, columns)):
         scaled = left[:, None] * matrix * right
         q = left * vector
         q *= power_of_two(np.abs(q).max(initial=0.0))
-        for covering, cover in (
-            ("ones", np.ones(size)),
-            ("spread", spread),
-            ("right side", np.abs(q) + 2.0**-10),
-        ):
+        for cover in (np.ones(size), spread, np.abs(q) + 2.0**-10):
             outcome, _, basis = lemke(scaled, q, cover, limit)
-            yield f"{name} scaling, covering by {covering}", outcome, basis
-        outcome, basis = _proximal(scaled, q, limit)
-        yield f"{name} scaling, proximal", outcome, basis
+            yield outcome, basis
+        yield _proximal(scaled, q, limit)
 
 
 def _proximal(matrix: Array, vector: Array, limit: int) -> tuple[int, Bools]:

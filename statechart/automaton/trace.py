@@ -40,7 +40,6 @@ class Outcome(Enum):
     NON_FINITE = "A variable or a guard became infinite or undefined."
     UNDECIDED = "A guard could not be decided within its budget of boxes."
     ZENO = "Jumps accumulate at a finite time and nothing declared says what follows."
-    INITIAL_PENETRATION = "The run would start inside a surface."
     SINGULAR_MODE = "The equations of the mode entered do not determine the motion."
     STEP_TOO_LARGE = "The time step is too large for this model: take a smaller one."
     UNSOLVED_IMPULSES = "The impulses of a time step could not be found: take a smaller step."
