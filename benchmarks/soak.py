@@ -34,6 +34,7 @@ from contacts.scene.parts import Body, Contact, Coordinate, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.dense_output import lowest
 from statechart.automaton.trace import Outcome, Trace
+from statechart.documents.setting import Setting
 from statechart.engines.choice import choose
 from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import Tape, compile_tape
@@ -262,7 +263,7 @@ class Running:
         built = automaton(family.scene)
         return cls(
             family,
-            Simulator(built, choose(engine=engine, method=None, tolerance=None)[0]),
+            Simulator(built, choose(Setting(engine))[0]),
             compile_tape(
                 [built.observables[f"{name}.gap"] for name in family.scene.contacts],
                 variables=built.variables,

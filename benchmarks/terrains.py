@@ -22,6 +22,7 @@ from contacts.kind import automaton
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
+from statechart.documents.setting import Setting
 from statechart.engines.choice import choose
 from statechart.execution.simulator import Simulator
 
@@ -158,10 +159,7 @@ def soak(count: int, engine: str, seed: int) -> tuple[Counter[str], float]:
         scene("hills", _HILLS, {"A": 1.0, "k": 3.0, "phase": 0.0}),
         scene("bump", _BUMP, {"A": 1.0, "c": 1.0, "w": 0.1}),
     )
-    simulators = [
-        Simulator(automaton(one), choose(engine=engine, method=None, tolerance=None)[0])
-        for one in scenes
-    ]
+    simulators = [Simulator(automaton(one), choose(Setting(engine))[0]) for one in scenes]
     found: Counter[str] = Counter()
     worst = 0.0
     for index in range(count):

@@ -9,6 +9,7 @@ import os
 import sys
 import tempfile
 from contextlib import contextmanager, suppress
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,15 +49,12 @@ def validate(arguments: argparse.Namespace) -> int:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run a model; print a summary or one object."""
+    from statechart.documents.setting import Setting
+
     parameters = _assigned("--set", arguments.parameters)
     runner = _runner(
         arguments.file,
-        engine=arguments.engine,
-        method=arguments.method,
-        tolerance=arguments.tolerance,
-        accuracy=arguments.accuracy,
-        step=arguments.step,
-        budget=arguments.budget,
+        **{part.name: getattr(arguments, part.name) for part in fields(Setting)},
         study=_study(arguments),
         progress=True,
     )
@@ -68,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     with interrupts.held(), interrupts.limited(_PATIENCE):
         complete = _tell(runner, result, parameters, arguments)
     asked = result.asked
-    met = asked is None or asked.accuracy is None or asked.reached(result.error_estimate)
+    met = asked is None or asked.setting.accuracy is None or asked.reached(result.error_estimate)
     return 0 if complete and met and result.trace.outcome.succeeded else 1
 
 
@@ -182,19 +180,11 @@ def _alternatives(
     runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
     from statechart.running.alternatives import compared
-    from statechart.running.runner import Runner
 
-    others = {}
-    for choice, model in runner.model.alternatives().items():
-        other = Runner(
-            model,
-            engine=arguments.engine,
-            method=arguments.method,
-            tolerance=arguments.tolerance,
-            accuracy=arguments.accuracy,
-            progress=True,
-        )
-        others[choice] = other.run(parameters, until=arguments.until, throw=False)
+    others = {
+        choice: other.run(parameters, until=arguments.until, throw=False)
+        for choice, other in runner.alternatives().items()
+    }
     return compared(result, others)
 
 

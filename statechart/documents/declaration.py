@@ -29,6 +29,7 @@ from statechart.documents.outputs import (
     check_event,
     check_member,
 )
+from statechart.documents.setting import Setting
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.formulas.formula import Constants, parse, parse_relation
 from statechart.formulas.syntax import close_matches
@@ -63,36 +64,7 @@ class Settings(Part):
 
     @model_validator(mode="after")
     def _compatible(self) -> Self:
-        if self.tolerance is not None and self.accuracy is not None:
-            raise DeclarationProblem(
-                "tolerance and accuracy exclude each other",
-                advice="accuracy finds the tolerance that it needs",
-                loc=("accuracy",),
-                key=True,
-            )
-        if self.step is not None and self.engine != "impulse":
-            raise DeclarationProblem(
-                f"the engine {self.engine} chooses its own steps",
-                advice="remove it, or write engine: impulse",
-                loc=("step",),
-                key=True,
-            )
-        if self.engine == "impulse":
-            for name in ("tolerance", "accuracy"):
-                if getattr(self, name) is not None:
-                    raise DeclarationProblem(
-                        f"the engine impulse has no {name}",
-                        advice="its error follows the step: write step: 1e-3",
-                        loc=(name,),
-                        key=True,
-                    )
-        if self.method is not None and self.engine in ("taylor", "impulse"):
-            raise DeclarationProblem(
-                f"the engine {self.engine} has no methods",
-                advice="remove it, or write engine: scipy",
-                loc=("method",),
-                key=True,
-            )
+        Setting(self.engine, self.method, self.tolerance, self.accuracy, self.step).check()
         return self
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from importlib.util import find_spec
 
+from statechart.documents.setting import LONG_DOUBLE, Setting
 from statechart.engines.engine import Engine
 from statechart.errors import DeclarationError
 
@@ -22,20 +23,15 @@ _SCIPY_TOLERANCE = 1e-12
 _METHOD = "DOP853"
 
 
-def choose(
-    *, engine: str = "auto", method: str | None = None, tolerance: float | None = None
-) -> tuple[Engine, str]:
+def choose(setting: Setting) -> tuple[Engine, str]:
     """Return an integrator, and why it was picked.
 
     Parameters
     ----------
-    engine : str
-        One of `ENGINES`; `auto` takes taylor where heyoka is installed, else scipy.
-    method : str, optional
-        Of the engine scipy, DOP853 by default; the engine taylor has `long double`.
-    tolerance : float, optional
-        Relative tolerance; 2.2e-16 by default for taylor (its least with a method), 1e-12
-        for scipy.
+    setting : Setting
+        Engine, one of `ENGINES`: `auto` takes taylor where heyoka is installed, else scipy.
+        Method, of the engine scipy DOP853 by default. Tolerance: 2.2e-16 by default for taylor
+        (its least with a method), 1e-12 for scipy.
 
     Returns
     -------
@@ -48,6 +44,7 @@ def choose(
     DeclarationError
         If there is no such engine or method, or the engine is not installed.
     """
+    engine, method, tolerance = setting.engine or "auto", setting.method, setting.tolerance
     if engine not in ENGINES:
         raise DeclarationError(f"no engine {engine!r}", advice="known: " + ", ".join(ENGINES))
     reason = ""
@@ -75,14 +72,13 @@ def _taylor(method: str | None, tolerance: float | None) -> Engine:
             "the engine taylor needs heyoka, which is not installed",
             advice="take the engine scipy, or install heyoka (conda has it for every platform)",
         )
-    from statechart.engines.taylor import LONG_DOUBLE, Taylor, has_long_double
+    from statechart.engines.taylor import Taylor, has_long_double
 
     if method is None:
         return Taylor(tolerance or _TAYLOR_TOLERANCE)
     if method != LONG_DOUBLE or not has_long_double():
         raise DeclarationError(
-            f"the engine taylor has no method {method!r}"
-            + (" on this machine" if method == LONG_DOUBLE else ""),
+            f"the engine taylor has no method {method!r} on this machine",
             advice="leave the method out, or take the engine scipy",
         )
     return Taylor(tolerance or math.ulp(0.0), extended=True)

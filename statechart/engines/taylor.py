@@ -19,15 +19,13 @@ from numpy.typing import NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
+from statechart.documents.setting import LONG_DOUBLE
 from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch, Path, Steps
 from statechart.engines.event_location import BOXES, Verdict, as_search
 from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, Step, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.kernels.polynomials import append_steps
-
-LONG_DOUBLE = "long double"
-"""Method that integrates in the processor's extended precision."""
 
 # Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB.
 _COMPACT = 240

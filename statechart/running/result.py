@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from statechart.automaton.trace import Trace
+from statechart.documents.setting import Setting
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import OutputValue as Output
@@ -23,30 +24,27 @@ class Asked:
 
     Attributes
     ----------
-    accuracy : float or None
-        Relative error allowed.
-    budget : float or None
-        Seconds allowed.
+    setting : Setting
+        With the accuracy or the budget allowed.
     basis : str
         What the first tolerance was chosen by.
     cost : Cost
         Of all runs.
     """
 
-    accuracy: float | None
-    budget: float | None
+    setting: Setting
     basis: str
     cost: Cost
 
     def reached(self, estimate: float | None) -> bool:
         """Whether `estimate` is what was asked for: of an accuracy, any of a budget."""
-        return estimate is not None and estimate <= (self.accuracy or math.inf)
+        return estimate is not None and estimate <= (self.setting.accuracy or math.inf)
 
     def report(self, estimate: float | None) -> dict[str, Any]:
         """Return this as one plain object."""
         return {
-            "accuracy": self.accuracy,
-            "budget": self.budget,
+            "accuracy": self.setting.accuracy,
+            "budget": self.setting.budget,
             "reached": self.reached(estimate),
             "basis": self.basis,
             "cost": asdict(self.cost),

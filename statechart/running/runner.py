@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Key, Outcome, Trace
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
+from statechart.documents.setting import Setting
 from statechart.documents.validation import located
 from statechart.documents.yaml_reader import read
 from statechart.engines.budget import Allowance, Limited
 from statechart.engines.choice import choose
 from statechart.engines.engine import Engine
-from statechart.engines.request import Request
+from statechart.engines.request import planned
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.execution.outcome import error_of
 from statechart.execution.perturbation import nudged
@@ -102,25 +103,14 @@ class Runner:
                 raise
         self._timings = {"read": read_at - began, "compose": time.perf_counter() - read_at}
         self._progress = progress
-        self._options: dict[str, Any] = {
-            "engine": engine,
-            "method": method,
-            "tolerance": tolerance,
-            "accuracy": accuracy,
-            "step": step,
-            "budget": budget,
-            "study": study,
-            "progress": progress,
-        }
-        asked = Request(engine, method, tolerance, accuracy, step, budget)
+        self._asked = Setting(engine, method, tolerance, accuracy, step, budget)
+        self._study = study
         with located(self.document, {}):
-            asked = asked.settled(model, self.automaton).learned(study, model)
-        self._request = asked
-        self.accuracy, self.budget, self.step = asked.accuracy, asked.budget, asked.step
-        self._reason = asked.reason
-        self._allowance = None if asked.budget is None else Allowance(asked.budget)
-        if self.step is None:
-            self._engine, self._reason = self._choose(asked.tolerance)
+            self._plan = planned(self._asked, model, self.automaton, study)
+        self.setting, self._reason = self._plan.setting, self._plan.reason
+        self._allowance = None if self.setting.budget is None else Allowance(self.setting.budget)
+        if self.setting.step is None:
+            self._engine, self._reason = self._choose(self.setting.tolerance)
         self._observers: dict[tuple[float, bool], Observer] = {}
 
     def run(
@@ -153,17 +143,16 @@ class Runner:
         with located(self.document, overrides):
             variant = self.model.variant(overrides)
         if variant is not self.model:
-            return self._other(variant, self._options).run(overrides, until=end, throw=throw)
-        measured = self._request.measured
+            return self._other(variant, self._study).run(overrides, until=end, throw=throw)
+        measured = self._plan.measured
         if measured is not None and (overrides or end != measured):
-            unmeasured = self._other(self.model, {**self._options, "study": None})
-            return unmeasured.run(overrides, until=end, throw=throw)
+            return self._other(self.model, None).run(overrides, until=end, throw=throw)
         began = time.perf_counter()
         answer = self._answer(overrides, end)
         observer, trace, estimate = answer.observer, answer.trace, answer.estimate
         asked = None
-        if self.accuracy is not None or self.budget is not None:
-            asked = Asked(self.accuracy, self.budget, self._request.basis, answer.cost)
+        if self._searching:
+            asked = Asked(self.setting, self._plan.basis, answer.cost)
         if answer.warnings:
             trace = replace(trace, warnings=(*trace.warnings, *answer.warnings))
         if self._reason:
@@ -172,6 +161,14 @@ class Runner:
             raise error_of(trace)
         timings = {**self._timings, "run": time.perf_counter() - began}
         return Result(trace, observer, estimate, timings, asked)
+
+    def alternatives(self) -> dict[str, Runner]:
+        """Return what runs the model under the other choices that its laws leave open.
+
+        Each is asked for what this one is, by the name of the choice.
+        """
+        others = self.model.alternatives()
+        return {choice: self._other(model, None) for choice, model in others.items()}
 
     def start(self, parameters: Mapping[str, float] | None = None) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state without running; return its mode and the warnings.
@@ -206,15 +203,17 @@ class Runner:
         """
         overrides = dict(parameters or {})
         self._check(overrides)
-        relative = math.nan if self.step is not None else self._engine.tolerance
+        relative = math.nan if self.setting.step is not None else self._engine.tolerance
         with located(self.document, overrides):
             return self.automaton.setup(overrides, relative)
 
+    @property
+    def _searching(self) -> bool:
+        """Whether the tolerance is looked for."""
+        return self.setting.accuracy is not None or self.setting.budget is not None
+
     def _choose(self, tolerance: float | None) -> tuple[Engine, str]:
-        asked = self._request
-        engine, reason = choose(
-            engine=asked.engine or "auto", method=asked.method, tolerance=tolerance
-        )
+        engine, reason = choose(replace(self.setting, tolerance=tolerance))
         if self._allowance is not None:
             engine = Limited(engine, self._allowance)
         return engine, reason
@@ -277,14 +276,14 @@ class Runner:
             trace = observer.simulator.run(overrides, until=end, max_jumps=limit, throw=False)
         if trace.outcome is not Outcome.UNSUPPORTED or not self._fall_back(trace.message):
             return observer, trace
-        if self.accuracy is None and self.budget is None:
+        if not self._searching:
             tolerance = self._engine.tolerance
         return self._once(tolerance, overrides, end, off=off)
 
     def _observer(self, tolerance: float, off: bool) -> Observer:
         """Return what makes the runs at a tolerance; `off`: from a start off by it."""
-        if self.step is not None:
-            return self._stepped(self.step)
+        if self.setting.step is not None:
+            return self._stepped(self.setting.step)
         found = self._observers.get((tolerance, off))
         if found is None:
             engine = self._choose(tolerance)[0]
@@ -293,9 +292,9 @@ class Runner:
             found = self._observers[tolerance, off] = Observer(simulator)
         return found
 
-    def _other(self, model: Declaration, options: Mapping[str, Any]) -> Runner:
-        """Return what runs another model, or by other options, in the place of this one."""
-        other = Runner(model, **options)
+    def _other(self, model: Declaration, study: Measured | None) -> Runner:
+        """Return what runs another model, or by another study, in the place of this one."""
+        other = Runner(model, **asdict(self._asked), study=study, progress=self._progress)
         other.document = self.document
         return other
 
@@ -308,9 +307,9 @@ class Runner:
 
     def _fall_back(self, reason: str) -> bool:
         """Take scipy where taylor was picked for the user and cannot expand a flow."""
-        if self._request.engine != "auto" or self._engine.name != "taylor":
+        if self.setting.engine != "auto" or self._engine.name != "taylor":
             return False
-        self._request = replace(self._request, engine="scipy")
+        self.setting = replace(self.setting, engine="scipy")
         given = self.model.settings.tolerance
         self._engine = self._choose(given)[0]
         self._reason = f"engine scipy: {reason}"
@@ -321,22 +320,21 @@ class Runner:
         def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
             return self._once(tolerance, overrides, end, off=off)
 
-        if self.accuracy is None and self._allowance is None:
-            tolerance = math.nan if self.step is not None else self._engine.tolerance
+        if not self._searching:
+            tolerance = math.nan if self.setting.step is not None else self._engine.tolerance
             observer, trace = once(tolerance, False)
             return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
         floor = self._choose(math.ulp(0.0))[0].tolerance
-        first = self._request.first
-        if self._allowance is not None:
-            self._allowance.begin()
-            return within(once, self._allowance.seconds, first=first, floor=floor)
-        assert self.accuracy is not None
-        assert first is not None
-        return tighten(once, self.accuracy, first=first, floor=floor)
+        first, accuracy = self._plan.first, self.setting.accuracy
+        if accuracy is not None and first is not None:
+            return tighten(once, accuracy, first=first, floor=floor)
+        assert self._allowance is not None
+        self._allowance.begin()
+        return within(once, self._allowance.seconds, first=first, floor=floor)
 
     def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         with located(self.document, overrides):
-            if self.automaton.stepper is not None and self.step is not None:
+            if self.automaton.stepper is not None and self.setting.step is not None:
                 self._check(overrides)
                 return self.automaton.stepper().start(overrides)
             setup = self.setup(overrides)
@@ -367,17 +365,8 @@ def run(
     >>> result.trace.outcome.name
     'HORIZON'
     """
-    runner = Runner(
-        model,
-        engine=engine,
-        method=method,
-        tolerance=tolerance,
-        accuracy=accuracy,
-        step=step,
-        budget=budget,
-        study=study,
-        progress=progress,
-    )
+    asked = Setting(engine, method, tolerance, accuracy, step, budget)
+    runner = Runner(model, **asdict(asked), study=study, progress=progress)
     return runner.run(parameters, until=until, throw=throw)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -14,6 +14,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Jump, Outcome, Trace
 from statechart.documents.declaration import Declaration
+from statechart.documents.setting import LONG_DOUBLE, Setting
 from statechart.engines.choice import choose
 from statechart.engines.engine import Engine
 from statechart.engines.request import BELOW
@@ -28,12 +29,12 @@ from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import OutputValue as Output
 from statechart.running.estimate import BRIEF, Answer, Cost, tighten
-from statechart.study.record import Errors, Point, Setting, Study
+from statechart.study.record import Errors, Point, Study
 
 # References, the best first: any one is checked by the next of another engine, or another method
 # of scipy, that can run the model. What steps in time is last, at parts of the run.
 _REFERENCES = (
-    Setting(engine="taylor", method="long double", tolerance=1.1e-19),
+    Setting(engine="taylor", method=LONG_DOUBLE, tolerance=1.1e-19),
     Setting(engine="taylor", tolerance=2.2e-16),
     Setting(engine="scipy", method="DOP853", tolerance=2.3e-14),
     Setting(engine="scipy", method="LSODA", tolerance=1e-13),
@@ -92,7 +93,7 @@ class Bench:
 
     def engine(self, setting: Setting, tolerance: float) -> Engine:
         """Return the engine of a setting, at a tolerance."""
-        return choose(engine=setting.engine, method=setting.method, tolerance=tolerance)[0]
+        return choose(replace(setting, tolerance=tolerance))[0]
 
     def observer(self, setting: Setting, fineness: float, *, off: bool = False) -> Observer:
         """Return the observer of a setting's simulator, at a tolerance or a step.
@@ -216,9 +217,7 @@ class Bench:
         """
         step = setting.step
         settings = (
-            [setting]
-            if step is None
-            else [setting.model_copy(update={"step": part * step}) for part in _PARTS]
+            [setting] if step is None else [replace(setting, step=part * step) for part in _PARTS]
         )
         answers = [self.answerer(one) for one in settings]
 

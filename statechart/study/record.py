@@ -7,14 +7,16 @@ import json
 import math
 from collections import Counter
 from collections.abc import Collection, Sequence
+from dataclasses import asdict
 from importlib.metadata import version
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_serializer
 
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
+from statechart.documents.setting import Setting
 
 _Time = Annotated[float, Field(ge=0)]
 
@@ -32,48 +34,6 @@ class _Record(BaseModel):
     """Base of what is written to a file and read back."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
-
-
-class Setting(_Record):
-    """An engine, and what it is told.
-
-    Attributes
-    ----------
-    engine : str
-        taylor, scipy or impulse.
-    method : str or None
-        Of scipy.
-    tolerance, accuracy, step : float or None
-        One of them is given: tolerance of every step, accuracy of the result, or a fixed step.
-    """
-
-    engine: str
-    method: str | None = None
-    tolerance: float | None = None
-    accuracy: float | None = None
-    step: float | None = None
-
-    @property
-    def family(self) -> str:
-        """Settings that differ in how fine they are only."""
-        return "accuracy" if self.accuracy is not None else self.method or self.engine
-
-    @property
-    def fineness(self) -> float:
-        """The tolerance, accuracy or step."""
-        return self.accuracy or self.tolerance or self.step or math.nan
-
-    @property
-    def promise(self) -> float | None:
-        """The relative error that a user may expect; None where nothing is promised."""
-        return self.accuracy or self.tolerance
-
-    @property
-    def label(self) -> str:
-        """What it is called."""
-        what = "step" if self.step is not None else "accuracy" if self.accuracy is not None else ""
-        words = (self.engine, self.method or "", what, f"{self.fineness:.3g}")
-        return " ".join(word for word in words if word)
 
 
 class Errors(_Record):
@@ -174,6 +134,11 @@ class Point(_Record):
     steps: int
     evaluations: int
     flows: int
+
+    @field_serializer("setting")
+    def _plain(self, setting: Setting) -> dict[str, Any]:
+        # No run of a study has a budget.
+        return {name: value for name, value in asdict(setting).items() if name != "budget"}
 
 
 class Study(_Record):
@@ -294,24 +259,14 @@ class Study(_Record):
                 missed[point.setting.family] += not kept
         return {family: (missed[family], count) for family, count in told.items()}
 
-    def choose(
-        self,
-        *,
-        accuracy: float | None = None,
-        budget: float | None = None,
-        engine: str | None = None,
-        method: str | None = None,
-    ) -> Setting | None:
+    def choose(self, asked: Setting) -> Setting | None:
         """Return the cheapest setting that was seen to reach an accuracy, or the best in a time.
 
         Parameters
         ----------
-        accuracy : float, optional
-            Relative error allowed.
-        budget : float, optional
-            Seconds for the run and a coarser one to compare it with, compiling included.
-        engine, method : str, optional
-            Consider no other.
+        asked : Setting
+            With an accuracy, or a budget for the run and a coarser one to compare it with,
+            compiling included. An engine or a method that is named leaves out all others.
 
         Returns
         -------
@@ -323,13 +278,15 @@ class Study(_Record):
             setting, error = point.setting, self.error(point)
             if setting.tolerance is None or not self.comparable(point) or error is None:
                 continue
-            if engine not in (None, setting.engine) or method not in (None, setting.method):
+            if asked.engine not in (None, "auto", setting.engine):
                 continue
-            if accuracy is not None:
-                fits, rank = error <= accuracy, point.seconds
+            if asked.method not in (None, setting.method):
+                continue
+            if asked.accuracy is not None:
+                fits, rank = error <= asked.accuracy, point.seconds
             else:
                 took = 2.0 * (point.seconds + point.compiling)
-                fits, rank = took <= (budget or 0.0), error
+                fits, rank = took <= (asked.budget or 0.0), error
             if fits and (best is None or rank < best[0]):
                 best = (rank, setting)
         return None if best is None else best[1]

@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from statechart.automaton.automaton import Automaton
+from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
 from statechart.study.bench import Bench
 from statechart.study.file import load, save
-from statechart.study.record import Setting, Study, fingerprint
+from statechart.study.record import Study, fingerprint
 
 # Tolerances of every method, as powers of ten: from where it begins to be of use to where it only
 # takes long.

@@ -16,8 +16,9 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.documents.declaration import Declaration
+from statechart.documents.setting import Setting
 from statechart.engines.choice import choose
-from statechart.engines.request import Request
+from statechart.engines.request import planned
 from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
 from statechart.execution.perturbation import loosened
 from statechart.execution.simulator import Simulator
@@ -47,7 +48,7 @@ class Subject:
         self.automaton = automaton or kind(model.kind).automaton(model)
         self.simulators: dict[str, Simulator | SteppingSimulator] = {}
         self.missing: dict[str, str] = {}
-        asked = Request().settled(model, self.automaton)
+        asked = planned(Setting(), model, self.automaton).setting
         self.model, self.step = model, asked.step
         if self.step is not None:
             # Images of the model are run by its step, not by one of their own.
@@ -57,7 +58,7 @@ class Subject:
         method = model.settings.method
         for name in ("taylor", "scipy") if self.step is None else ():
             try:
-                engine, _ = choose(engine=name, method=method if name == "scipy" else None)
+                engine, _ = choose(Setting(name, method if name == "scipy" else None))
             except DeclarationError as error:
                 self.missing[name] = error.message
             else:

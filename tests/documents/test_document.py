@@ -237,7 +237,7 @@ def test_positions_are_those_of_the_text() -> None:
         ("outputs:", "settings: {engine: taylr}\noutputs:", "17:20", "must be 'auto', 'taylor'"),
         ("outputs:", "settings: {tolerance: 0}\noutputs:", "17:23", "must be greater than 0"),
         ("outputs:", "settings: {tolerance: 1e-3, accuracy: 1e-3}\noutputs:", "17:29", "exclude"),
-        ("outputs:", "settings: {engine: taylor, method: RK45}\noutputs:", "17:28", "no methods"),
+        ("outputs:", "settings: {engine: taylor, method: RK45}\noutputs:", "17:28", "no method"),
     ],
 )
 def test_every_problem_has_its_place_and_words(old: str, new: str, place: str, words: str) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from runs import EVENT_BASED, PARADOXICAL
 
+from statechart.documents.setting import Setting
 from statechart.engines.choice import choose
 from statechart.engines.scipy import METHODS
 from statechart.execution.simulator import Simulator
@@ -34,7 +35,7 @@ def test_a_shipped_model_runs_alike_by_every_method(name, method):
     model = load(name)
     subject = Subject(model)
     case = subject.case({})
-    engine, _ = choose(engine="scipy", method=method, tolerance=1e-9)
+    engine, _ = choose(Setting("scipy", method, 1e-9))
     trace = Simulator(subject.automaton, engine).run(until=subject.end({}), throw=False)
     assert trace.outcome is case.trace.outcome, trace.message
     if not trace.outcome.succeeded:

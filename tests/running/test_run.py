@@ -12,6 +12,7 @@ from runs import SOUND
 
 import models
 from statechart.charts.chart import Chart
+from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.choice import choose
 from statechart.engines.engine import Path as Steps
@@ -49,24 +50,24 @@ def test_auto_takes_taylor_where_heyoka_is_and_says_so_where_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("statechart.engines.choice._has_heyoka", lambda: False)
-    engine, reason = choose()
+    engine, reason = choose(Setting())
     assert (engine.name, engine.method, engine.tolerance) == ("scipy", "DOP853", 1e-12)
     assert "heyoka" in reason
     with pytest.raises(DeclarationError, match="heyoka"):
-        choose(engine="taylor")
+        choose(Setting("taylor"))
     result = run(read_text(BALL))
     assert result.trace.engine == "scipy DOP853"
     assert "heyoka" in result.warnings[0]
 
 
 def test_a_method_asks_for_the_engine_that_has_methods() -> None:
-    assert choose(method="Radau")[0].method == "Radau"
+    assert choose(Setting(method="Radau"))[0].method == "Radau"
     with pytest.raises(DeclarationError, match="no method 'Euler'"):
-        choose(method="Euler")
+        choose(Setting(method="Euler"))
     with pytest.raises(DeclarationError, match="taylor has no method"):
-        choose(engine="taylor", method="RK45")
+        choose(Setting("taylor", "RK45"))
     with pytest.raises(DeclarationError, match="no engine 'magic'"):
-        choose(engine="magic")
+        choose(Setting("magic"))
 
 
 def test_arguments_override_the_settings_of_the_document() -> None:

@@ -11,13 +11,14 @@ from pathlib import Path
 import pytest
 
 from statechart.cli.main import main
+from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.observation.difference import distance
 from statechart.running.runner import Runner
 from statechart.study.figure import figure, write
 from statechart.study.file import load, save
-from statechart.study.record import Errors, Point, Setting, Study, fingerprint
+from statechart.study.record import Errors, Point, Study, fingerprint
 from statechart.study.report import report, text
 from statechart.study.slopes import slopes
 from statechart.study.trade import plan, trade
@@ -203,13 +204,13 @@ def test_the_cheapest_setting_that_reached_an_accuracy_is_chosen() -> None:
         point(1e-9, 1e-9, 0.2, same_modes=False),
     )
     found = study(*points)
-    assert found.choose(accuracy=1e-5) == points[2].setting
-    assert found.choose(accuracy=1e-3) == points[0].setting
-    assert found.choose(accuracy=1e-12) is None
-    assert found.choose(accuracy=1e-3, engine="taylor") is None
-    assert found.choose(accuracy=1e-3, method="RK45") == points[0].setting
-    assert found.choose(budget=0.7) == points[2].setting
-    assert found.choose(budget=0.01) is None
+    assert found.choose(Setting(accuracy=1e-5)) == points[2].setting
+    assert found.choose(Setting(accuracy=1e-3)) == points[0].setting
+    assert found.choose(Setting(accuracy=1e-12)) is None
+    assert found.choose(Setting(accuracy=1e-3, engine="taylor")) is None
+    assert found.choose(Setting(accuracy=1e-3, method="RK45")) == points[0].setting
+    assert found.choose(Setting(budget=0.7)) == points[2].setting
+    assert found.choose(Setting(budget=0.01)) is None
 
 
 def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: Path) -> None:

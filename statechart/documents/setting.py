@@ -1,0 +1,116 @@
+"""How a run is computed: engine, method, tolerance, accuracy, step, budget, as one value."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from statechart.errors import DeclarationProblem
+
+LONG_DOUBLE = "long double"
+"""Method of the engine taylor that integrates in the processor's extended precision."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """An engine, and what it is told; None where nothing is said.
+
+    Attributes
+    ----------
+    engine : str or None
+        auto, taylor, scipy or impulse.
+    method : str or None
+        RK45, DOP853, Radau or LSODA, of scipy; `LONG_DOUBLE`, of taylor.
+    tolerance : float or None
+        Relative tolerance of every step.
+    accuracy : float or None
+        Error allowed in the result, relative to its size: tolerances are tightened until the
+        estimated error is below it.
+    step : float or None
+        Length of every step in time; of impulse.
+    budget : float or None
+        Seconds allowed: tolerances are tightened as long as there is time.
+    """
+
+    engine: str | None = None
+    method: str | None = None
+    tolerance: float | None = None
+    accuracy: float | None = None
+    step: float | None = None
+    budget: float | None = None
+
+    def check(self) -> None:
+        """Check that the parts go together, and their numbers.
+
+        Raises
+        ------
+        DeclarationProblem
+            At the first part that does not.
+        """
+        engine = self.engine or "auto"
+        finders = ("tolerance", "accuracy", "budget")
+        named = [what for what in finders if getattr(self, what) is not None]
+        if engine == "impulse":
+            for what in ("method", *finders):
+                if getattr(self, what) is not None:
+                    raise _misplaced(
+                        what,
+                        f"the engine impulse has no {what}",
+                        "its error follows the step: give a step",
+                    )
+        elif self.step is not None:
+            raise _misplaced(
+                "step",
+                f"the engine {engine} chooses its own steps",
+                "leave the step out, or take the engine impulse",
+            )
+        if engine == "taylor" and self.method not in (None, LONG_DOUBLE):
+            raise _misplaced(
+                "method",
+                f"the engine taylor has no method {self.method!r}",
+                "leave the method out, or take the engine scipy",
+            )
+        if len(named) > 1:
+            raise _misplaced(
+                named[1],
+                f"{' and '.join(named)} exclude each other",
+                "accuracy and budget find the tolerance that they need",
+            )
+        for what in ("tolerance", "accuracy"):
+            value = getattr(self, what)
+            if value is not None and not 0.0 < value < 1.0:
+                raise DeclarationProblem(
+                    f"{what} must be above 0 and below 1, not {value:g}", loc=(what,)
+                )
+        for what, kind in (("step", "time"), ("budget", "time in seconds")):
+            value = getattr(self, what)
+            if value is not None and not 0.0 < value < math.inf:
+                raise DeclarationProblem(
+                    f"the {what} must be a positive {kind}, not {value:g}", loc=(what,)
+                )
+
+    @property
+    def family(self) -> str:
+        """Settings that differ in how fine they are only."""
+        return "accuracy" if self.accuracy is not None else self.method or self.engine or "auto"
+
+    @property
+    def fineness(self) -> float:
+        """The tolerance, accuracy or step."""
+        return self.accuracy or self.tolerance or self.step or math.nan
+
+    @property
+    def promise(self) -> float | None:
+        """The relative error that a user may expect; None where nothing is promised."""
+        return self.accuracy or self.tolerance
+
+    @property
+    def label(self) -> str:
+        """What it is called."""
+        what = "step" if self.step is not None else "accuracy" if self.accuracy is not None else ""
+        words = (self.engine or "auto", self.method or "", what, f"{self.fineness:.3g}")
+        return " ".join(word for word in words if word)
+
+
+def _misplaced(what: str, message: str, advice: str) -> DeclarationProblem:
+    return DeclarationProblem(message, advice=advice, loc=(what,), key=True)
