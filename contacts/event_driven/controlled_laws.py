@@ -26,7 +26,7 @@ from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.laws import CAPTURED, Flow, Setup, shown_mode
+from statechart.automaton.laws import CAPTURED, Flow, Instant, Setup, shown_mode
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Clock, Jump, Key
 from statechart.charts.firing import Guard, considered
@@ -79,21 +79,14 @@ class ControlledLaws:
         flow, state = self._contacts.begin(setup)
         return self._joined(setup, Clock(), flow, key, state), state
 
-    def jump(
-        self,
-        setup: Setup,
-        clock: Clock,
-        j: int,
-        flow: Flow,
-        state: Array,
-        fired: tuple[str, ...],
-    ) -> tuple[Jump | None, Flow] | None:
+    def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify the contacts, then ask the controllers."""
+        setup, clock, _, flow, state, fired = at
         assert isinstance(setup, SceneSetup)
         own = flow.mode[self._count :]
         laws = self._at(own)
         setup = self._within(setup, own)
-        made = laws.jump(setup, clock, j, self._parted(flow), state, fired)
+        made = laws.jump(at._replace(setup=setup, flow=self._parted(flow)))
         if made is not None:
             jump, following = made
             if jump is None:
@@ -109,16 +102,10 @@ class ControlledLaws:
         taken = self._controllers[name].transitions[firing.transition]
         states = (*own[: firing.place], taken.target, *own[firing.place + 1 :])
         energy = laws.snapshot(setup, state, clock.high).energy
-        jump = Jump(
-            clock.high,
-            j,
+        jump = at.jump(
             name,
             taken.name,
-            flow.mode,
             (*flow.mode[: self._count], *states),
-            state,
-            state,
-            fired,
             path=() if taken.on is None else (f"on {taken.on}",),
             considered=self._considered[name][firing.transition],
             energy=(energy, energy),

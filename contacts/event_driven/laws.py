@@ -30,7 +30,15 @@ from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.laws import CAPTURED, UNBOUNDED, Flow, Setup, shown_mode, uncaptured
+from statechart.automaton.laws import (
+    CAPTURED,
+    UNBOUNDED,
+    Flow,
+    Instant,
+    Setup,
+    shown_mode,
+    uncaptured,
+)
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Clock, Jump, Key
 from statechart.errors import DeclarationProblem, NoConsistentMode, SingularMode
@@ -137,21 +145,14 @@ class SceneLaws:
             setup, starts, taken.flow, None, choice.warning, settled, choice.notes
         ), state
 
-    def jump(
-        self,
-        setup: Setup,
-        clock: Clock,
-        j: int,
-        flow: Flow,
-        state: Array,
-        fired: tuple[str, ...],
-    ) -> tuple[Jump | None, Flow] | None:
+    def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.modes.classification`."""
+        setup, clock, _, flow, state, fired = at
         assert isinstance(setup, SceneSetup)
         if self._plain and flow.mode == flow.flow and fired != (UNBOUNDED,):
             mode = fast_mode(setup, self._tape, state, clock.high, flow.flow)
             if mode is not None:
-                return self._usual(setup, clock, j, flow, state, fired, *mode)
+                return self._usual(at, setup, *mode)
         before = state
         snapshot = self._tape.at(setup.values, state, clock.high)
         switched = self._gates.switched(
@@ -165,7 +166,7 @@ class SceneLaws:
             setup.bands,
         )
         if switched:
-            return self._switch(setup, clock, j, flow, state, fired, snapshot, switched)
+            return self._switch(at, snapshot, switched)
         snapshot = hidden(snapshot, flow.mode)
         # Between steps a dense output leaves the constraints by its own error: a contact that the
         # flow kept closed is judged as closed.
@@ -175,6 +176,7 @@ class SceneLaws:
         rested = self._rested(flow, moving, snapshot, fired, 2.0 * slow)
         if rested != moving:
             state = on_constraints(rested, snapshot, state)
+        landing = at._replace(state=state)
         if state is not before:
             snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
         closed = [c.gap <= close for c in snapshot.contacts]
@@ -190,11 +192,10 @@ class SceneLaws:
                 return None
             if self._paradox == "stop":
                 raise NoConsistentMode(jam.why)
-            hit = [*jam.places]
-            return self._impact(setup, clock, j, flow, state, fired, snapshot, hit, closed, jam)
+            return self._impact(landing, setup, snapshot, [*jam.places], closed, jam)
         hitting = [i for i, c in enumerate(snapshot.contacts) if closed[i] and c.gap_rate < -slow]
         if hitting:
-            return self._impact(setup, clock, j, flow, state, fired, snapshot, hitting, closed)
+            return self._impact(landing, setup, snapshot, hitting, closed)
         touching = [
             shut and c.gap_rate <= slow for shut, c in zip(closed, snapshot.contacts, strict=True)
         ]
@@ -205,8 +206,7 @@ class SceneLaws:
                 shut = [state not in OPEN for state in moving]
                 grown = unbounded(snapshot, setup.contacts, shut, 2.0 * slow)
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
-            hit = [*choice.places]
-            return self._impact(setup, clock, j, flow, state, fired, snapshot, hit, closed, choice)
+            return self._impact(landing, setup, snapshot, [*choice.places], closed, choice)
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
@@ -220,15 +220,10 @@ class SceneLaws:
         after = landed(target, snapshot, state, setup.tolerances)
         energy = snapshot.energy
         left = energy if after is state else self._energy(setup, after, clock.high)
-        jump = Jump(
-            clock.high,
-            j,
+        jump = at.jump(
             *self._cause(flow.mode, target, skipping),
-            flow.mode,
             target,
-            before,
             after,
-            fired,
             considered=choice.considered,
             energy=(energy, left),
         )
@@ -256,37 +251,24 @@ class SceneLaws:
         )
 
     def _usual(
-        self,
-        setup: SceneSetup,
-        clock: Clock,
-        j: int,
-        flow: Flow,
-        state: Array,
-        fired: tuple[str, ...],
-        target: Key,
-        energy: float,
+        self, at: Instant, setup: SceneSetup, target: Key, energy: float
     ) -> tuple[Jump, Flow] | None:
         """Return the jump to the one mode that agrees with the state."""
-        if target == flow.mode:
+        if target == at.flow.mode:
             return None
 
         def considered() -> Mapping[str, str]:
-            snapshot, near = self._tape.at(setup.values, state, clock.high), setup.tolerances["gap"]
+            snapshot = self._tape.at(setup.values, at.state, at.clock.high)
+            near = setup.tolerances["gap"]
             touching = [
                 c.gap <= near and c.gap_rate <= setup.tolerances["speed"] for c in snapshot.contacts
             ]
             choice = decide(setup, snapshot, touching, self._paradox)
             return {} if isinstance(choice, Jam) else choice.considered
 
-        jump = Jump(
-            clock.high,
-            j,
-            *self._cause(flow.mode, target, False),
-            flow.mode,
+        jump = at.jump(
+            *self._cause(at.flow.mode, target, False),
             target,
-            state,
-            state,
-            fired,
             considered=Considered(considered),
             energy=(energy, energy),
         )
@@ -364,17 +346,15 @@ class SceneLaws:
 
     def _impact(
         self,
+        at: Instant,
         setup: SceneSetup,
-        clock: Clock,
-        j: int,
-        flow: Flow,
-        state: Array,
-        fired: tuple[str, ...],
         snapshot: Snapshot,
         hitting: list[int],
         closed: list[bool],
         jam: Jam | None = None,
     ) -> tuple[Jump, Flow]:
+        clock, flow, state = at.clock, at.flow, at.state
+
         def collided(laws: Sequence[ContactLaw]) -> Impacts:
             if jam is not None:
                 return without_collision(snapshot, laws, jam.places)
@@ -431,16 +411,11 @@ class SceneLaws:
         target = listed(target, laws, following.contacts, 2.0 * slow)
         before, left = snapshot.energy, self._energy(setup, after, clock.high)
         rest = max(rests.values(), default=None)
-        jump = Jump(
-            clock.high,
-            j,
+        jump = at.jump(
             laws[hitting[0]].name,  # whichever gap fell by a rounding earlier
             "touchdown" if jam is None else "jam",
-            flow.mode,
             target,
-            state,
             after,
-            fired,
             impulse={
                 law.name: (normal, tangential)
                 for law, (normal, tangential) in zip(laws, result.impulses.tolist(), strict=True)
@@ -477,17 +452,10 @@ class SceneLaws:
         return jump, flow._replace(tolerances={**flow.tolerances, **below}) if below else flow
 
     def _switch(
-        self,
-        setup: Setup,
-        clock: Clock,
-        j: int,
-        flow: Flow,
-        state: Array,
-        fired: tuple[str, ...],
-        snapshot: Snapshot,
-        switched: Mapping[int, str],
+        self, at: Instant, snapshot: Snapshot, switched: Mapping[int, str]
     ) -> tuple[Jump, Flow]:
         """Take contacts off or back; what the others do then is asked next."""
+        flow = at.flow
         mode, moving = list(flow.mode), list(flow.flow)
         for place, target in switched.items():
             mode[place] = moving[place] = target
@@ -496,19 +464,14 @@ class SceneLaws:
         reason = "its conditions hold, and its gap is open"
         if goes:
             margins = [margin.name for margin in self._mechanics.gates(name)]
-            failing = [margin for margin in margins if margin in fired]
-            failing = failing or [self._gates.failing(setup.values, state, clock.high)[place]]
+            failing = [margin for margin in margins if margin in at.fired]
+            now = at.setup.values, at.state, at.clock.high
+            failing = failing or [self._gates.failing(*now)[place]]
             reason = f"does not hold: {failing[0].removeprefix(f'{name}: ')}"
-        jump = Jump(
-            clock.high,
-            j,
+        jump = at.jump(
             name,
             "disable" if goes else "enable",
-            flow.mode,
             tuple(mode),
-            state,
-            state,
-            fired,
             considered={
                 f"{name}:{flow.mode[place]}": reason,
                 f"{name}:{mode[place]}": "taken",

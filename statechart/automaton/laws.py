@@ -144,6 +144,50 @@ class Flow(NamedTuple):
         return None if self.terms is None else np.abs(self.terms).sum(axis=1)
 
 
+class Instant(NamedTuple):
+    """What the laws are asked about: where a flow has come to.
+
+    Attributes
+    ----------
+    setup : Setup
+        The numbers of the run.
+    clock : Clock
+        When.
+    j : int
+        How many jumps there were.
+    flow : Flow
+        What has come here.
+    state : (n,) array
+        Values of the variables.
+    fired : tuple of str
+        Margins that have fallen.
+    """
+
+    setup: Setup
+    clock: Clock
+    j: int
+    flow: Flow
+    state: Array
+    fired: tuple[str, ...] = ()
+
+    def jump(
+        self, region: str, cause: str, target: Key, after: Array | None = None, **told: Any
+    ) -> Jump:
+        """Return a jump from here to a mode, and to a state where that changes."""
+        return Jump(
+            self.clock.high,
+            self.j,
+            region,
+            cause,
+            self.flow.mode,
+            target,
+            self.state,
+            self.state if after is None else after,
+            self.fired,
+            **told,
+        )
+
+
 class Laws(Protocol):
     """What happens at the instants between flows; the executor knows nothing else."""
 
@@ -151,15 +195,7 @@ class Laws(Protocol):
         """Return the first mode and the state to start from."""
         ...
 
-    def jump(
-        self,
-        setup: Setup,
-        clock: Clock,
-        j: int,
-        flow: Flow,
-        state: NDArray[np.float64],
-        fired: tuple[str, ...],
-    ) -> tuple[Jump | None, Flow] | None:
+    def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Return the jump that the state calls for, or None when the mode holds.
 
         A flow without a jump: the mode holds, but by other equations, or from another start.

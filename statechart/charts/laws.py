@@ -20,7 +20,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.course import Courses
-from statechart.automaton.laws import HELD, Flow, Setup
+from statechart.automaton.laws import HELD, Flow, Instant, Setup
 from statechart.automaton.regions import Edge, Margin, Region, State
 from statechart.automaton.trace import Clock, Jump, Key, between
 from statechart.charts.chart import Chart, Transition
@@ -193,16 +193,9 @@ class ChartLaws:
         flow = Flow(key, key, terms=setup.initial[:, None])
         return self._with_tolerances(setup, Clock(), flow, setup.initial), setup.initial
 
-    def jump(
-        self,
-        setup: Setup,
-        clock: Clock,
-        j: int,
-        flow: Flow,
-        state: Array,
-        fired: tuple[str, ...],
-    ) -> tuple[Jump, Flow] | None:
+    def jump(self, at: Instant) -> tuple[Jump, Flow] | None:
         """Take the first transition that is due; see the module for which are."""
+        setup, clock, _, flow, state, fired = at
         pending = flow.pending
         if fired == ("zeno",):
             name = min(flow.held, key=lambda name: between(clock, flow.held[name]))
@@ -234,18 +227,8 @@ class ChartLaws:
                 after, summed = self._updated(setup, clock, place, limit, state, sizes)
         taken = transitions[index]
         target = (*flow.mode[:place], taken.target, *flow.mode[place + 1 :])
-        jump = Jump(
-            clock.high,
-            j,
-            name,
-            taken.name,
-            flow.mode,
-            target,
-            state,
-            after,
-            fired,
-            considered=self._considered[place][index],
-        )
+        considered = self._considered[place][index]
+        jump = at.jump(name, taken.name, target, after, considered=considered)
         held = {region: end for region, end in flow.held.items() if region != name}
         following = flow._replace(
             mode=target,

@@ -13,7 +13,16 @@ import sympy as sp
 from statechart import interrupts
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import CAPTURED, HELD, UNBOUNDED, Flow, Setup, shown_mode, uncaptured
+from statechart.automaton.laws import (
+    CAPTURED,
+    HELD,
+    UNBOUNDED,
+    Flow,
+    Instant,
+    Setup,
+    shown_mode,
+    uncaptured,
+)
 from statechart.automaton.modes import build_mode, captured
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import (
@@ -319,8 +328,10 @@ class _Run:
         sizes = np.abs(self.arcs[-1].coefficients[:, :, 0]).max(axis=0)
         if not (np.abs(flow.terms[:, -1]) > _STEEP * sizes).any():
             return False
-        j, fired = len(self.jumps), (UNBOUNDED,)
-        return laws.jump(self.setup, self.clock, j, flow, self.state, fired) is not None
+        return laws.jump(self._instant(flow, (UNBOUNDED,))) is not None
+
+    def _instant(self, flow: Flow, fired: tuple[str, ...]) -> Instant:
+        return Instant(self.setup, self.clock, len(self.jumps), flow, self.state, fired)
 
     def _ending(self) -> bool:
         """Whether something may just be happening as the run ends: it belongs to the run.
@@ -392,7 +403,7 @@ class _Run:
         moved = False
         for _ in range(_JUMPS_AT_ONCE):
             assert self.flow is not None
-            made = laws.jump(self.setup, self.clock, len(self.jumps), self.flow, self.state, fired)
+            made = laws.jump(self._instant(self.flow, fired))
             if made is None:
                 break
             jump, following = made

@@ -11,7 +11,7 @@ from runs import ENGINES, engine
 
 from contacts.kind import automaton
 from contacts.scene.scene import Scene
-from statechart.automaton.laws import UNBOUNDED, Flow
+from statechart.automaton.laws import UNBOUNDED, Flow, Instant
 from statechart.automaton.trace import Clock, Outcome, Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
@@ -92,7 +92,7 @@ def test_a_flow_that_ends_for_another_reason_is_no_jam() -> None:
     setup = built.setup({}, 2.2e-16)
     flow, state = built.laws.begin(setup)
     assert flow.mode == ("slide+",)
-    assert built.laws.jump(setup, Clock(), 0, Flow(*flow), state, (UNBOUNDED,)) is None
+    assert built.laws.jump(Instant(setup, Clock(), 0, Flow(*flow), state, (UNBOUNDED,))) is None
 
 
 @pytest.mark.parametrize("name", ENGINES)
