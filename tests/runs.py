@@ -11,13 +11,14 @@ from typing import Any
 import models
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
+from statechart.documents.setting import Setting
 from statechart.engines.engine import Engine
 from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
-from statechart.observation.observer import Observer
+from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs
 
 # What these show is a run that cannot go on.
@@ -57,14 +58,20 @@ def engine(name: str) -> Engine:
 
 
 @functools.cache
+def _observers(model: str) -> Observers:
+    return Observers(automaton(model))
+
+
 def simulator(model: str, name: str) -> Simulator:
     """Return a simulator of a shipped model."""
-    return Simulator(automaton(model), engine(name))
+    found = _observers(model).at(Setting(name)).simulator
+    assert isinstance(found, Simulator)
+    return found
 
 
 @functools.cache
 def _reader(model: str, name: str) -> Outputs:
-    return Outputs(Observer(simulator(model, name)))
+    return Outputs(_observers(model).at(Setting(name)))
 
 
 def run(model: str, name: str, until: float = 1000.0, **parameters: float) -> Trace:

@@ -17,20 +17,17 @@ from statechart.documents.document import Document
 from statechart.documents.setting import Setting
 from statechart.documents.validation import located
 from statechart.documents.yaml_reader import read
-from statechart.engines.budget import Allowance, Limited
+from statechart.engines.budget import Allowance
 from statechart.engines.choice import choose
-from statechart.engines.engine import Engine
 from statechart.engines.request import planned
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.execution.outcome import error_of
-from statechart.execution.perturbation import nudged
-from statechart.execution.simulator import Simulator
-from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.syntax import close_matches
 from statechart.loading.kind import kind
 from statechart.loading.load import find, interpret
 from statechart.observation.observer import Observer
+from statechart.observation.observers import Observers
 from statechart.running.estimate import Answer, Cost, tighten, within
 from statechart.running.result import Asked, Result
 
@@ -110,8 +107,8 @@ class Runner:
         self.setting, self._reason = self._plan.setting, self._plan.reason
         self._allowance = None if self.setting.budget is None else Allowance(self.setting.budget)
         if self.setting.step is None:
-            self._engine, self._reason = self._choose(self.setting.tolerance)
-        self._observers: dict[tuple[float, bool], Observer] = {}
+            _, self._reason = choose(self.setting)
+        self.observers = Observers(self.automaton, allowance=self._allowance, progress=progress)
 
     def run(
         self,
@@ -203,7 +200,8 @@ class Runner:
         """
         overrides = dict(parameters or {})
         self._check(overrides)
-        relative = math.nan if self.setting.step is not None else self._engine.tolerance
+        stepped = self.setting.step is not None
+        relative = math.nan if stepped else self.observers.engine(self.setting).tolerance
         with located(self.document, overrides):
             return self.automaton.setup(overrides, relative)
 
@@ -211,12 +209,6 @@ class Runner:
     def _searching(self) -> bool:
         """Whether the tolerance is looked for."""
         return self.setting.accuracy is not None or self.setting.budget is not None
-
-    def _choose(self, tolerance: float | None) -> tuple[Engine, str]:
-        engine, reason = choose(replace(self.setting, tolerance=tolerance))
-        if self._allowance is not None:
-            engine = Limited(engine, self._allowance)
-        return engine, reason
 
     def end(
         self, parameters: Mapping[str, float] | None = None, *, until: float | None = None
@@ -268,29 +260,19 @@ class Runner:
             return self._constants.values(overrides)
 
     def _once(
-        self, tolerance: float, overrides: Mapping[str, float], end: float, *, off: bool = False
+        self, setting: Setting, overrides: Mapping[str, float], end: float, *, off: bool = False
     ) -> tuple[Observer, Trace]:
-        observer = self._observer(tolerance, off)
+        observer = self.observers.at(setting, off=off)
         limit = self.model.settings.max_jumps
         with located(self.document, overrides):
             trace = observer.simulator.run(overrides, until=end, max_jumps=limit, throw=False)
-        if trace.outcome is not Outcome.UNSUPPORTED or not self._fall_back(trace.message):
+        picked = setting.engine == "auto" and trace.engine.startswith("taylor")
+        if trace.outcome is not Outcome.UNSUPPORTED or not picked:
             return observer, trace
-        if not self._searching:
-            tolerance = self._engine.tolerance
-        return self._once(tolerance, overrides, end, off=off)
-
-    def _observer(self, tolerance: float, off: bool) -> Observer:
-        """Return what makes the runs at a tolerance; `off`: from a start off by it."""
-        if self.setting.step is not None:
-            return self._stepped(self.setting.step)
-        found = self._observers.get((tolerance, off))
-        if found is None:
-            engine = self._choose(tolerance)[0]
-            automaton = nudged(self.automaton) if off else self.automaton
-            simulator = Simulator(automaton, engine, progress=self._progress)
-            found = self._observers[tolerance, off] = Observer(simulator)
-        return found
+        # Taylor cannot expand a flow, and was not asked for.
+        self.setting = replace(self.setting, engine="scipy")
+        self._reason = f"engine scipy: {trace.message}"
+        return self._once(replace(setting, engine="scipy"), overrides, end, off=off)
 
     def _other(self, model: Declaration, study: Measured | None) -> Runner:
         """Return what runs another model, or by another study, in the place of this one."""
@@ -298,33 +280,14 @@ class Runner:
         other.document = self.document
         return other
 
-    def _stepped(self, step: float) -> Observer:
-        found = self._observers.get((step, False))
-        if found is None:
-            simulator = SteppingSimulator(self.automaton, step, progress=self._progress)
-            found = self._observers[step, False] = Observer(simulator)
-        return found
-
-    def _fall_back(self, reason: str) -> bool:
-        """Take scipy where taylor was picked for the user and cannot expand a flow."""
-        if self.setting.engine != "auto" or self._engine.name != "taylor":
-            return False
-        self.setting = replace(self.setting, engine="scipy")
-        given = self.model.settings.tolerance
-        self._engine = self._choose(given)[0]
-        self._reason = f"engine scipy: {reason}"
-        self._observers.clear()
-        return True
-
     def _answer(self, overrides: Mapping[str, float], end: float) -> Answer:
         def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
-            return self._once(tolerance, overrides, end, off=off)
+            return self._once(replace(self.setting, tolerance=tolerance), overrides, end, off=off)
 
         if not self._searching:
-            tolerance = math.nan if self.setting.step is not None else self._engine.tolerance
-            observer, trace = once(tolerance, False)
+            observer, trace = self._once(self.setting, overrides, end)
             return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
-        floor = self._choose(math.ulp(0.0))[0].tolerance
+        floor = self.observers.floor(self.setting)
         first, accuracy = self._plan.first, self.setting.accuracy
         if accuracy is not None and first is not None:
             return tighten(once, accuracy, first=first, floor=floor)

@@ -15,17 +15,14 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Jump, Outcome, Trace
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import LONG_DOUBLE, Setting
-from statechart.engines.choice import choose
-from statechart.engines.engine import Engine
 from statechart.engines.request import BELOW
 from statechart.errors import SimulationError, StatechartError
 from statechart.execution.outcome import error_of
-from statechart.execution.perturbation import nudged, widened
-from statechart.execution.simulator import Simulator
-from statechart.execution.time_stepping import SteppingSimulator
+from statechart.execution.perturbation import widened
 from statechart.loading.kind import offered
 from statechart.observation.difference import compare, distance, paired, parted
 from statechart.observation.observer import Observer
+from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import OutputValue as Output
 from statechart.running.estimate import BRIEF, Answer, Cost, tighten
@@ -91,20 +88,6 @@ class Bench:
     repeats: int
     clock: Callable[[], float]
 
-    def engine(self, setting: Setting, tolerance: float) -> Engine:
-        """Return the engine of a setting, at a tolerance."""
-        return choose(replace(setting, tolerance=tolerance))[0]
-
-    def observer(self, setting: Setting, fineness: float, *, off: bool = False) -> Observer:
-        """Return the observer of a setting's simulator, at a tolerance or a step.
-
-        `off`: its runs start off by the tolerance.
-        """
-        if setting.step is not None:
-            return Observer(SteppingSimulator(self.automaton, fineness))
-        automaton = nudged(self.automaton) if off else self.automaton
-        return Observer(Simulator(automaton, self.engine(setting, fineness)))
-
     def reference(self, mark: str) -> tuple[Run, Study]:
         """Make the reference and the run that checks it.
 
@@ -138,7 +121,7 @@ class Bench:
             if any(setting.engine == "taylor" == known.setting.engine for known in runs):
                 continue
             try:
-                runs.append(self._ended(setting, self.observer(setting, setting.fineness)))
+                runs.append(self._ended(setting, Observers(self.automaton).at(setting)))
             except StatechartError as error:
                 failures.append(f"{setting.label}: {error}")
             if len(runs) == 2:
@@ -151,8 +134,7 @@ class Bench:
         reference, check = runs
         setting, shift = reference.setting, Errors()
         if setting.step is None:
-            engine = self.engine(setting, setting.fineness)
-            late = self._ended(setting, Observer(Simulator(widened(self.automaton), engine)))
+            late = self._ended(setting, Observers(widened(self.automaton)).at(setting))
             shift, _ = self.errors(reference, late)
         resolution, _ = self.errors(reference, check)
         study = Study(
@@ -186,19 +168,18 @@ class Bench:
 
     def answerer(self, setting: Setting) -> Callable[[], Answer]:
         """Return what makes the run of a setting; what it compiles is kept for the next time."""
-        observers: dict[tuple[float, bool], Observer] = {}
+        observers = Observers(self.automaton)
 
         def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
-            observer = observers.get((tolerance, off))
-            if observer is None:
-                observer = observers[tolerance, off] = self.observer(setting, tolerance, off=off)
+            observer = observers.at(replace(setting, tolerance=tolerance), off=off)
             return observer, self.once(observer)
 
         def answer() -> Answer:
             if setting.accuracy is not None:
-                floor = self.engine(setting, math.ulp(0.0)).tolerance
-                return tighten(once, setting.accuracy, first=setting.accuracy * BELOW, floor=floor)
-            observer, trace = once(setting.fineness, False)
+                first, floor = setting.accuracy * BELOW, observers.floor(setting)
+                return tighten(once, setting.accuracy, first=first, floor=floor)
+            observer = observers.at(setting)
+            trace = self.once(observer)
             counts = trace.counts
             cost = Cost(1, counts.get("steps", 0), counts.get("evaluations", 0), 0.0)
             return Answer(observer, trace, None, cost)

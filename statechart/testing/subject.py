@@ -17,17 +17,16 @@ from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
-from statechart.engines.choice import choose
 from statechart.engines.request import planned
 from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
 from statechart.execution.perturbation import loosened
 from statechart.execution.simulator import Simulator
-from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.loading.kind import kind
 from statechart.observation.condition import conditions
 from statechart.observation.observer import Observer
+from statechart.observation.observers import Observers
 from statechart.testing.agreement import NUDGE, Sensitivity, Undecidable
 
 _KEPT = 64  # cases whose runs are kept for the next property
@@ -46,23 +45,22 @@ class Subject:
 
     def __init__(self, model: Declaration, automaton: Automaton | None = None) -> None:
         self.automaton = automaton or kind(model.kind).automaton(model)
-        self.simulators: dict[str, Simulator | SteppingSimulator] = {}
+        self.observers: dict[str, Observer] = {}
         self.missing: dict[str, str] = {}
+        made = Observers(self.automaton)
         asked = planned(Setting(), model, self.automaton).setting
         self.model, self.step = model, asked.step
         if self.step is not None:
             # Images of the model are run by its step, not by one of their own.
             chosen = model.settings.model_copy(update={"engine": "impulse", "step": self.step})
             self.model = model.model_copy(update={"settings": chosen})
-            self.simulators["impulse"] = SteppingSimulator(self.automaton, self.step)
+            self.observers["impulse"] = made.at(asked)
         method = model.settings.method
         for name in ("taylor", "scipy") if self.step is None else ():
             try:
-                engine, _ = choose(Setting(name, method if name == "scipy" else None))
+                self.observers[name] = made.at(Setting(name, method if name == "scipy" else None))
             except DeclarationError as error:
                 self.missing[name] = error.message
-            else:
-                self.simulators[name] = Simulator(self.automaton, engine)
         self._loosened: dict[float, Simulator] = {}
         self._variants: dict[str, Subject] = {}
         self._cases: OrderedDict[tuple[tuple[str, float], ...], Case] = OrderedDict()
@@ -71,10 +69,9 @@ class Subject:
     @property
     def engines(self) -> tuple[str, ...]:
         """What the runs are made by."""
-        return tuple(
-            s.engine.name if isinstance(s, Simulator) else f"impulse at steps of {s.step:g}"
-            for s in self.simulators.values()
-        )
+        if self.step is not None:
+            return (f"impulse at steps of {self.step:g}",)
+        return tuple(self.observers)
 
     def case(self, parameters: Mapping[str, float]) -> Case:
         """Return the case of some parameters; the same one when asked for again soon."""
@@ -99,7 +96,7 @@ class Subject:
     def loosened(self, relative: float) -> Simulator:
         """Return the most accurate engine's simulator of modes chosen as at `relative`."""
         if relative not in self._loosened:
-            simulator = next(iter(self.simulators.values()))
+            simulator = next(iter(self.observers.values())).simulator
             assert isinstance(simulator, Simulator)  # steps have no other engine beside them
             automaton = loosened(self.automaton, relative)
             self._loosened[relative] = Simulator(automaton, simulator.engine)
@@ -121,7 +118,7 @@ class Subject:
         """Return the equations that moved an arc."""
         values = np.fromiter(trace.parameters.values(), float, len(trace.parameters))
         setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
-        simulator = self.simulators[trace.engine.split()[0]]
+        simulator = self.observers[trace.engine.split()[0]].simulator
         assert isinstance(simulator, Simulator)  # steps have no equations of modes
         return simulator.compiled(arc.flow, setup).mode
 
@@ -207,7 +204,7 @@ class Case:
     def traces(self) -> Mapping[str, Trace]:
         """Engine -> run, the most accurate first; engines that cannot run the model left out."""
         if self._traces is None:
-            made = {n: self._run(n, self.parameters) for n in tuple(self.subject.simulators)}
+            made = {n: self._run(n, self.parameters) for n in tuple(self.subject.observers)}
             self._traces = {name: trace for name, trace in made.items() if trace is not None}
             if not self._traces:
                 raise SimulationError("; ".join(self.subject.missing.values()))
@@ -260,12 +257,12 @@ class Case:
         trace = self.trace
         if trace.step is not None:  # no event is located
             return Sensitivity(found, ())
-        observer = Observer(self.subject.simulators[next(iter(self.traces))])
+        observer = self.subject.observers[next(iter(self.traces))]
         return Sensitivity(found, conditions(observer, trace))
 
     def shorter(self, until: float) -> Trace:
         """Return the run of the most accurate engine up to `until`."""
-        simulator = next(iter(self.subject.simulators.values()))
+        simulator = next(iter(self.subject.observers.values())).simulator
         limit = self.subject.model.settings.max_jumps
         return _ended(simulator.run(self.parameters, until=until, max_jumps=limit, throw=False))
 
@@ -283,14 +280,14 @@ class Case:
     def _run(self, name: str, parameters: Mapping[str, float]) -> Trace | None:
         subject = self.subject
         limit = subject.model.settings.max_jumps
-        trace = subject.simulators[name].run(
+        trace = subject.observers[name].simulator.run(
             parameters, until=subject.end(parameters), max_jumps=limit, throw=False
         )
         if trace.outcome is not Outcome.UNSUPPORTED:
             return _ended(trace)
         # Taylor series do not exist for every formula.
         subject.missing[name] = trace.message
-        del subject.simulators[name]
+        del subject.observers[name]
         return None
 
 

@@ -379,7 +379,7 @@ def test_a_hidden_speed_breaks_other_units():
 def test_engines_that_disagree_are_caught():
     subject = Subject(model(BALL))
     other = Subject(model(BALL.replace("g: 9.81", "g: 9.8100001")))
-    subject.simulators["scipy"] = other.simulators["scipy"]
+    subject.observers["scipy"] = other.observers["scipy"]
     found = failure(subject, "engines agree")
     assert "bounce" in found.message or "end" in found.message
 

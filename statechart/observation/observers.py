@@ -1,0 +1,66 @@
+"""What runs an automaton at any setting and looks at its runs, made once for each and kept."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from statechart.automaton.automaton import Automaton
+from statechart.documents.setting import Setting
+from statechart.engines.budget import Allowance, Limited
+from statechart.engines.choice import choose
+from statechart.engines.engine import Engine
+from statechart.execution.perturbation import nudged
+from statechart.execution.simulator import Simulator
+from statechart.execution.time_stepping import SteppingSimulator
+from statechart.observation.observer import Observer
+
+
+class Observers:
+    """Simulators of an automaton, each with what observes its runs.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        What is run.
+    allowance : Allowance, optional
+        Time that the runs of all of them share.
+    progress : bool
+        Whether runs above about a second report to stderr.
+    """
+
+    def __init__(
+        self, automaton: Automaton, *, allowance: Allowance | None = None, progress: bool = False
+    ) -> None:
+        self._automaton, self._allowance, self._progress = automaton, allowance, progress
+        self._kept: dict[tuple[Setting, bool], Observer] = {}
+
+    def at(self, setting: Setting, *, off: bool = False) -> Observer:
+        """Return the observer of a setting's simulator, the same one whenever asked.
+
+        `off`: its runs start off by the tolerance.
+
+        Raises
+        ------
+        DeclarationError
+            If there is no such engine or method, or the engine is not installed.
+        """
+        found = self._kept.get((setting, off))
+        if found is None:
+            found = self._kept[setting, off] = Observer(self._simulator(setting, off))
+        return found
+
+    def engine(self, setting: Setting) -> Engine:
+        """Return a new engine as a setting asks for it; see `choose`."""
+        engine, _ = choose(setting)
+        return engine if self._allowance is None else Limited(engine, self._allowance)
+
+    def floor(self, setting: Setting) -> float:
+        """Return the least tolerance of a setting's engine."""
+        return self.engine(replace(setting, tolerance=math.ulp(0.0))).tolerance
+
+    def _simulator(self, setting: Setting, off: bool) -> Simulator | SteppingSimulator:
+        if setting.step is not None:
+            return SteppingSimulator(self._automaton, setting.step, progress=self._progress)
+        automaton = nudged(self._automaton) if off else self._automaton
+        return Simulator(automaton, self.engine(setting), progress=self._progress)
