@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from statechart.automaton.trace import Trace
 from statechart.documents.setting import Setting
@@ -16,6 +16,9 @@ from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import OutputValue as Output
 from statechart.reporting.pieces import Pieces
 from statechart.running.estimate import Cost
+
+if TYPE_CHECKING:
+    from statechart.running.runner import Runner
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,8 @@ class Result:
         estimated.
     timings : mapping of str to float
         What took how many seconds.
+    runner : Runner
+        What made it.
     asked : Asked or None
         The accuracy or the budget that was asked for, and what it took.
     """
@@ -76,7 +81,15 @@ class Result:
     observer: Observer
     error_estimate: float | None
     timings: Mapping[str, float]
+    runner: Runner
     asked: Asked | None = None
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Travel as what was found and what made it: the observer is made anew there."""
+        setting = replace(self.runner.setting, tolerance=self.trace.tolerance)
+        return _remade, (
+            self.runner, setting, self.trace, self.error_estimate, self.timings, self.asked
+        )  # fmt: skip
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -115,3 +128,14 @@ class Result:
         from statechart.reporting.tables import write_run
 
         return write_run(folder, self.observer, self.trace, lambda: self.report(explain=True))
+
+
+def _remade(
+    runner: Runner,
+    setting: Setting,
+    trace: Trace,
+    estimate: float | None,
+    timings: Mapping[str, float],
+    asked: Asked | None,
+) -> Result:
+    return Result(trace, runner.observers.at(setting), estimate, timings, runner, asked)

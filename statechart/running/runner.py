@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -110,6 +111,11 @@ class Runner:
             _, self._reason = choose(self.setting)
         self.observers = Observers(self.automaton, allowance=self._allowance, progress=progress)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Travel as the model and what is asked for: what is compiled is compiled anew there."""
+        asked = {**asdict(self._asked), "study": self._study, "progress": self._progress}
+        return partial(Runner, self.model, **asked), (), {"document": self.document}
+
     def run(
         self,
         parameters: Mapping[str, float] | None = None,
@@ -157,7 +163,7 @@ class Runner:
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         timings = {**self._timings, "run": time.perf_counter() - began}
-        return Result(trace, observer, estimate, timings, asked)
+        return Result(trace, observer, estimate, timings, self, asked)
 
     def alternatives(self) -> dict[str, Runner]:
         """Return what runs the model under the other choices that its laws leave open.
