@@ -1,5 +1,6 @@
 """The laws of a scene at the instants between flows.
 
 `laws` classifies the contacts at the start and after every event; `decision` is a mode or a jam,
-`accumulation` ends impacts in turn. `controlled_laws` adds controllers.
+`impact_jump` what an impact makes of it, `accumulation` ends impacts in turn. `controlled_laws`
+adds controllers.
 """

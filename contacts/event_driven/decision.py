@@ -16,7 +16,8 @@ from contacts.modes.fast_classification import ENDLESS
 from contacts.modes.painleve import paradoxes
 from contacts.scene.parts import Resolution
 from contacts.states import OFF
-from statechart.errors import NoConsistentMode
+from statechart.automaton.trace import Key
+from statechart.errors import DeclarationProblem, NoConsistentMode
 
 
 def decide(
@@ -105,3 +106,52 @@ def explained(
                     words = f"taken: {rises}" if state == "free" else rises
                     found[label] = "; ".join(filter(None, (words, found.get(label))))
     return {**found, **after}
+
+
+def check_declared(
+    modes: Mapping[str, str],
+    names: Sequence[str],
+    choice: Choice,
+    snapshot: Snapshot,
+    touching: Sequence[bool],
+    failing: Sequence[str],
+) -> None:
+    """Check the initial modes that a scene declares against those that its state calls for."""
+    for name, declared in modes.items():
+        place = names.index(name)
+        found = choice.taken.states[place]
+        if declared not in (found, found.rstrip("+-")):
+            why = next(
+                (
+                    reason
+                    for label, reason in choice.considered.items()
+                    if {f"{name}:{declared}{way}" for way in ("", "+", "-")} & {*label.split()}
+                ),
+                f"its point slips at {snapshot.contacts[place].slip:.3g}"
+                if touching[place]
+                else "its gap is open or opening",
+            )
+            if found == OFF:
+                why = f"the condition {failing[place]} fails"
+            elif declared == OFF:
+                why = "its conditions hold, and it is not inside its surface"
+            raise DeclarationProblem(
+                f"contact {name!r} cannot start in mode {declared!r}: {why}",
+                advice=f"the initial state calls for {found!r}",
+                loc=("modes", name),
+            )
+
+
+def cause(names: Sequence[str], source: Key, target: Key, skipping: bool) -> tuple[str, str]:
+    """Return (region, cause) of the first contact that changes."""
+    for name, before, after in zip(names, source, target, strict=True):
+        if before == after:
+            continue
+        if before == "free":
+            return name, "zeno" if skipping else "touchdown"
+        if after == "free":
+            return name, "liftoff"
+        if after == "pin":
+            return name, "stick"
+        return name, "slip" if before == "pin" else "reverse"
+    return names[0], "zeno"

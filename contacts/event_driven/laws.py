@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
-from functools import partial
 
 import numpy as np
 
 from contacts.dynamics.assembly import check_joints
 from contacts.dynamics.conditions import Conditions, hidden
-from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import Projection, dead_point, landed, on_constraints
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_start
 from contacts.event_driven.accumulation import closed_at_once
-from contacts.event_driven.decision import check_listed, decide, explained
-from contacts.impacts.bounces import opens_in_vain, rests_of_bounces, stands_for_bounces
-from contacts.impacts.jamming import Jam, closed_state, listed, unbounded, without_collision
-from contacts.impacts.simultaneous import Impacts, impacts
-from contacts.modes.classification import Choice, Considered
+from contacts.event_driven.decision import cause, check_declared, decide
+from contacts.event_driven.impact_jump import Rules, flow_in, impact_jump, shown_flow
+from contacts.impacts.bounces import opens_in_vain
+from contacts.impacts.jamming import Jam, listed, unbounded
+from contacts.modes.classification import Considered
 from contacts.modes.configuration import judged
 from contacts.modes.fast_classification import fast_mode
 from contacts.states import OFF, OPEN
@@ -31,7 +28,6 @@ from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import (
-    CAPTURED,
     UNBOUNDED,
     Flow,
     Instant,
@@ -41,7 +37,7 @@ from statechart.automaton.laws import (
 )
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Clock, Jump, Key
-from statechart.errors import DeclarationProblem, NoConsistentMode, SingularMode
+from statechart.errors import NoConsistentMode, SingularMode
 from statechart.formulas.parameters import Parameters
 
 _EPS = float(np.finfo(float).eps)
@@ -51,14 +47,6 @@ _START_DEPTH = 1e-9
 
 def _alike(one: Jump, other: Jump) -> bool:
     return (one.region, one.cause) == (other.region, other.cause)
-
-
-def _shown(mode: Key, flow: Key) -> Key:
-    """Return a flow with the contacts marked whose bounces are skipped: they are shown as free."""
-    return tuple(
-        CAPTURED + moves if shown in OPEN and moves not in OPEN else moves
-        for shown, moves in zip(mode, flow, strict=True)
-    )
 
 
 class SceneLaws:
@@ -78,7 +66,6 @@ class SceneLaws:
         symbols = list(parameters.symbols.values())
         self._mechanics = mechanics
         self._modes = mechanics.scene.modes
-        self._simultaneous = mechanics.scene.simultaneous
         self._paradox = mechanics.scene.paradox
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers
@@ -105,7 +92,7 @@ class SceneLaws:
         if self._plain and not self._modes:
             mode = fast_mode(setup, self._tape, state, 0.0, None)
             if mode is not None:
-                return self._flow(setup, mode[0]), state
+                return flow_in(setup, mode[0]), state
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
         failing = self._gates.failing(setup.values, state, 0.0)
@@ -134,14 +121,14 @@ class SceneLaws:
         choice = decide(setup, snapshot, touching, self._paradox)
         if isinstance(choice, Jam):
             starts = listed(choice.sliding, setup.contacts, snapshot.contacts, 2.0 * slow)
-            return self._flow(setup, starts, choice.sliding, settled=False), state
-        self._check_declared(choice, snapshot, touching, failing)
+            return flow_in(setup, starts, choice.sliding, settled=False), state
+        check_declared(self._modes, self._names, choice, snapshot, touching, failing)
         taken = choice.taken
         settled = not any(
             shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
         )
         starts = listed(taken.states, setup.contacts, snapshot.contacts, 2.0 * slow)
-        return self._flow(
+        return flow_in(
             setup, starts, taken.flow, None, choice.warning, settled, choice.notes
         ), state
 
@@ -210,7 +197,7 @@ class SceneLaws:
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
-            goes_on = _shown(flow.mode, choice.taken.flow)
+            goes_on = shown_flow(flow.mode, choice.taken.flow)
             if goes_on != flow.flow:
                 return None, flow._replace(flow=goes_on, settled=True)
             if state is before or not fired or flow.settled:
@@ -221,13 +208,13 @@ class SceneLaws:
         energy = snapshot.energy
         left = energy if after is state else self._energy(setup, after, clock.high)
         jump = at.jump(
-            *self._cause(flow.mode, target, skipping),
+            *cause(self._names, flow.mode, target, skipping),
             target,
             after,
             considered=choice.considered,
             energy=(energy, left),
         )
-        return jump, self._flow(
+        return jump, flow_in(
             setup, target, choice.taken.flow, warning=choice.warning, notes=choice.notes
         )
 
@@ -267,12 +254,12 @@ class SceneLaws:
             return {} if isinstance(choice, Jam) else choice.considered
 
         jump = at.jump(
-            *self._cause(at.flow.mode, target, False),
+            *cause(self._names, at.flow.mode, target, False),
             target,
             considered=Considered(considered),
             energy=(energy, energy),
         )
-        return jump, self._flow(setup, target)
+        return jump, flow_in(setup, target)
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
@@ -319,7 +306,7 @@ class SceneLaws:
         energy = None if jump.energy is None else (jump.energy[0], found.energy)
         # A bar that rattles over a crest takes off from it: there is nothing to wait for.
         wait = None if found.choice.taken.flow == flow.mode else rest
-        following = self._flow(
+        following = flow_in(
             setup,
             flow.mode,
             found.choice.taken.flow,
@@ -353,103 +340,15 @@ class SceneLaws:
         closed: list[bool],
         jam: Jam | None = None,
     ) -> tuple[Jump, Flow]:
-        clock, flow, state = at.clock, at.flow, at.state
-
-        def collided(laws: Sequence[ContactLaw]) -> Impacts:
-            if jam is not None:
-                return without_collision(snapshot, laws, jam.places)
-            return impacts(snapshot, laws, closed, self._simultaneous)
-
-        laws, slow = setup.contacts, setup.tolerances["speed"]
-        result = collided(laws)
-        after = snapshot.moved(state, result.velocity)
-        following = hidden(self._tape.at(setup.values, after, clock.high), flow.mode)
-        rests = rests_of_bounces(setup, following, after, closed)
-        if rests:
-            plastic = tuple(
-                law._replace(restitution=0.0) if i in rests else law for i, law in enumerate(laws)
-            )
-            captured = collided(plastic)
-            stopped = snapshot.moved(state, captured.velocity)
-            held = hidden(self._tape.at(setup.values, stopped, clock.high), flow.mode)
-            if stands_for_bounces(rests, following, held, closed):
-                laws, result, after, following = plastic, captured, stopped, held
-            else:
-                rests = {}
-        rates = [contact.gap_rate for contact in following.contacts]
-        touching = [shut and rate <= slow for shut, rate in zip(closed, rates, strict=True)]
-        considered: Mapping[str, str] = {}
-        warnings = [*filter(None, ("" if jam is None else str(jam), result.warning))]
-        target = moving = tuple(OFF if name == OFF else "free" for name in flow.mode)
-        notes: tuple[str, ...] = ()
-        # A sequence of impacts may leave an approach behind: then it is asked again.
-        settled = not any(shut and rate < -slow for shut, rate in zip(closed, rates, strict=True))
-        check_listed(setup, following, touching)
-        if any(touching):
-            choice = decide(setup, following, touching, self._paradox)
-            if isinstance(choice, Jam):
-                moving, settled = choice.sliding, False
-            else:
-                considered, moving, notes = choice.considered, choice.taken.flow, choice.notes
-                warnings += [choice.warning] if choice.warning else []
-            after = landed(shown_mode(moving), following, after, setup.tolerances)
-            # Where bounces are skipped the contact is still free, and moves as if closed.
-            target = tuple(
-                "free" if i in rests else name for i, name in enumerate(shown_mode(moving))
-            )
-        if jam is None and not rests:
-            # What is hit without rebound and thrown off by the turning of its body closes first.
-            ended = tuple(
-                closed_state(law, contact, 2.0 * slow)
-                if i in hitting and touching[i] and target[i] == "free" and law.restitution == 0.0
-                else target[i]
-                for i, (law, contact) in enumerate(zip(laws, following.contacts, strict=True))
-            )
-            if ended != target:
-                target = moving = ended
-                settled = False
-        target = listed(target, laws, following.contacts, 2.0 * slow)
-        before, left = snapshot.energy, self._energy(setup, after, clock.high)
-        rest = max(rests.values(), default=None)
-        jump = at.jump(
-            laws[hitting[0]].name,  # whichever gap fell by a rounding earlier
-            "touchdown" if jam is None else "jam",
-            target,
-            after,
-            impulse={
-                law.name: (normal, tangential)
-                for law, (normal, tangential) in zip(laws, result.impulses.tolist(), strict=True)
-                if normal != 0.0 or tangential != 0.0
-            },
-            path=result.path,
-            considered=Considered(
-                partial(
-                    explained,
-                    {} if jam is None else jam.considered,
-                    laws,
-                    following.contacts,
-                    closed,
-                    touching,
-                    considered,
-                )
-            ),
-            energy=(before, left),
-            skipped=rest or 0.0,
-        )
-        warning = "; ".join(warnings)
-        flow = self._flow(setup, target, moving, rest, warning, settled, notes)
+        rules = Rules(self._tape, self._mechanics.scene.simultaneous, self._paradox)
+        jump, flow, following = impact_jump(rules, at, setup, snapshot, hitting, closed, jam)
+        before, left = jump.energy or (0.0, 0.0)
         idle = jam is None and sum(closed) > 1 and left >= before
         if idle and opens_in_vain(setup, following, closed):
-            done = self._closed_at_once(setup, clock, flow, jump, closed, 0.0, rest or 0.0)
+            done = self._closed_at_once(setup, at.clock, flow, jump, closed, 0.0, jump.skipped)
             if done is not None:
                 return done
-        # Where a long flight's rounding has left a gap below its tolerance, it opens from there.
-        below = {
-            f"{law.name}.gap": -2.0 * contact.gap
-            for law, contact, now in zip(laws, following.contacts, shown_mode(moving), strict=True)
-            if now == "free" and contact.gap < -setup.tolerances["gap"]
-        }
-        return jump, flow._replace(tolerances={**flow.tolerances, **below}) if below else flow
+        return jump, flow
 
     def _switch(
         self, at: Instant, snapshot: Snapshot, switched: Mapping[int, str]
@@ -483,58 +382,3 @@ class SceneLaws:
 
     def _energy(self, setup: SceneSetup, state: Array, time: float) -> float:
         return self._tape.at(setup.values, state, time).energy
-
-    def _flow(
-        self,
-        setup: SceneSetup,
-        mode: Key,
-        flow: Key | None = None,
-        rest: float | None = None,
-        warning: str = "",
-        settled: bool = True,
-        notes: tuple[str, ...] = (),
-    ) -> Flow:
-        remaining = math.inf if rest is None else rest
-        moving = _shown(mode, flow or mode)
-        return Flow(mode, moving, remaining, warning, settled, notes, tolerances=setup.bands)
-
-    def _check_declared(
-        self, choice: Choice, snapshot: Snapshot, touching: list[bool], failing: Sequence[str]
-    ) -> None:
-        for name, declared in self._modes.items():
-            place = self._names.index(name)
-            found = choice.taken.states[place]
-            if declared not in (found, found.rstrip("+-")):
-                why = next(
-                    (
-                        reason
-                        for label, reason in choice.considered.items()
-                        if {f"{name}:{declared}{way}" for way in ("", "+", "-")} & {*label.split()}
-                    ),
-                    f"its point slips at {snapshot.contacts[place].slip:.3g}"
-                    if touching[place]
-                    else "its gap is open or opening",
-                )
-                if found == OFF:
-                    why = f"the condition {failing[place]} fails"
-                elif declared == OFF:
-                    why = "its conditions hold, and it is not inside its surface"
-                raise DeclarationProblem(
-                    f"contact {name!r} cannot start in mode {declared!r}: {why}",
-                    advice=f"the initial state calls for {found!r}",
-                    loc=("modes", name),
-                )
-
-    def _cause(self, source: Key, target: Key, skipping: bool) -> tuple[str, str]:
-        """Return (region, cause) of the first contact that changes."""
-        for name, before, after in zip(self._names, source, target, strict=True):
-            if before == after:
-                continue
-            if before == "free":
-                return name, "zeno" if skipping else "touchdown"
-            if after == "free":
-                return name, "liftoff"
-            if after == "pin":
-                return name, "stick"
-            return name, "slip" if before == "pin" else "reverse"
-        return self._names[0], "zeno"

@@ -2,6 +2,7 @@
 
 `yaml_reader` reads text to a `document`, data with the place of each value; `validation` turns
 what is wrong, found by pydantic or by us, into one message with its place. `fields` are the types
-of fields, `declaration` is the base of models, `outputs` what a run reports. `yaml_text` writes
+of fields, `declaration` is the base of models, `setting` how to run one,
+`outputs` what a run reports. `yaml_text` writes
 models, `files` writes whole files or none.
 """
