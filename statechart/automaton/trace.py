@@ -270,6 +270,16 @@ class Trace:
     margins: Mapping[str, float] | None = None
     undetermined: Mapping[Key, tuple[str, ...]] | None = None
 
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Values (p,) of the parameters."""
+        return np.fromiter(self.parameters.values(), float, len(self.parameters))
+
+    @property
+    def zeros(self) -> frozenset[int]:
+        """Places of the parameters that are exactly zero."""
+        return frozenset(np.flatnonzero(self.values == 0.0).tolist())
+
     def changes(self, jump: Jump) -> tuple[dict[str, str], dict[str, str]]:
         """Return region -> state before and after `jump`."""
         return (

@@ -13,9 +13,6 @@ from statechart.errors import DeclarationError, DeclarationProblem
 TIGHTER = 1.0 / 20.0
 """The step from one tolerance to the next when an error is estimated. Measured over 180 runs: with
 it the difference of the two bounds the error in 179, at 3.2 to 3.7 times the cost of one."""
-BELOW = 1.0 / 10.0
-"""Errors of a run exceed its tolerance by about so much: where an accuracy is asked for and nothing
-was measured, the first tolerance is that far below."""
 
 
 class Measured(Protocol):
@@ -41,7 +38,7 @@ class Plan:
     setting : Setting
         What was asked for, with what the model's settings say in the place of None.
     first : float or None
-        Tolerance of the first run, where an accuracy or a budget is asked for.
+        Tolerance of the first run, where that was measured.
     basis : str
         What that was chosen by.
     measured : float or None
@@ -84,8 +81,7 @@ def planned(
         asked = replace(asked, method=settings.method)
     if asked.tolerance is None and asked.accuracy is None and asked.budget is None:
         asked = replace(asked, tolerance=settings.tolerance, accuracy=settings.accuracy)
-    first = None if asked.accuracy is None else asked.accuracy * BELOW
-    return _learned(Plan(asked, first), study, model)
+    return _learned(Plan(asked), study, model)
 
 
 def _learned(plan: Plan, study: Measured | None, model: Declaration) -> Plan:

@@ -130,19 +130,19 @@ class Simulator:
             raise error_of(trace)
         return trace
 
-    def compiled(self, key: Key, setup: Setup) -> CompiledMode:
-        """Return the mode `key`, compiled for the parameters that are zero in `setup`."""
-        found = self._compiled.get((key, setup.zeros))
+    def compiled(self, key: Key, zeros: frozenset[int]) -> CompiledMode:
+        """Return the mode `key`, compiled for zero parameters at the places `zeros`."""
+        found = self._compiled.get((key, zeros))
         if found is None:
-            mode = self._mode(key, setup.zeros)
+            mode = self._mode(key, zeros)
             found = next((made for made in self._compiled.values() if made.mode is mode), None)
             if found is None:
                 bare = uncaptured(key)
-                stepper = None if bare == key else self.compiled(bare, setup).stepper
+                stepper = None if bare == key else self.compiled(bare, zeros).stepper
                 found = compile_mode(self.engine, self.automaton, mode, stepper)
                 if HELD not in key:
                     self._built.add(shown_mode(key))
-            self._compiled[key, setup.zeros] = found
+            self._compiled[key, zeros] = found
         return found
 
     def _mode(self, key: Key, zeros: frozenset[int]) -> Mode:
@@ -255,7 +255,7 @@ class _Run:
         compiled = self.entered.get(flow.flow)
         if compiled is None:
             with interrupts.let_through():
-                compiled = self.simulator.compiled(flow.flow, self.setup)
+                compiled = self.simulator.compiled(flow.flow, self.setup.zeros)
             self.entered[flow.flow] = compiled
         setup, start = self.setup, self.clock.high
         tolerances, special = setup.tolerances, flow.tolerances

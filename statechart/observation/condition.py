@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Margin
 from statechart.automaton.trace import Arc, Jump, Trace, sizes
 from statechart.execution.simulator import Simulator
@@ -53,12 +52,10 @@ def conditions(observer: Observer, trace: Trace) -> tuple[float | None, ...]:
     Gradients are central differences, right to about 1e-10 relative to the largest of their
     terms; where a margin is undefined on one side, the condition is None.
     """
-    values = np.array(list(trace.parameters.values()))
-    setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
     before = {arc.j: arc for arc in trace.arcs}
     groups: dict[Margin, list[int]] = {}
     for place, jump in enumerate(trace.jumps):
-        margin = _fired(observer, setup, before.get(jump.j), jump)
+        margin = _fired(observer, trace, before.get(jump.j), jump)
         if margin is not None:
             groups.setdefault(margin, []).append(place)
     found: list[float | None] = [None] * len(trace.jumps)
@@ -72,12 +69,12 @@ def conditions(observer: Observer, trace: Trace) -> tuple[float | None, ...]:
     return tuple(found)
 
 
-def _fired(observer: Observer, setup: Setup, arc: Arc | None, jump: Jump) -> Margin | None:
+def _fired(observer: Observer, trace: Trace, arc: Arc | None, jump: Jump) -> Margin | None:
     """Return the margin whose fall ended `arc` in `jump`."""
     simulator = observer.simulator
     if arc is None or arc.flow is None or not jump.fired or not isinstance(simulator, Simulator):
         return None
-    margins = simulator.compiled(arc.flow, setup).mode.margins
+    margins = simulator.compiled(arc.flow, trace.zeros).mode.margins
     return next((margin for margin in margins if margin.name == jump.fired[0]), None)
 
 

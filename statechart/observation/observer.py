@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.dense_output import integrals
-from statechart.automaton.laws import Setup
 from statechart.automaton.modes import build_mode
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Arc, Jump, Key, Trace
@@ -69,7 +68,7 @@ class Observer:
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
         self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
         self._actives: dict[tuple[Key, tuple[_Where, ...], tuple[sp.Expr, ...]], _Active] = {}
-        self._passed: dict[tuple[Key, frozenset[sp.Symbol]], Mode | None] = {}
+        self._passed: dict[tuple[Key, frozenset[int]], Mode | None] = {}
 
     @property
     def automaton(self) -> Automaton:
@@ -226,7 +225,7 @@ class Observer:
         """
         if trace.step is not None:
             return self._stepped_margins(trace, jumps)
-        values, modes = _parameters(trace), self._modes(trace)
+        values, modes = trace.values, self._modes(trace)
         found: list[dict[str, float]] = [{} for _ in jumps]
         flows: dict[Key, list[int]] = {}
         for place, jump in enumerate(jumps):
@@ -283,7 +282,7 @@ class Observer:
         """
         expressions = self._all(formulas)
         where = tuple([tuple(d.items()) for d in during]) if during else ((),) * len(expressions)
-        values, modes = _parameters(trace), None
+        values, modes = trace.values, None
         total = np.zeros(len(expressions))
         for arc in trace.arcs:
             active = self._actives.get((arc.mode, where, expressions))
@@ -366,7 +365,7 @@ class Observer:
 
     def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
         """Return the values (m, f) of expressions, one call of a kernel per flow."""
-        values = _parameters(trace)
+        values = trace.values
         if not self._needed(expressions):
             return self._tape(expressions, None).table(points.states, values, points.times)
         if points.unknowns is not None:
@@ -442,22 +441,18 @@ class Observer:
 
     def _modes(self, trace: Trace) -> Callable[[Key], Mode | None]:
         """Return the look-up flow -> solved mode; None where its equations have no solution."""
-        values = _parameters(trace)
-        setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
-        flowed = {arc.flow for arc in trace.arcs}
+        flowed, zeros = {arc.flow for arc in trace.arcs}, trace.zeros
         simulator = self.simulator
         assert isinstance(simulator, Simulator)
 
         def look_up(flow: Key) -> Mode | None:
             if flow in flowed:
-                return simulator.compiled(flow, setup).mode
+                return simulator.compiled(flow, zeros).mode
             # Passed through in no time: no integrator is compiled for it.
-            zeros = frozenset(
-                s for s, v in zip(self.automaton.parameters, values, strict=True) if v == 0.0
-            )
             if (flow, zeros) not in self._passed:
+                gone = frozenset(self.automaton.parameters[i] for i in zeros)
                 try:
-                    mode = build_mode(self.automaton, flow, zeros)
+                    mode = build_mode(self.automaton, flow, gone)
                 except Singular:
                     mode = None
                 self._passed[flow, zeros] = mode
@@ -470,10 +465,6 @@ def _seen(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, .
     """Return the expressions as others see the mode: without the forces that it hides."""
     hidden = mode.hidden if mode else {}
     return tuple([e.xreplace(hidden) for e in expressions]) if hidden else tuple(expressions)
-
-
-def _parameters(trace: Trace) -> Array:
-    return np.fromiter(trace.parameters.values(), float, len(trace.parameters))
 
 
 def _jumps(arc: Arc) -> int:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import HELD, Setup, shown_mode
+from statechart.automaton.laws import HELD, shown_mode
 from statechart.automaton.trace import Trace
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
@@ -32,13 +30,11 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
             "unknowns": len(automaton.unknowns),
             "recognised": len(set(trace.modes)),
         }
-    values = np.array(list(trace.parameters.values()))
-    setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
     modes: dict[tuple[str, ...], dict[str, Any]] = {}
     for arc in trace.arcs:
         if HELD in arc.flow or shown_mode(arc.flow) in modes:
             continue
-        mode = simulator.compiled(arc.flow, setup).mode
+        mode = simulator.compiled(arc.flow, trace.zeros).mode
         # Contacts that are open have forces that are zero: they are no unknowns.
         solved = [s for s, e in mode.definitions if s in automaton.unknowns and e != 0]
         modes[shown_mode(arc.flow)] = {

@@ -9,10 +9,7 @@ from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
-import numpy as np
-
 from statechart.automaton.dense_output import lowest
-from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Jump, Key, Trace
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
@@ -142,12 +139,10 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
         return dict(sorted(trace.margins.items()))
     simulator = observer.simulator
     assert isinstance(simulator, Simulator)
-    values = np.array(list(trace.parameters.values()))
-    setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
     least: dict[str, float] = {}
     for arc in trace.arcs:
-        compiled = simulator.compiled(arc.flow, setup)
-        found = lowest(compiled.guards, arc.times, arc.coefficients, values, arc.start.high)
+        compiled = simulator.compiled(arc.flow, trace.zeros)
+        found = lowest(compiled.guards, arc.times, arc.coefficients, trace.values, arc.start.high)
         for margin, value in zip(compiled.mode.margins, found.tolist(), strict=True):
             before = least.get(margin.name, math.inf)
             # Once undefined, always undefined: NaN compares false.

@@ -16,6 +16,10 @@ from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import OutputValue as Output
 
+_BELOW = 1.0 / 10.0
+"""Errors of a run exceed its tolerance by about so much: where an accuracy is asked for and nothing
+was measured, the first tolerance is that far below."""
+
 BRIEF = 1e-6
 """Modes that differ for less than this part of a run are the same where no accuracy says more."""
 
@@ -172,8 +176,8 @@ def tighten(
     once: Once,
     accuracy: float,
     *,
-    first: float,
     floor: float,
+    first: float | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Answer:
     """Run at ever tighter tolerances until two runs differ by no more than `accuracy`.
@@ -184,14 +188,14 @@ def tighten(
         Makes a run.
     accuracy : float
         Relative error allowed.
-    first : float
-        Tolerance of the first run, which is not the last.
     floor : float
         Least tolerance of the engine.
+    first : float, optional
+        Tolerance of the first run, which is not the last; a tenth of the accuracy by default.
     clock : callable
         Tells the time in seconds.
     """
-    tolerance = max(first, floor / TIGHTER)
+    tolerance = max(accuracy * _BELOW if first is None else first, floor / TIGHTER)
     runs = _Runs(once, clock, accuracy)
     observer, trace = runs.make(tolerance)
     if trace.outcome is Outcome.UNSUPPORTED:

@@ -86,7 +86,9 @@ class Result:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Travel as what was found and what made it: the observer is made anew there."""
-        setting = replace(self.runner.setting, tolerance=self.trace.tolerance)
+        setting = self.runner.setting
+        if self.asked is not None:  # the tolerance was found
+            setting = replace(setting, tolerance=self.trace.tolerance)
         return _remade, (
             self.runner, setting, self.trace, self.error_estimate, self.timings, self.asked
         )  # fmt: skip

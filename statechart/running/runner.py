@@ -294,12 +294,11 @@ class Runner:
             observer, trace = self._once(self.setting, overrides, end)
             return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
         floor = self.observers.floor(self.setting)
-        first, accuracy = self._plan.first, self.setting.accuracy
-        if accuracy is not None and first is not None:
-            return tighten(once, accuracy, first=first, floor=floor)
-        assert self._allowance is not None
-        self._allowance.begin()
-        return within(once, self._allowance.seconds, first=first, floor=floor)
+        if self._allowance is not None:
+            self._allowance.begin()
+            return within(once, self._allowance.seconds, first=self._plan.first, floor=floor)
+        assert self.setting.accuracy is not None
+        return tighten(once, self.setting.accuracy, first=self._plan.first, floor=floor)
 
     def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         with located(self.document, overrides):

@@ -15,7 +15,6 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Jump, Outcome, Trace
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import LONG_DOUBLE, Setting
-from statechart.engines.request import BELOW
 from statechart.errors import SimulationError, StatechartError
 from statechart.execution.outcome import error_of
 from statechart.execution.perturbation import widened
@@ -176,8 +175,7 @@ class Bench:
 
         def answer() -> Answer:
             if setting.accuracy is not None:
-                first, floor = setting.accuracy * BELOW, observers.floor(setting)
-                return tighten(once, setting.accuracy, first=first, floor=floor)
+                return tighten(once, setting.accuracy, floor=observers.floor(setting))
             observer = observers.at(setting)
             trace = self.once(observer)
             counts = trace.counts

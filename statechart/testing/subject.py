@@ -12,7 +12,6 @@ import sympy as sp
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.documents.declaration import Declaration
@@ -116,11 +115,9 @@ class Subject:
 
     def mode(self, trace: Trace, arc: Arc) -> Mode:
         """Return the equations that moved an arc."""
-        values = np.fromiter(trace.parameters.values(), float, len(trace.parameters))
-        setup = Setup(values, trace.initial, trace.tolerances, trace.tolerance)
         simulator = self.observers[trace.engine.split()[0]].simulator
         assert isinstance(simulator, Simulator)  # steps have no equations of modes
-        return simulator.compiled(arc.flow, setup).mode
+        return simulator.compiled(arc.flow, trace.zeros).mode
 
     def solved(self, trace: Trace, arc: Arc, tau: Array, expressions: Sequence[sp.Expr]) -> Array:
         """Evaluate expressions that may use unknowns at local times (m,) of an arc.
@@ -142,8 +139,7 @@ class Subject:
                 parameters=automaton.parameters,
                 time=automaton.time,
             )
-        values = np.fromiter(trace.parameters.values(), float, len(trace.parameters))
-        return self._tapes[key].table(np.hstack([states, known]), values, times)
+        return self._tapes[key].table(np.hstack([states, known]), trace.values, times)
 
     def values(
         self,
@@ -180,8 +176,7 @@ class Subject:
                 time=self.automaton.time,
                 definitions=mode.definitions if mode else (),
             )
-        values = np.fromiter(trace.parameters.values(), float, len(trace.parameters))
-        return self._tapes[key].table(states, values, times)
+        return self._tapes[key].table(states, trace.values, times)
 
 
 class Case:
