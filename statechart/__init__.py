@@ -1,8 +1,9 @@
 """Hybrid statecharts: declared, composed, drawn, run and checked.
 
 A model is a YAML file, or its pydantic model (`Chart` here, `Scene` in `contacts`). `run` runs it
-once, `Runner` many times; `draw` draws its statechart, `check` tests what must hold of its runs,
-`trade` measures what speed costs in accuracy. What this page does not name is internal.
+once, `Runner` many times; `draw` draws its statechart, `graph` makes a networkx graph of it,
+`check` tests what must hold of its runs, `trade` measures what speed costs in accuracy. What this
+page does not name is internal.
 """
 
 from importlib import import_module
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
         Zeno,
     )
     from statechart.loading.load import load
-    from statechart.running.drawing import draw
+    from statechart.running.drawing import draw, graph
     from statechart.running.result import Result
     from statechart.running.runner import Runner, run
     from statechart.study.trade import trade
@@ -73,6 +74,7 @@ __all__ = [
     "Zeno",
     "check",
     "draw",
+    "graph",
     "load",
     "run",
     "trade",
@@ -85,7 +87,7 @@ _HOMES = {
     "documents.declaration": ("Settings", "Stop"),
     "documents.outputs": ("Count", "Integral", "Maximum", "Minimum", "Value"),
     "loading.load": ("load",),
-    "running.drawing": ("draw",),
+    "running.drawing": ("draw", "graph"),
     "running.result": ("Result",),
     "running.runner": ("Runner", "run"),
     "study.trade": ("trade",),

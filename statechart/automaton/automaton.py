@@ -8,15 +8,14 @@ state contributes equations in the shared unknowns, never a vector field of its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import sympy as sp
 
 from statechart.automaton.laws import Laws, Setup
-from statechart.automaton.regions import Edge, Margin, Region
+from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Key
 from statechart.errors import Unsupported
 
@@ -127,19 +126,6 @@ class Automaton:
         for region in self.regions:
             total *= len({region.declared(state) for state in region.states})
         return total
-
-    @cached_property
-    def _outgoing(self) -> tuple[Mapping[str, tuple[Edge, ...]], ...]:
-        return tuple(
-            {s: tuple(e for e in region.edges if e.source == s) for s in region.states}
-            for region in self.regions
-        )
-
-    def successors(self, key: Key) -> Iterator[tuple[Key, Region, Edge]]:
-        """Yield the modes one edge of one region away from `key`."""
-        for place, (region, outgoing) in enumerate(zip(self.regions, self._outgoing, strict=True)):
-            for edge in outgoing[key[place]]:
-                yield (*key[:place], edge.target, *key[place + 1 :]), region, edge
 
     def label(self, key: Key) -> str:
         """Return the name of a mode: ``tip:slide+``, or ``A:free B:pin``."""

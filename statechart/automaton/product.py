@@ -1,47 +1,104 @@
-"""The product of the regions as a graph, and which of its modes are possible."""
+"""The product of the regions as one networkx graph, as much of it as is asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from itertools import product
-
-import networkx as nx
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import groupby, islice, product
+from math import prod
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import MOST_MODES, Feasibility
 from statechart.automaton.laws import Setup
-from statechart.automaton.trace import Key
+from statechart.automaton.regions import Edge, Region
+from statechart.automaton.trace import Key, Trace
+from statechart.errors import StatechartError
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+_Jump = tuple[Key, Key, str, str]  # source, target, region, event
 
 
-def product_modes(automaton: Automaton) -> Iterable[Key]:
-    """Yield every product mode; their number is `automaton.modes_total`."""
-    return product(*(region.states for region in automaton.regions))
+def graph(
+    automaton: Automaton,
+    *,
+    around: Iterable[Key] = (),
+    within: int | None = None,
+    trace: Trace | None = None,
+    found: Feasibility | None = None,
+    directions: bool = True,
+) -> nx.MultiDiGraph:
+    """Return the product automaton, or the part of it that is asked for; no other is built.
 
+    Regions are orthogonal: an edge changes one of them. A jump of several at once, which no region
+    declares, is an edge without guard.
 
-def graph(automaton: Automaton, keys: Iterable[Key]) -> nx.MultiDiGraph:
-    """Return the part of the product automaton on `keys`, with guards and resets on its edges.
+    Parameters
+    ----------
+    automaton : Automaton
+        Whose regions.
+    around : iterable of Key
+        Where to begin; the modes of the trace by default.
+    within : int, optional
+        How many edges lead there from the modes `around`, at most: with 0 and a trace they are
+        those visited. By default all modes are there.
+    trace : Trace, optional
+        A run, whose visits are counted.
+    found : Feasibility, optional
+        Which modes are possible.
+    directions : bool
+        Whether directions of sliding are told apart.
 
-    Nodes are keys; an edge has `region`, `cause`, `guard` and `reset`. Regions are orthogonal:
-    an edge changes one region, and simultaneous changes are paths of zero duration.
+    Returns
+    -------
+    MultiDiGraph
+        Nodes are keys, with `label`; `feasible` and `reason` where they were judged; `visits`, how
+        often a run entered the mode, where one is given. Edges have `region`, `event`, `guard`,
+        `reset` and `visits`. Their keys number them: by regions, in each as it declares them.
+
+    Raises
+    ------
+    StatechartError
+        If there are more modes than `MOST_MODES`, or those given are not of this automaton.
     """
     import networkx as nx
 
+    charts = [_chart(region, directions) for region in automaton.regions]
+    path = () if trace is None else visited(automaton, trace, directions=directions)
+    begin = list(map(_naming(automaton, directions), around)) or path
+    keys = _all(charts) if within is None else _near(charts, begin, within)
+    judged = {} if found is None else found.modes if directions else found.declared
+    entries = Counter(path)
     result = nx.MultiDiGraph(name=automaton.name)
-    kept = dict.fromkeys(keys)
-    result.add_nodes_from((key, {"label": automaton.label(key)}) for key in kept)
-    for key in kept:
-        for target, region, edge in automaton.successors(key):
-            if target in kept:
-                result.add_edge(
-                    key,
-                    target,
-                    region=region.name,
-                    cause=edge.cause,
-                    guard=edge.guard,
-                    reset=edge.reset,
-                )
+    for key in keys:
+        result.add_node(key, label=automaton.label(key))
+        if key in judged:
+            result.add_node(key, feasible=not judged[key], reason=judged[key])
+        if trace is not None:
+            result.add_node(key, visits=entries[key])
+    taken = None if trace is None else Counter(jumps(automaton, trace, directions=directions))
+    for number, (source, target, data) in enumerate(_edges(charts, dict.fromkeys(result), taken)):
+        result.add_edge(source, target, number, **data)
     return result
+
+
+def visited(automaton: Automaton, trace: Trace, *, directions: bool = True) -> tuple[Key, ...]:
+    """Return the modes of `graph` in the order a run took them, repeats merged."""
+    shown = map(_naming(automaton, directions), trace.modes)
+    return tuple(key for key, _ in groupby(shown))
+
+
+def jumps(automaton: Automaton, trace: Trace, *, directions: bool = True) -> Iterator[_Jump]:
+    """Yield source, target, region and event of every jump; a stop leads nowhere."""
+    shown = _naming(automaton, directions)
+    for jump in trace.jumps:
+        if jump.region:
+            yield shown(jump.source), shown(jump.target), jump.region, jump.cause
 
 
 def feasibility(
@@ -74,3 +131,106 @@ def feasibility(
     if automaton.laws is None or automaton.modes_total > MOST_MODES:
         return None
     return automaton.laws.feasibility(automaton.regions, setup, state, time)
+
+
+def _naming(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
+    """Return what names a mode as the graph does, and refuses what is none."""
+    names: list[dict[str, str]] = []
+    for region in automaton.regions:
+        declared = {state: region.declared(state) for state in region.states}
+        kept = region.states if directions else declared.values()
+        names.append({**({} if directions else declared), **{state: state for state in kept}})
+
+    def shown(key: Key) -> Key:
+        try:
+            return tuple(named[state] for named, state in zip(names, key, strict=True))
+        except (KeyError, ValueError):
+            wanted = ", ".join(region.name for region in automaton.regions)
+            raise StatechartError(
+                f"{automaton.name!r} has no mode ({', '.join(key)}): a mode is a state of {wanted}"
+            ) from None
+
+    return shown
+
+
+def _chart(region: Region, directions: bool) -> Region:
+    """Return a region as the graph shows it: edges that differ in their guards alone are one."""
+    named = (lambda state: state) if directions else region.declared
+    alike: dict[tuple[str, str, str], list[Edge]] = {}
+    for edge in region.edges:
+        alike.setdefault((edge.cause, named(edge.source), named(edge.target)), []).append(edge)
+    edges = (
+        Edge(
+            *ends,
+            " or ".join(dict.fromkeys(edge.guard for edge in edges)),
+            " or ".join(dict.fromkeys(edge.reset for edge in edges if edge.reset)),
+        )
+        for ends, edges in alike.items()
+    )
+    return replace(
+        region, states=tuple(dict.fromkeys(map(named, region.states))), edges=tuple(edges)
+    )
+
+
+def _all(charts: Sequence[Region]) -> Iterable[Key]:
+    total = prod(len(chart.states) for chart in charts)
+    if total > MOST_MODES:
+        raise _too_many(f"{total} modes")
+    return product(*(chart.states for chart in charts))
+
+
+def _near(charts: Sequence[Region], around: Iterable[Key], within: int) -> Iterable[Key]:
+    """Return the modes up to so many edges away, the nearest first."""
+    found = dict.fromkeys(around)
+    front = tuple(found)
+    for _ in range(within):
+        known = len(found)
+        for key in front:
+            found.update((target, None) for target, _, _ in _successors(charts, key))
+            if len(found) > MOST_MODES:
+                raise _too_many(f"more than {MOST_MODES} modes so near")
+        front = tuple(islice(found, known, None))
+    return found
+
+
+def _successors(charts: Sequence[Region], key: Key) -> Iterator[tuple[Key, int, int]]:
+    """Yield the modes one edge away; after each the place of the region and that of the edge."""
+    for place, chart in enumerate(charts):
+        for number, edge in enumerate(chart.edges):
+            if edge.source == key[place]:
+                yield (*key[:place], edge.target, *key[place + 1 :]), place, number
+
+
+def _edges(
+    charts: Sequence[Region], keys: Collection[Key], taken: Counter[_Jump] | None
+) -> Iterator[tuple[Key, Key, dict[str, Any]]]:
+    """Yield the ends of every edge between modes, and its attributes."""
+    found = [
+        (place, number, source, target)
+        for source in keys
+        for target, place, number in _successors(charts, source)
+        if target in keys
+    ]
+    left = Counter(taken)
+    for place, number, source, target in sorted(found, key=itemgetter(0, 1)):
+        name, edge = charts[place].name, charts[place].edges[number]
+        data: dict[str, Any] = {
+            "region": name,
+            "event": edge.cause,
+            "guard": edge.guard,
+            "reset": edge.reset,
+        }
+        if taken is not None:
+            data["visits"] = left.pop((source, target, name, edge.cause), 0)
+        yield source, target, data
+    for (source, target, name, cause), visits in left.items():
+        if source in keys and target in keys:
+            said = {"region": name, "event": cause, "guard": "", "reset": ""}
+            yield source, target, {**said, "visits": visits}
+
+
+def _too_many(found: str) -> StatechartError:
+    return StatechartError(
+        f"{found}, and a graph has at most {MOST_MODES}: ask for those within fewer jumps of a "
+        "mode, or for those that a run visited"
+    )

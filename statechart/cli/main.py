@@ -179,7 +179,11 @@ def _parser() -> argparse.ArgumentParser:
     modes.add_argument("--json", action="store_true", help="print one JSON object")
     draw = verb("draw", "draw the statechart of a model")
     draw.add_argument(
-        "-o", "--output", metavar="PATH", required=True, help=".svg .png .pdf .dot .mmd .scxml"
+        "-o",
+        "--output",
+        metavar="PATH",
+        required=True,
+        help=".svg .png .pdf .dot .mmd .scxml .graphml",
     )
     draw.add_argument("--visited", action="store_true", help="run, and show the path it took")
     check = verb("check", "test a model's invariants over its ranges of parameters")

@@ -5,21 +5,23 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from itertools import product
+from typing import TYPE_CHECKING, Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.regions import Edge, Margin, Region
+from statechart.automaton.product import graph, jumps, visited
+from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Key, Trace
 from statechart.diagram.model import Diagram, Link, Node
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 # Two contacts have nine modes as users count, and a product of more than this cannot be read.
 _MOST_MODES = 16
 # Of more regions alike than this not all are named.
 _MOST_NAMES = 8
 _NUMBER = re.compile(r"\d+(\.\d+)?")
-
-_Ends = tuple[Key, Key, str]
 
 
 def needs_run(automaton: Automaton) -> bool:
@@ -33,7 +35,7 @@ def build(
     trace: Trace | None = None,
     found: Feasibility | None = None,
 ) -> Diagram:
-    """Return the diagram of an automaton.
+    """Return the diagram of an automaton, and the graph that it shows.
 
     One region is drawn as its own chart. Several are drawn as their product, without the
     directions of sliding; where that has too many modes, what the run visited is drawn instead,
@@ -50,98 +52,84 @@ def build(
     found : Feasibility, optional
         Which modes are possible where the run starts; the others are marked, with the reason.
     """
-    if len(automaton.regions) == 1:
-        return _chart(automaton, start, trace, found)
     if not needs_run(automaton):
-        return _product(automaton, start, trace, found)
+        single = len(automaton.regions) == 1
+        modes = graph(automaton, trace=trace, found=found, directions=single)
+        return _whole(automaton, start, trace, modes)
     if trace is None:
         raise ValueError("a product of so many modes is drawn as a run visited it")
-    return _visited(automaton, trace)
+    return _visited(automaton, trace, graph(automaton, within=0, trace=trace, found=found))
 
 
-def _chart(
-    automaton: Automaton, start: Key, trace: Trace | None, found: Feasibility | None
+def _whole(
+    automaton: Automaton, start: Key, trace: Trace | None, modes: nx.MultiDiGraph
 ) -> Diagram:
-    """Draw the only region, directions of sliding told apart."""
-    region = automaton.regions[0]
-    run = None if trace is None else _Run(trace)
-    links = [_link((e.source,), (e.target,), [e], "", run) for e in region.edges]
-    refused = _refused({} if found is None else found.modes, run)
-    return Diagram(
-        automaton.name,
-        tuple(
-            _state(automaton, region, state, (state,) == start, run, refused.get((state,)))
-            for state in region.states
-        ),
-        tuple(links) + _unlisted(run),
-        _notes(automaton, refused),
-        () if run is None else tuple(map(_name, run.path)),
+    """Draw all modes; directions of sliding are told apart where there is one region."""
+    single = len(automaton.regions) == 1
+    initial = start if single else _declared(automaton, start)
+    rank = {key: 0 if single else place for place, key in enumerate(modes)}
+    edges = sorted(
+        modes.edges(keys=True, data=True),
+        key=lambda edge: (rank[edge[0]] if edge[3]["guard"] else len(rank), edge[2]),
     )
-
-
-def _product(
-    automaton: Automaton, start: Key, trace: Trace | None, found: Feasibility | None
-) -> Diagram:
-    """Draw all modes, sliding without direction."""
-    run = None if trace is None else _Run(trace, automaton)
-    declared = [
-        tuple(dict.fromkeys(region.declared(state) for state in region.states))
-        for region in automaton.regions
-    ]
-    initial = _declared(automaton, start)
-    refused = _refused({} if found is None else found.declared, run)
-    nodes = tuple(
-        Node(
-            _name(key),
-            "\n".join(f"{r.name}: {s}" for r, s in zip(automaton.regions, key, strict=True)),
-            initial=key == initial,
-            visits=None if run is None else run.entries[key],
-            infeasible=refused.get(key),
-        )
-        for key in product(*declared)
-    )
-    links: list[Link] = []
-    for key in product(*declared):
-        for place, region in enumerate(automaton.regions):
-            for (target, _), edges in _merged(region, key[place]).items():
-                after = (*key[:place], target, *key[place + 1 :])
-                links.append(_link(key, after, edges, region.name, run))
+    nodes = tuple(_node(automaton, key, data, key == initial) for key, data in modes.nodes.items())
     return Diagram(
         automaton.name,
         nodes,
-        tuple(links) + _unlisted(run),
-        _notes(automaton, refused),
-        () if run is None else tuple(map(_name, run.path)),
+        tuple(
+            Link(
+                _name(source),
+                _name(target),
+                # Of one region only a jump that it does not declare says whose it is.
+                data["event"] if single and data["guard"] else f"{data['region']} {data['event']}",
+                data["guard"],
+                data["reset"],
+                data.get("visits"),
+            )
+            for source, target, _, data in edges
+        ),
+        _notes(automaton, any(node.infeasible for node in nodes)),
+        () if trace is None else tuple(map(_name, visited(automaton, trace, directions=single))),
+        modes,
     )
 
 
-def _visited(automaton: Automaton, trace: Trace) -> Diagram:
+def _visited(automaton: Automaton, trace: Trace, modes: nx.MultiDiGraph) -> Diagram:
     """Draw the modes that a run visited, and the chart of every region, those alike once."""
-    run = _Run(trace)
     changing = {
         region.name
-        for region, states in zip(automaton.regions, zip(*run.entries, strict=True), strict=True)
+        for region, states in zip(automaton.regions, zip(*modes, strict=True), strict=True)
         if len(set(states)) > 1
     } or {region.name for region in automaton.regions}
     nodes = [
         Node(
             _name(key),
-            "\n".join(
-                f"{r.name}: {s}"
-                for r, s in zip(automaton.regions, key, strict=True)
-                if r.name in changing
+            _lines(
+                (region, state)
+                for region, state in zip(automaton.regions, key, strict=True)
+                if region.name in changing
             ),
             group="modes of the run",
             initial=key == trace.start_mode,
-            visits=run.entries[key],
+            visits=visits,
         )
-        for key in dict.fromkeys(run.path)
+        for key, visits in modes.nodes(data="visits")
     ]
     resting: dict[str, list[str]] = {}
     for region, state in zip(automaton.regions, trace.start_mode, strict=True):
         if region.name not in changing:
             resting.setdefault(state, []).append(region.name)
-    links = list(_unlisted(run))
+    # Jumps that differ in their regions alone are one link, which the first of them names.
+    named: dict[tuple[Key, Key, str], str] = {}
+    for source, target, name, event in jumps(automaton, trace):
+        named.setdefault((source, target, event), name)
+    counts: Counter[tuple[Key, Key, str]] = Counter()
+    for source, target, data in modes.edges(data=True):
+        counts[source, target, data["event"]] += data["visits"]
+    links = [
+        Link(_name(source), _name(target), f"{name} {event}", "", "", counts[source, target, event])
+        for (source, target, event), name in named.items()
+    ]
     for regions in _alike(automaton.regions):
         region = regions[0]
         group = ", ".join(_cut([r.name for r in regions]))
@@ -160,9 +148,8 @@ def _visited(automaton: Automaton, trace: Trace) -> Diagram:
         "too many modes to draw: those that a run visited, and the chart of every region",
         *(f"always {state}: {', '.join(_cut(names))}" for state, names in resting.items()),
     ]
-    return Diagram(
-        automaton.name, tuple(nodes), tuple(links), tuple(notes), tuple(map(_name, run.path))
-    )
+    path = tuple(map(_name, visited(automaton, trace)))
+    return Diagram(automaton.name, tuple(nodes), tuple(links), tuple(notes), path, modes)
 
 
 def _alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
@@ -184,67 +171,6 @@ def _cut(names: list[str]) -> list[str]:
     return [*names[:3], f"... {names[-1]} ({len(names)} in all)"]
 
 
-class _Run:
-    """What a run did: modes entered, edges taken; without directions if an automaton is given."""
-
-    def __init__(self, trace: Trace, automaton: Automaton | None = None) -> None:
-        def shown(key: Key) -> Key:
-            return key if automaton is None else _declared(automaton, key)
-
-        path: list[Key] = [shown(trace.start_mode)]
-        self.taken: Counter[_Ends] = Counter()
-        self.regions: dict[_Ends, str] = {}
-        self.linked: set[_Ends] = set()
-        for jump in trace.jumps:
-            if not jump.region:
-                continue  # a stop condition, which ends the run and leads nowhere
-            source, target = shown(jump.source), shown(jump.target)
-            self.taken[source, target, jump.cause] += 1
-            self.regions.setdefault((source, target, jump.cause), jump.region)
-            if target != path[-1]:
-                path.append(target)
-        self.path = tuple(path)
-        self.entries = Counter(path)
-
-
-def _link(source: Key, target: Key, edges: Iterable[Edge], region: str, run: _Run | None) -> Link:
-    """Return one link for edges that differ in their guards alone."""
-    edges = tuple(edges)
-    cause = edges[0].cause
-    visits = None
-    if run is not None:
-        visits = run.taken[source, target, cause]
-        run.linked.add((source, target, cause))
-    return Link(
-        _name(source),
-        _name(target),
-        f"{region} {cause}".strip(),
-        " or ".join(dict.fromkeys(edge.guard for edge in edges)),
-        " or ".join(dict.fromkeys(edge.reset for edge in edges if edge.reset)),
-        visits,
-    )
-
-
-def _unlisted(run: _Run | None) -> tuple[Link, ...]:
-    """Return links for jumps not drawn yet, such as those of several regions at once."""
-    if run is None:
-        return ()
-    return tuple(
-        Link(_name(ends[0]), _name(ends[1]), f"{run.regions[ends]} {ends[2]}", "", "", count)
-        for ends, count in run.taken.items()
-        if ends not in run.linked
-    )
-
-
-def _merged(region: Region, source: str) -> Mapping[tuple[str, str], list[Edge]]:
-    """Return the edges out of a declared state by where they lead and why."""
-    found: dict[tuple[str, str], list[Edge]] = {}
-    for edge in region.edges:
-        if region.declared(edge.source) == source:
-            found.setdefault((region.declared(edge.target), edge.cause), []).append(edge)
-    return found
-
-
 def _declared(automaton: Automaton, key: Key) -> Key:
     return tuple(r.declared(state) for r, state in zip(automaton.regions, key, strict=True))
 
@@ -255,15 +181,25 @@ def _sense(automaton: Automaton, margin: Margin) -> str:
     return "<=" if named is not None and margin.expression == -named else ">="
 
 
-def _state(
-    automaton: Automaton,
-    region: Region,
-    state: str,
-    initial: bool,
-    run: _Run | None,
-    infeasible: str | None,
-) -> Node:
-    declared = region.declared(state)
+def _node(automaton: Automaton, key: Key, data: Mapping[str, Any], initial: bool) -> Node:
+    visits = data.get("visits")
+    parts: dict[str, Any] = {"label": _lines(zip(automaton.regions, key, strict=True))}
+    if len(key) == 1:
+        (region,), (state,) = automaton.regions, key
+        parts = {"label": state, "invariants": _conditions(automaton, region, state)}
+        if region.declared(state) != state:
+            parts["group"] = region.declared(state)
+    return Node(
+        _name(key),
+        **parts,
+        initial=initial,
+        visits=visits,
+        # What a run visited became possible on its way.
+        infeasible=None if visits else data.get("reason") or None,
+    )
+
+
+def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, ...]:
     built = region.build(state)
     prefix = f"{region.name}."
     # A plain margin is the guard of a transition, which stands on its edge.
@@ -272,25 +208,10 @@ def _state(
         for m in built.margins
         if m.kind != "plain"
     ]
-    conditions += [m.name.removeprefix(prefix) for m in built.invariants]
-    return Node(
-        _name((state,)),
-        state,
-        group=declared if declared != state else None,
-        invariants=tuple(conditions),
-        initial=initial,
-        visits=None if run is None else run.entries[(state,)],
-        infeasible=infeasible,
-    )
+    return (*conditions, *(m.name.removeprefix(prefix) for m in built.invariants))
 
 
-def _refused(verdicts: Mapping[Key, str], run: _Run | None) -> dict[Key, str]:
-    """Return the modes that are not possible; what a run visited became possible on its way."""
-    visited = set() if run is None else set(run.entries)
-    return {key: why for key, why in verdicts.items() if why and key not in visited}
-
-
-def _notes(automaton: Automaton, refused: Mapping[Key, str] | None = None) -> tuple[str, ...]:
+def _notes(automaton: Automaton, refused: bool = False) -> tuple[str, ...]:
     notes = [automaton.declaration.doc] if automaton.declaration.doc else []
     if automaton.stops:
         notes.append(f"stops when: {', '.join(automaton.stops)}")
@@ -301,3 +222,7 @@ def _notes(automaton: Automaton, refused: Mapping[Key, str] | None = None) -> tu
 
 def _name(key: Key) -> str:
     return " ".join(key)
+
+
+def _lines(states: Iterable[tuple[Region, str]]) -> str:
+    return "\n".join(f"{region.name}: {state}" for region, state in states)

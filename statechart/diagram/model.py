@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from statechart.errors import StatechartError
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 # Words that Mermaid's lexer takes for its own wherever a state's id could stand (its
 # `stateDiagram.jison`), in any case; DOT and SCXML reserve none that matters here.
@@ -88,6 +92,8 @@ class Diagram:
         Lines shown below the title.
     path : tuple of str
         Names of nodes in the order a run took them.
+    graph : MultiDiGraph or None
+        The part of the product automaton that is shown, where it was made of one.
 
     Raises
     ------
@@ -100,6 +106,7 @@ class Diagram:
     links: tuple[Link, ...]
     notes: tuple[str, ...] = ()
     path: tuple[str, ...] = ()
+    graph: nx.MultiDiGraph | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         names = [node.name for node in self.nodes]

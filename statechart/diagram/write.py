@@ -12,13 +12,14 @@ from pathlib import Path
 from xml.sax.saxutils import escape
 
 from statechart.diagram.dot import dot
+from statechart.diagram.graphml import graphml
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Diagram
 from statechart.diagram.scxml import scxml
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 
-_TEXTS = {".dot": dot, ".mmd": mermaid, ".scxml": scxml}
+_TEXTS = {".dot": dot, ".mmd": mermaid, ".scxml": scxml, ".graphml": graphml}
 _PICTURES = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
 
 SUFFIXES = (*_PICTURES, *_TEXTS)

@@ -7,8 +7,8 @@ from typing import Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import MOST_MODES, Feasibility
+from statechart.automaton.product import graph
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Key
 from statechart.reporting.text import table
 
 
@@ -95,20 +95,19 @@ def _region(region: Region) -> dict[str, Any]:
 def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
     names = [region.name for region in automaton.regions]
 
-    def judged(verdicts: Mapping[Key, str]) -> dict[str, Any]:
-        named = {key: dict(zip(names, key, strict=True)) for key in verdicts}
+    def judged(directions: bool) -> dict[str, Any]:
+        modes = graph(automaton, found=found, directions=directions).nodes(data="reason")
+        named = [(dict(zip(names, key, strict=True)), reason) for key, reason in modes]
         return {
-            "declared": len(verdicts),
-            "feasible": [named[key] for key, reason in verdicts.items() if not reason],
-            "infeasible": [
-                {"mode": named[key], "reason": reason} for key, reason in verdicts.items() if reason
-            ],
+            "declared": len(named),
+            "feasible": [mode for mode, reason in named if not reason],
+            "infeasible": [{"mode": mode, "reason": why} for mode, why in named if why],
         }
 
     return {
         "remarks": list(found.remarks),
-        "with_direction": judged(found.modes),
-        "without_direction": judged(found.declared),
+        "with_direction": judged(True),
+        "without_direction": judged(False),
     }
 
 

@@ -1,16 +1,21 @@
-"""A model's statechart as a picture or as text."""
+"""A model's statechart as a picture, as text, or as a graph."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from statechart.automaton.product import feasibility
-from statechart.automaton.trace import Trace
+from statechart.automaton.product import graph as product
+from statechart.automaton.trace import Key, Trace
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.model import Diagram
 from statechart.diagram.write import write
 from statechart.documents.declaration import Declaration
 from statechart.running.runner import Runner
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 
 def draw(model: Declaration | str | Path, path: str | Path, *, visited: bool = False) -> Path:
@@ -24,7 +29,8 @@ def draw(model: Declaration | str | Path, path: str | Path, *, visited: bool = F
     model : Declaration, str or Path
         A model, the path of its file, or the name of a shipped one.
     path : str or Path
-        What to write; its suffix says how: .svg, .png, .pdf, .dot, .mmd or .scxml.
+        What to write; its suffix says how: .svg, .png, .pdf, .dot, .mmd, .scxml or
+        .graphml.
     visited : bool
         Whether the path of a run is shown.
 
@@ -42,6 +48,65 @@ def draw(model: Declaration | str | Path, path: str | Path, *, visited: bool = F
     path = Path(path)
     write(drawn(Runner(model), visited=visited)[0], path)
     return path
+
+
+def graph(
+    model: Declaration | str | Path,
+    *,
+    trace: Trace | None = None,
+    around: Key | None = None,
+    within: int | None = None,
+    directions: bool = True,
+) -> nx.MultiDiGraph:
+    """Return the product automaton of a model as a networkx graph, or a part of it.
+
+    Parameters
+    ----------
+    model : Declaration, str or Path
+        A model, the path of its file, or the name of a shipped one.
+    trace : Trace, optional
+        A run of it, whose visits are counted.
+    around : tuple of str, optional
+        A mode, as a state of every region; by default those of the trace, or where a run starts.
+    within : int, optional
+        How many edges away from there other modes may be: with 0 and a trace, the modes visited.
+        By default all modes are there, up to 4096; a product of more is never built.
+    directions : bool
+        Whether directions of sliding are told apart.
+
+    Returns
+    -------
+    MultiDiGraph
+        Nodes are modes, with `label`; `feasible` and `reason` where they can be judged, which is
+        where a run starts; `visits`, how often the run entered the mode, where one is given.
+        Edges have `region`, `event`, `guard`, `reset`, and `visits` likewise.
+
+    Raises
+    ------
+    StatechartError
+        If the model is wrong, the modes are too many, or the mode or the run is not of it.
+
+    Examples
+    --------
+    >>> modes = graph("double_contact_bar", directions=False)
+    >>> len(modes), modes.nodes["slide", "pin"]["reason"]
+    (9, 'A closed and B pin leave A no slip')
+    """
+    runner = Runner(model)
+    start = [around] if around is not None else []
+    if trace is None and within is not None:
+        start = start or [runner.start()[0]]
+    values = {} if trace is None else trace.parameters
+    setup = runner.setup({name: values[name] for name in runner.model.parameters if name in values})
+    found = feasibility(runner.automaton, setup, setup.initial, 0.0)
+    return product(
+        runner.automaton,
+        around=start,
+        within=within,
+        trace=trace,
+        found=found,
+        directions=directions,
+    )
 
 
 def drawn(runner: Runner, *, visited: bool = False) -> tuple[Diagram, Trace | None]:

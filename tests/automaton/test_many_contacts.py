@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from statechart.automaton import product
+from statechart.automaton.product import feasibility, graph
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
 from statechart.documents.yaml_reader import read_text
@@ -35,8 +35,7 @@ def _no_product(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_: object) -> None:
         raise AssertionError("the product was enumerated")
 
-    monkeypatch.setattr(product, "product_modes", refused)
-    monkeypatch.setattr("statechart.diagram.build.product", refused)
+    monkeypatch.setattr("statechart.automaton.product.product", refused)
     monkeypatch.setattr("contacts.modes.configuration.product", refused)
 
 
@@ -53,9 +52,10 @@ def test_a_run_builds_the_modes_that_it_visits_and_no_other() -> None:
     assert result.trace.counts["modes_built"] == len(visited)
     report = result.report(explain=True)
     assert (report["modes_total"], report["modes_built"]) == (4**COUNT, 3)
-    assert len(list(automaton.successors(start))) == sum(
-        len([e for e in region.edges if e.source == "free"]) for region in automaton.regions
-    )
+    edges = [edge for edge in automaton.regions[0].edges if edge.source == "free"]
+    near = graph(automaton, around=[start], within=1)
+    assert near.out_degree(start) == COUNT * len({(e.cause, e.target) for e in edges})
+    assert len(near) == 1 + COUNT * 3
     # What was considered at the end's jump are the modes of the one contact that touches.
     assert max(len(event["considered"]) for event in report["events"]) <= 4
 
@@ -65,7 +65,7 @@ def test_its_picture_has_the_modes_visited_and_one_chart_for_all_contacts() -> N
     start, _ = runner.start()
     assert needs_run(runner.automaton)
     setup = runner.setup()
-    found = product.feasibility(runner.automaton, setup, setup.initial, 0.0)
+    found = feasibility(runner.automaton, setup, setup.initial, 0.0)
     assert found is None
     diagram = build(runner.automaton, start, runner.run().trace, found)
     assert [node.label for node in diagram.groups["modes of the run"]] == [

@@ -4,8 +4,10 @@ import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
+import networkx as nx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +15,7 @@ from strategies import examples
 
 from statechart.diagram.dot import dot
 from statechart.diagram.mermaid import mermaid
-from statechart.diagram.model import Diagram, Link, Node, identifiers
+from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
 from statechart.diagram.scxml import NOTES, SCXML, scxml
 from statechart.diagram.write import SUFFIXES, write
 from statechart.errors import StatechartError
@@ -303,16 +305,43 @@ MAGIC = {
     ".dot": b"digraph",
     ".mmd": b"---\ntitle",
     ".scxml": b"<?xml",
+    ".graphml": b"<?xml",
 }
+
+
+def graphed(diagram: Diagram) -> Diagram:
+    graph = nx.MultiDiGraph(name=diagram.title)
+    graph.add_nodes_from((node.name, {"label": node.name}) for node in diagram.nodes)
+    graph.add_edges_from(
+        (link.source, link.target, number, {"guard": link.guard, "visits": number})
+        for number, link in enumerate(diagram.links)
+    )
+    return replace(diagram, graph=graph)
 
 
 @pytest.mark.parametrize("suffix", [*SUFFIXES, ".SVG"])
 @pytest.mark.parametrize("make", [one_contact, hostile], ids=lambda make: make.__name__)
 def test_suffix_names_the_format(make, suffix, tmp_path):
     path = tmp_path / f"chart{suffix}"
-    write(make(), path)
+    write(graphed(make()), path)
     assert path.read_bytes().startswith(MAGIC[suffix.lower()])
     assert [path] == list(tmp_path.iterdir())
+
+
+@DIAGRAMS
+def test_graphml_holds_any_text(make, tmp_path):
+    diagram = graphed(make())
+    write(diagram, tmp_path / "chart.graphml")
+    read = nx.read_graphml(tmp_path / "chart.graphml", edge_key_type=int, force_multigraph=True)
+    assert set(read) == {printable(node.name) for node in diagram.nodes}
+    edges = sorted(read.edges(keys=True, data="guard"), key=lambda edge: edge[2])
+    assert [edge[3] for edge in edges] == [printable(link.guard) for link in diagram.links]
+
+
+def test_a_diagram_made_by_hand_has_no_graph_to_write(tmp_path):
+    with pytest.raises(StatechartError, match="shows no graph"):
+        write(two_states(), tmp_path / "chart.graphml")
+    assert not any(tmp_path.iterdir())
 
 
 def test_every_suffix_is_tried():

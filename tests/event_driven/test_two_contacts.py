@@ -12,7 +12,6 @@ from contacts.kind import automaton
 from contacts.scene.modes import Free, Slide
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
-from statechart.automaton.product import graph, product_modes
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.scipy import SciPy
 from statechart.execution.simulator import Simulator
@@ -40,16 +39,6 @@ def ladder(lean: float, inertia: float, friction: object = 0) -> Scene:
             ),
         },
     )  # fmt: skip
-
-
-def test_two_contacts_have_nine_modes_and_sixteen_with_directions() -> None:
-    built = automaton(ladder(0.3, 1 / 3, "0.2"))
-    assert (built.modes_declared, built.modes_total) == (9, 16)
-    product = graph(built, product_modes(built))
-    assert product.number_of_nodes() == 16
-    assert all(data["guard"] for _, _, data in product.edges(data=True))
-    causes = {data["cause"] for _, _, data in product.edges(data=True)}
-    assert causes == {"touchdown", "liftoff", "slip", "stick", "reverse", "jam", "zeno"}
 
 
 @pytest.mark.parametrize("name", ENGINES)

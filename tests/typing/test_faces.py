@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import networkx as nx
 import pytest
 
 import contacts
@@ -55,6 +56,8 @@ def test_a_scene_is_built_run_drawn_and_its_run_kept(tmp_path: Path) -> None:
     assert Runner(scene).run().trace.modes == trace.modes
     path: Path = statechart.draw(scene, tmp_path / "sled.dot")
     assert "pin" in path.read_text(encoding="utf-8")
+    modes: nx.MultiDiGraph = statechart.graph(scene, trace=trace, around=("pin",), within=1)
+    assert modes.nodes["pin",]["visits"] == 1
 
 
 def test_parts_of_scenes_say_what_they_are() -> None:
