@@ -13,18 +13,16 @@ from functools import cached_property
 
 import sympy as sp
 
+from contacts.dynamics.geometry import Geometry, Vector
 from contacts.scene.modes import ContactSymbols
-from contacts.scene.parts import Body, Contact, Pair, Path, Point, Surface
+from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
 from statechart.automaton.regions import Margin
-from statechart.documents.declaration import TIME
-from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.formula import parse_relation
 from statechart.formulas.linear import Definition
 
 COEFFICIENTS = ("friction", "cone_n", "cone_t")
 """Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
-
-Vector = tuple[sp.Expr, sp.Expr]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +86,7 @@ class JointRow:
     redundant: sp.Symbol
 
 
-class Mechanics:
+class Mechanics(Geometry):
     """The equations of a scene.
 
     Parameters
@@ -114,21 +112,16 @@ class Mechanics:
         parameters: Mapping[str, sp.Symbol],
         cones: Mapping[str, tuple[sp.Expr, sp.Expr]],
     ) -> None:
-        self.scene = scene
-        self.names = scene.variables
-        count = range(len(self.names))
-        self.time = sp.Symbol("t", real=True)
-        self.q = tuple(sp.Symbol(f"q{i}", real=True) for i in count)
-        self.v = tuple(sp.Symbol(f"v{i}", real=True) for i in count)
-        self.a = tuple(sp.Symbol(f"a{i}", real=True) for i in count)
+        controlled = scene.controlled
+        controls = {n: sp.Symbol(f"c{i}", real=True) for i, n in enumerate(controlled.order)}
+        super().__init__(scene, {**parameters, **controls})
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
         }
         self._cones = cones
         self._parameters = dict(parameters)
-        self._controls = scene.controlled
-        controls = {n: sp.Symbol(f"c{i}", real=True) for i, n in enumerate(self._controls.order)}
+        self._controls = controlled
         self._coefficients = {
             name: sp.Symbol(f"mu{i}", real=True)
             for i, (name, contact) in enumerate(scene.contacts.items())
@@ -139,41 +132,8 @@ class Mechanics:
             *(s for name in self._coefficients for s in cones[name]),
             *controls.values(),
         )
-        rates = [scene.rate_name(name) for name in self.names]
-        self._known: dict[str, sp.Expr] = {
-            TIME: self.time,
-            **self._parameters,
-            **controls,
-            **dict(zip(self.names, self.q, strict=True)),
-            **dict(zip(rates, self.v, strict=True)),
-        }
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, tuple[Margin, ...]] = {}
-
-    def rate(self, expression: sp.Expr) -> sp.Expr:
-        """Return the total derivative with respect to time, accelerations included."""
-        used = expression.free_symbols
-        terms = [sp.diff(expression, self.time)] if self.time in used else []
-        for x, dx in (*zip(self.q, self.v, strict=True), *zip(self.v, self.a, strict=True)):
-            if x in used:
-                terms.append(sp.diff(expression, x) * dx)
-        return sp.Add(*terms)
-
-    def body_frame(self, name: str) -> tuple[Vector, sp.Expr]:
-        """Return the centre of mass and the angle of a body."""
-        body = self.scene.bodies[name]
-        if body.position is not None:
-            x, y = (self._formula(text) for text in body.position)
-            return (x, y), self._formula(body.angle) if body.angle is not None else sp.S.Zero
-        own = {c: self._known[f"{name}.{c}"] for c in body.coordinates}
-        return (own["x"], own["y"]), own.get("angle", sp.S.Zero)
-
-    def point(self, point: Point) -> Vector:
-        """Return the position of a point of a body."""
-        (x, y), angle = self.body_frame(point.body)
-        along, across = (self._formula(text) for text in point.at)
-        c, s = sp.cos(angle), sp.sin(angle)
-        return x + along * c - across * s, y + along * s + across * c
 
     @cached_property
     def mass_matrix(self) -> sp.Matrix:
@@ -280,12 +240,6 @@ class Mechanics:
             self._contacts[name] = self._geometry(name, self.scene.contacts[name])
         return self._contacts[name]
 
-    def curved(self, name: str) -> bool:
-        """Whether a contact's surface is the graph of a function that is not linear."""
-        height = self.scene.surfaces[self.scene.contacts[name].surface].height
-        x = sp.Symbol("x", real=True)
-        return height is not None and sp.diff(self._formula(height, x=x), x, 2) != 0
-
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return what a state of a controller sets: some of `controls`."""
         found: dict[sp.Symbol, sp.Expr] = {}
@@ -327,9 +281,6 @@ class Mechanics:
             result[f"{name}.friction"] = friction
         result["energy"] = self.energy
         return result
-
-    def _formula(self, text: str | int | float, **further: sp.Expr) -> sp.Expr:
-        return parse(text).to_sympy({**self._known, **further})
 
     @cached_property
     def _inertia(self) -> tuple[sp.Matrix, tuple[sp.Expr, ...]]:
@@ -408,10 +359,6 @@ class Mechanics:
             self._gates[name] = tuple(found)
         return self._gates[name]
 
-    def _corners(self, line: tuple[Pair, Pair]) -> tuple[Vector, Vector]:
-        (x0, y0), (x1, y1) = line
-        return (self._formula(x0), self._formula(y0)), (self._formula(x1), self._formula(y1))
-
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
         x, y = point = self._in_frame(surface, self.point(contact.point))
@@ -464,55 +411,3 @@ class Mechanics:
         return ContactGeometry(
             point, normal, tangent, symbols, jacobian_n, jacobian_t, bias_n, bias_t
         )
-
-    def _end(self, to: Point | Path) -> Vector:
-        """Return the place that a joint holds its point to; 0 for a component it leaves free."""
-        if isinstance(to, Point):
-            return self.point(to)
-        return self._formula(to.x or 0), self._formula(to.y or 0)
-
-    def _in_frame(self, surface: Surface, point: Vector) -> Vector:
-        """Return a point in the frame of a surface.
-
-        Rates of these coordinates are velocities relative to the surface's material, whatever it
-        is carried by; that is what slips and what contact forces work on.
-        """
-        if surface.body is None:
-            dx, dy = (self._formula(text) for text in surface.displacement)
-            return point[0] - dx, point[1] - dy
-        (x0, y0), angle = self.body_frame(surface.body)
-        c, s = sp.cos(angle), sp.sin(angle)
-        dx, dy = point[0] - x0, point[1] - y0
-        return c * dx + s * dy, c * dy - s * dx
-
-    def _surface(
-        self, surface: Surface, x: sp.Symbol, y: sp.Symbol
-    ) -> tuple[sp.Expr, Vector, sp.Expr]:
-        """Return a function that is zero on the surface, the unit normal, and a factor.
-
-        Function times factor is the distance to first order: the factor is the inverse of the
-        length of the function's gradient.
-        """
-        if surface.height is not None:
-            height = self._formula(surface.height, x=x)
-            slope = sp.diff(height, x)
-            unit = 1 / sp.sqrt(1 + slope**2)
-            return y - height, (-slope * unit, unit), unit
-        if surface.circle is not None and surface.radius is not None:
-            cx, cy = (self._formula(text) for text in surface.circle)
-            away = sp.sqrt((x - cx) ** 2 + (y - cy) ** 2)
-            return (
-                away - self._formula(surface.radius),
-                ((x - cx) / away, (y - cy) / away),
-                sp.S.One,
-            )
-        line = surface.line or surface.edge
-        if line is not None:
-            (x0, y0), (x1, y1) = self._corners(line)
-            length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
-            normal = ((y0 - y1) / length, (x1 - x0) / length)
-        else:
-            angle = self._formula(surface.incline)  # type: ignore[arg-type]
-            x0, y0 = (self._formula(text) for text in surface.through)
-            normal = (-sp.sin(angle), sp.cos(angle))
-        return normal[0] * (x - x0) + normal[1] * (y - y0), normal, sp.S.One

@@ -1,0 +1,132 @@
+"""Where bodies, their points and surfaces are, as expressions of the coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import sympy as sp
+
+from contacts.scene.parts import Pair, Path, Point, Surface
+from contacts.scene.scene import Scene
+from statechart.documents.declaration import TIME
+from statechart.formulas.formula import parse
+
+Vector = tuple[sp.Expr, sp.Expr]
+
+
+class Geometry:
+    """The places of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        As declared.
+    constants : mapping
+        Name -> symbol of what does not follow from the coordinates: parameters, controls.
+    """
+
+    def __init__(self, scene: Scene, constants: Mapping[str, sp.Symbol]) -> None:
+        self.scene = scene
+        self.names = scene.variables
+        count = range(len(self.names))
+        self.time = sp.Symbol("t", real=True)
+        self.q = tuple(sp.Symbol(f"q{i}", real=True) for i in count)
+        self.v = tuple(sp.Symbol(f"v{i}", real=True) for i in count)
+        self.a = tuple(sp.Symbol(f"a{i}", real=True) for i in count)
+        rates = [scene.rate_name(name) for name in self.names]
+        self._known: dict[str, sp.Expr] = {
+            TIME: self.time,
+            **constants,
+            **dict(zip(self.names, self.q, strict=True)),
+            **dict(zip(rates, self.v, strict=True)),
+        }
+
+    def rate(self, expression: sp.Expr) -> sp.Expr:
+        """Return the total derivative with respect to time, accelerations included."""
+        used = expression.free_symbols
+        terms = [sp.diff(expression, self.time)] if self.time in used else []
+        for x, dx in (*zip(self.q, self.v, strict=True), *zip(self.v, self.a, strict=True)):
+            if x in used:
+                terms.append(sp.diff(expression, x) * dx)
+        return sp.Add(*terms)
+
+    def body_frame(self, name: str) -> tuple[Vector, sp.Expr]:
+        """Return the centre of mass and the angle of a body."""
+        body = self.scene.bodies[name]
+        if body.position is not None:
+            x, y = (self._formula(text) for text in body.position)
+            return (x, y), self._formula(body.angle) if body.angle is not None else sp.S.Zero
+        own = {c: self._known[f"{name}.{c}"] for c in body.coordinates}
+        return (own["x"], own["y"]), own.get("angle", sp.S.Zero)
+
+    def point(self, point: Point) -> Vector:
+        """Return the position of a point of a body."""
+        (x, y), angle = self.body_frame(point.body)
+        along, across = (self._formula(text) for text in point.at)
+        c, s = sp.cos(angle), sp.sin(angle)
+        return x + along * c - across * s, y + along * s + across * c
+
+    def curved(self, name: str) -> bool:
+        """Whether a contact's surface is the graph of a function that is not linear."""
+        height = self.scene.surfaces[self.scene.contacts[name].surface].height
+        x = sp.Symbol("x", real=True)
+        return height is not None and sp.diff(self._formula(height, x=x), x, 2) != 0
+
+    def _formula(self, text: str | int | float, **further: sp.Expr) -> sp.Expr:
+        return parse(text).to_sympy({**self._known, **further})
+
+    def _corners(self, line: tuple[Pair, Pair]) -> tuple[Vector, Vector]:
+        (x0, y0), (x1, y1) = line
+        return (self._formula(x0), self._formula(y0)), (self._formula(x1), self._formula(y1))
+
+    def _end(self, to: Point | Path) -> Vector:
+        """Return the place that a joint holds its point to; 0 for a component it leaves free."""
+        if isinstance(to, Point):
+            return self.point(to)
+        return self._formula(to.x or 0), self._formula(to.y or 0)
+
+    def _in_frame(self, surface: Surface, point: Vector) -> Vector:
+        """Return a point in the frame of a surface.
+
+        Rates of these coordinates are velocities relative to the surface's material, whatever it
+        is carried by; that is what slips and what contact forces work on.
+        """
+        if surface.body is None:
+            dx, dy = (self._formula(text) for text in surface.displacement)
+            return point[0] - dx, point[1] - dy
+        (x0, y0), angle = self.body_frame(surface.body)
+        c, s = sp.cos(angle), sp.sin(angle)
+        dx, dy = point[0] - x0, point[1] - y0
+        return c * dx + s * dy, c * dy - s * dx
+
+    def _surface(
+        self, surface: Surface, x: sp.Symbol, y: sp.Symbol
+    ) -> tuple[sp.Expr, Vector, sp.Expr]:
+        """Return a function that is zero on the surface, the unit normal, and a factor.
+
+        Function times factor is the distance to first order: the factor is the inverse of the
+        length of the function's gradient.
+        """
+        if surface.height is not None:
+            height = self._formula(surface.height, x=x)
+            slope = sp.diff(height, x)
+            unit = 1 / sp.sqrt(1 + slope**2)
+            return y - height, (-slope * unit, unit), unit
+        if surface.circle is not None and surface.radius is not None:
+            cx, cy = (self._formula(text) for text in surface.circle)
+            away = sp.sqrt((x - cx) ** 2 + (y - cy) ** 2)
+            return (
+                away - self._formula(surface.radius),
+                ((x - cx) / away, (y - cy) / away),
+                sp.S.One,
+            )
+        line = surface.line or surface.edge
+        if line is not None:
+            (x0, y0), (x1, y1) = self._corners(line)
+            length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
+            normal = ((y0 - y1) / length, (x1 - x0) / length)
+        else:
+            angle = self._formula(surface.incline)  # type: ignore[arg-type]
+            x0, y0 = (self._formula(text) for text in surface.through)
+            normal = (-sp.sin(angle), sp.cos(angle))
+        return normal[0] * (x - x0) + normal[1] * (y - y0), normal, sp.S.One
