@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby, islice, product
 from math import prod
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from statechart.arrays import Array
@@ -186,47 +185,41 @@ def _near(charts: Sequence[Region], around: Iterable[Key], within: int) -> Itera
     for _ in range(within):
         known = len(found)
         for key in front:
-            found.update((target, None) for target, _, _ in _successors(charts, key))
+            for place, chart in enumerate(charts):
+                targets = (edge.target for edge in chart.edges if edge.source == key[place])
+                found.update((_with(key, place, target), None) for target in targets)
             if len(found) > MOST_MODES:
                 raise _too_many(f"more than {MOST_MODES} modes so near")
         front = tuple(islice(found, known, None))
     return found
 
 
-def _successors(charts: Sequence[Region], key: Key) -> Iterator[tuple[Key, int, int]]:
-    """Yield the modes one edge away; after each the place of the region and that of the edge."""
-    for place, chart in enumerate(charts):
-        for number, edge in enumerate(chart.edges):
-            if edge.source == key[place]:
-                yield (*key[:place], edge.target, *key[place + 1 :]), place, number
+def _with(key: Key, place: int, state: str) -> Key:
+    return (*key[:place], state, *key[place + 1 :])
 
 
 def _edges(
     charts: Sequence[Region], keys: Collection[Key], taken: Counter[_Jump] | None
 ) -> Iterator[tuple[Key, Key, dict[str, Any]]]:
     """Yield the ends of every edge between modes, and its attributes."""
-    found = [
-        (place, number, source, target)
-        for source in keys
-        for target, place, number in _successors(charts, source)
-        if target in keys
-    ]
     left = Counter(taken)
-    for place, number, source, target in sorted(found, key=itemgetter(0, 1)):
-        name, edge = charts[place].name, charts[place].edges[number]
-        data: dict[str, Any] = {
-            "region": name,
-            "event": edge.cause,
-            "guard": edge.guard,
-            "reset": edge.reset,
-        }
-        if taken is not None:
-            data["visits"] = left.pop((source, target, name, edge.cause), 0)
-        yield source, target, data
-    for (source, target, name, cause), visits in left.items():
+    for place, chart in enumerate(charts):
+        for edge in chart.edges:
+            said = _said(chart.name, edge.cause, edge.guard, edge.reset)
+            for source in keys:
+                if source[place] != edge.source:
+                    continue
+                target = _with(source, place, edge.target)
+                if target in keys:
+                    visits = left.pop((source, target, chart.name, edge.cause), 0)
+                    yield source, target, said if taken is None else {**said, "visits": visits}
+    for (source, target, name, event), visits in left.items():
         if source in keys and target in keys:
-            said = {"region": name, "event": cause, "guard": "", "reset": ""}
-            yield source, target, {**said, "visits": visits}
+            yield source, target, {**_said(name, event, "", ""), "visits": visits}
+
+
+def _said(region: str, event: str, guard: str, reset: str) -> dict[str, Any]:
+    return {"region": region, "event": event, "guard": guard, "reset": reset}
 
 
 def _too_many(found: str) -> StatechartError:
