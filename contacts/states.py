@@ -6,6 +6,7 @@ FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF_CODE = range(6)
 
 
 OFF = "off"
+"""The state of a contact whose conditions fail; no mode that a contact lists."""
 
 
 CODES = {
@@ -19,6 +20,7 @@ CODES = {
 
 
 OPEN = ("free", OFF)
+"""States without force."""
 
 
 STATES = {
@@ -29,3 +31,4 @@ STATES = {
     SLIDE_MINUS: "slide-",
     OFF_CODE: "off",
 }
+"""Number of a mode of a region to its state."""

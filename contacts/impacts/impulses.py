@@ -46,7 +46,7 @@ _ROUNDED = 1e-4
 # Elimination does not tell columns closer to dependent apart.
 _NEARLY_DEPENDENT = 1e-10
 
-# As `contacts.solvers.saddle_point` numbers them; pressing is sticking that needs no friction.
+# As `contacts.states` numbers them; pressing is sticking that needs no friction.
 _PRESS = -1
 _NAMES = {FREE: "open", PIN: "stick", SLIDE_PLUS: "slip+", SLIDE_MINUS: "slip-", SLIDE: "slip"}
 _NAMES[_PRESS] = "stick"

@@ -42,7 +42,7 @@ _UNSOLVED = {
 _DETERMINED = (SOLVED, REDUNDANT)
 _UNEXPLAINED = "no forces within the cones explain its motion"
 _LESS = "moves like a mode that keeps more contacts closed or pinned"
-# Besides what `contacts.solvers.saddle_point` numbers: forces in no cone.
+# Besides what `contacts.states` numbers: forces in no cone.
 _NOWHERE = -1
 # Two motions are the same when their accelerations agree to this.
 _SAME_MOTION = 1e-9
@@ -67,7 +67,7 @@ class Candidate(NamedTuple):
     violation : float
         The largest inequality it breaks, in units of the scales; <= 0: none.
     broken : (str, int, float)
-        That inequality: contact, which (as `contacts.solvers.saddle_point` numbers them), its
+        That inequality: contact, which (as `contacts.states` numbers them), its
         number.
     share : Share or None
         How the contacts share the forces, where the motion does not determine them.

@@ -87,7 +87,7 @@ def share(
     Parameters
     ----------
     code : (c,) array of int
-        Modes, as `contacts.solvers.saddle_point` numbers them.
+        Modes, as `contacts.states` numbers them.
     snapshot : Snapshot
     cones : (c, 2), forces : (c, 2)
         Which explain the motion, in their cones or not.

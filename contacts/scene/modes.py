@@ -98,10 +98,6 @@ class Pin(Part):
         return State((contact.normal_acceleration, contact.tangential_acceleration), tuple(margins))
 
 
-"""The state of a contact whose conditions fail; no mode that a contact lists."""
-"""States without force."""
-
-
 def off(contact: ContactSymbols, gates: tuple[Margin, ...]) -> State:
     """Return the state of a contact that is off: no force, until it may come back."""
     conditions = (margin.expression for margin in gates)

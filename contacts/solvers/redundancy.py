@@ -26,7 +26,7 @@ def mode_columns(code: NDArray[np.int64], jacobians: Array, cones: Array) -> lis
     Parameters
     ----------
     code : (c,) array of int
-        Modes as `contacts.solvers.saddle_point` numbers them: nothing where FREE, V and H where
+        Modes as `contacts.states` numbers them: nothing where FREE, V and H where
         PIN, V where SLIDE, and the impulse along its edge of the cone where SLIDE_PLUS or
         SLIDE_MINUS.
     jacobians : (c, 2, n), cones : (c, 2)

@@ -149,7 +149,7 @@ def run(
     Parameters
     ----------
     start : (r,) array of int
-        Modes at the start, as `contacts.solvers.saddle_point` numbers them.
+        Modes at the start, as `contacts.states` numbers them.
     sticks : (r,) array of bool
         See `Recorder`.
     control : Control, optional

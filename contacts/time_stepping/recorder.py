@@ -22,7 +22,6 @@ from statechart.automaton.trace import Arc, Clock, Jump, Key
 
 TERMS = 3
 """Terms of the polynomial of a step."""
-"""Mode of a region, as `contacts.solvers.saddle_point` numbers them, to its state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +37,7 @@ class Chunk:
     solved : (k, u) array
         Accelerations (n,) under what lasts, and the further unknowns.
     codes : (k, r) array
-        Mode of every region, as `contacts.solvers.saddle_point` numbers them.
+        Mode of every region, as `contacts.states` numbers them.
     struck, shared : (k, r) array of bool
         Regions with an impact in the middle of the step; those whose forces the motion does not
         determine.

@@ -24,13 +24,6 @@ if TYPE_CHECKING:
     from statechart.documents.declaration import Declaration
 
 
-"""In the key of a flow: a region whose state contributes nothing, so that what it moves rests."""
-"""What ends a flow that cannot be continued, though no margin fell; the laws may know what follows
-(a force that has grown without bound)."""
-"""In the key of a flow, before a state: the region is shown in another meanwhile, and for everybody
-else its forces are what they are in that: zero."""
-
-
 @dataclass(frozen=True, eq=False)
 class Automaton:
     """Regions composed over shared unknowns; topology and modes on demand.

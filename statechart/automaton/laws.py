@@ -25,11 +25,16 @@ if TYPE_CHECKING:
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 HELD = ""
+"""In the key of a flow: a region whose state contributes nothing, so that what it moves rests."""
 
 UNBOUNDED = "unbounded"
+"""What ends a flow that cannot be continued, though no margin fell; the laws may know what follows
+(a force that has grown without bound)."""
 
 
 CAPTURED = "~"
+"""In the key of a flow, before a state: the region is shown in another meanwhile, and for everybody
+else its forces are what they are in that: zero."""
 
 
 @lru_cache(maxsize=1024)

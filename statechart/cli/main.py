@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -10,6 +9,8 @@ from typing import TYPE_CHECKING
 from statechart import interrupts
 
 if TYPE_CHECKING:
+    # Signals are listened to before anything is imported that takes long.
+    import argparse
     from collections.abc import Callable, Sequence
 
 

@@ -36,7 +36,6 @@ from statechart.formulas.syntax import close_matches
 
 TIME = "time"
 """What formulas call the time since the start."""
-"""What a run reports under a name; told apart by their keys."""
 
 
 class Stop(Part):

@@ -147,6 +147,7 @@ Output = Annotated[
         "maximum",
     ),
 ]
+"""What a run reports under a name; told apart by their keys."""
 
 
 def check_event(

@@ -13,8 +13,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-
-import sympy as sp
+from typing import TYPE_CHECKING
 
 from statechart.errors import FormulaError, Position
 from statechart.formulas.syntax import (
@@ -35,6 +34,9 @@ from statechart.formulas.syntax import (
     nodes,
     undeclared,
 )
+
+if TYPE_CHECKING:
+    import sympy as sp
 
 # Above this an integer is no longer every integer's float, so exactness would be an illusion.
 _EXACT = 2**53

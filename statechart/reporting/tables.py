@@ -10,11 +10,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
-import xarray as xr
 
 from statechart.automaton.trace import Trace
 from statechart.documents.files import aside, write_atomic
@@ -23,6 +21,10 @@ from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 from statechart.reporting.pieces import Pieces, rows
 from statechart.reporting.report import dumps
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 # Names of the coordinates and dimensions, and those that the file format keeps for itself.
 _TAKEN = frozenset({"t", "j", "mode", "sample", "event"}) | frozenset(
