@@ -46,11 +46,11 @@ def test_colliding_bodies_take_steps_by_their_scales_and_say_so(tmp_path, monkey
 
 
 def test_the_step_follows_the_scales_and_gives_way_to_one_that_is_given():
-    own = Runner(read_text(DISCS)).step
+    own = Runner(read_text(DISCS)).setting.step
     # Falling takes twice the time at four times the size.
-    larger = Runner(read_text(DISCS.replace("{scale: 1}", "{scale: 4}"))).step
+    larger = Runner(read_text(DISCS.replace("{scale: 1}", "{scale: 4}"))).setting.step
     assert larger == pytest.approx(2.0 * own, rel=0.3)
-    assert Runner(read_text(DISCS), engine="auto", step=1e-4).step == 1e-4
+    assert Runner(read_text(DISCS), engine="auto", step=1e-4).setting.step == 1e-4
     assert not Runner(read_text(DISCS), engine="impulse", step=1e-3).run(until=0.0).warnings
 
 

@@ -56,7 +56,7 @@ def test_a_scene_moves_as_with_events(name, parameters, until, step, constant):
 def test_no_shipped_model_is_left_out():
     folder = Path(models.__file__).parent
     shipped = {path.stem for path in folder.glob("*.yaml")}
-    stepped = {name for name in shipped if Runner(name).step is not None}
+    stepped = {name for name in shipped if Runner(name).setting.step is not None}
     assert shipped == {name for name, *_ in SCENES} | {*CHARTS, SEQUENTIAL} | stepped
 
 
