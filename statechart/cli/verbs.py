@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 # Seconds after a signal in which what was computed is saved, but for what is always saved.
-_PATIENCE = 1.2
+_PATIENCE = 0.9
 
 
 def validate(arguments: argparse.Namespace) -> int:
