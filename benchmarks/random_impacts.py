@@ -17,6 +17,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "solvers"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "impacts"))
 
 from test_complementarity import stack
 from test_simultaneous import body, check, in_grooves, law, random_scene

@@ -19,6 +19,7 @@ from statechart.errors import UnsolvedImpulses
 from statechart.running.runner import Runner
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "solvers"))
 
 
 def dice(count: int) -> None:

@@ -29,6 +29,7 @@ import heyoka as hy
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from contacts.dynamics.setup import SceneNumbers
 from statechart.engines import taylor
 from statechart.engines.taylor import Taylor
 from statechart.execution import simulator as simulate
@@ -211,7 +212,7 @@ def shares(simulator: Simulator, trace: Callable[[], object]) -> dict[str, float
     """Return what a run spends where, in microseconds; medians, the timers' own time included."""
     laws = simulator.automaton.laws
     places: list[tuple[str, Any, str]] = [
-        ("numbers of the run (parameters, scales, tolerances)", laws, "setup"),
+        ("numbers of the run (parameters, scales, tolerances)", SceneNumbers, "at"),
         ("first mode", laws, "begin"),
         ("flows: compiled steps and search", taylor, "taylor_flow"),
         ("flows: what is around them", simulate._Run, "_flow"),
