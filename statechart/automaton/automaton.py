@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
-from statechart.automaton.laws import Laws, Setup
+from statechart.automaton.laws import Laws, Setup, TimeStepper
 from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Key
 from statechart.errors import Unsupported
 
 if TYPE_CHECKING:
-    from statechart.automaton.laws import TimeStepper
     from statechart.documents.declaration import Declaration
 
 

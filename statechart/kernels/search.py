@@ -209,7 +209,7 @@ def search(
     last: int,
     budget: int,
 ) -> tuple[int, int, int, float, float, float, int]:
-    """First fall of an output below minus its tolerance: see `enclosure.first_crossing`.
+    """First fall of an output below minus its tolerance: see `event_location`.
 
     The steps [first, last) are searched; a descent is followed into those before.
     Returns (verdict, guard, step and place of the event, its local time, where it is certain,
