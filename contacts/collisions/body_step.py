@@ -25,7 +25,10 @@ DONE, HARD, NOT_FINITE, FULL = range(4)
 MEMORY = 5
 """What is kept of a contact from step to step: level, lasting, impulses, number of its basis."""
 
-_SLOW = 2.0
+# Corners that arrive together are told apart by no rounding of their gaps and speeds: bounds are
+# this part of a step beside the numbers that declared lengths and speeds make.
+_BESIDE = 1e-6
+_SLOW = 2.0 + _BESIDE
 # Points of contact that a pair can have: a polygon on a surface has as many as corners.
 _POINTS = 16
 # Islands of more contacts are swept.
@@ -249,7 +252,7 @@ def step_bodies(
                         # A point that turns away faster than gravity follows lifts off; what is
                         # deeper than that makes was moved there by a change of features.
                         wanted[m, 0] = max(above / h, -0.5 * fall)
-                    elif above <= 0.5 * h * nearing and nearing > slow:
+                    elif above <= (0.5 + _BESIDE) * h * nearing and nearing > slow:
                         # Struck in the step whose middle is nearest to the instant of touching.
                         hit[m] = True
                         wanted[m, 0] = -materials[material, 2] * nearing

@@ -29,9 +29,12 @@ from statechart.kernels.tapes import tape_values
 
 DONE, HARD, BAD_INERTIA, NOT_FINITE = range(4)
 
+# Corners that arrive together are told apart by no rounding of their gaps and speeds: bounds are
+# this part of a step beside the numbers that declared lengths and speeds make.
+_BESIDE = 1e-6
 # Impulses of contacts that approach slower than what so many steps without contact would make of
 # rest are those of a contact that lasts.
-_SLOW = 2.0
+_SLOW = 2.0 + _BESIDE
 # A contact that lands slower than this part of what a step without contact would make of rest
 # brings no momentum that forces would tell.
 _LATE = 1e-9
@@ -190,7 +193,7 @@ def step_scene(
                     above = 0.0
                 wanted[i, 0] = above / h + bias
                 wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
-            elif above <= 0.0 and nearing > slow:
+            elif above <= _BESIDE * h * nearing and nearing > slow:
                 active[i] = hit[i] = True
                 wanted[i, 0] = -restitution[i] * nearing
                 approach[k] = max(approach[k], nearing)

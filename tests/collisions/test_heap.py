@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from strategies import examples
 
@@ -237,6 +237,9 @@ settings: {{engine: impulse, step: {step}}}
     ),
     st.sampled_from([0.0]) | st.floats(0.1, 0.5) | st.floats(-0.5, -0.1),
 )
+@example(
+    {"w": 0.5, "h": 0.25, "I": 0.25, "lean": 1.0, "u": 0.0, "v": -1.0, "mu": 0.0, "e": 1.0}, 0.0
+)
 @examples(20)
 def test_plastic_bodies_that_are_hit_together_do_not_rebound(values, tilt):
     values["tilt"] = tilt
@@ -246,6 +249,42 @@ def test_plastic_bodies_that_are_hit_together_do_not_rebound(values, tilt):
     alike = fallen("capped", 1e-3).run(other)
     assert plastic.trace.jumps
     assert plastic.trace.final == pytest.approx(alike.trace.final, abs=1e-12)
+
+
+SHAPES = "collisions: {all: {bodies: [box], surfaces: [slope], friction: 0.3, restitution: 0.5}}"
+CORNERS = """
+contacts:
+  left: {point: {body: box, at: [-w, -h]}, surface: slope, friction: 0.3, restitution: 0.5}
+  right: {point: {body: box, at: [w, -h]}, surface: slope, friction: 0.3, restitution: 0.5}
+"""
+
+
+@pytest.mark.parametrize("touching", [SHAPES, CORNERS])
+def test_a_box_that_lands_flat_at_an_edge_of_a_step_rebounds_flat(touching):
+    shape = "shape: {polygon: [[-w, -h], [w, -h], [w, h], [-w, h]]}" if touching == SHAPES else ""
+    start = "x: -sin(lean)*(gap + h), y: cos(lean)*(gap + h), dx: sin(lean), dy: -cos(lean)"
+    runner = Runner(interpret(read_text(f"""
+kind: scene
+name: flat
+gravity: 0
+parameters: {{w: 0.3, h: 0.2, lean: 0, gap: 0.002}}
+bodies:
+  box:
+    mass: 1
+    inertia: 0.05
+    start: {{angle: lean, {start}}}
+    {shape}
+surfaces: {{slope: {{incline: lean}}}}
+{touching}
+stop: {{time: 0.006}}
+settings: {{engine: impulse, step: 1e-3}}
+""")))  # fmt: skip
+    for gap in (1e-3, 1.5e-3, 2e-3, 2.5e-3):
+        for lean in (0.0, 0.1234, 0.3, 1.0, -0.7):
+            for w, h in ((0.3, 0.2), (0.5, 0.25), (0.123, 0.777)):
+                trace = runner.run({"gap": gap, "lean": lean, "w": w, "h": h}).trace
+                rates = [0.5 * -np.sin(lean), 0.5 * np.cos(lean), 0.0]
+                assert trace.final[3:] == pytest.approx(rates, abs=1e-9)
 
 
 def test_friction_that_is_rounding_of_the_impulses_is_none():
