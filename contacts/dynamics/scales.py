@@ -127,20 +127,10 @@ class ScaleTape:
         """
         sizes = np.empty(len(self._begins) - 1)
         numbers = self._tape.at(state, values, 0.0)
-        for place, owner in enumerate(self._owners):
-            if not math.isfinite(numbers[place]):
-                raise DeclarationProblem(
-                    "its place at the start is not finite",
-                    advice="look for a logarithm, a root or a quotient without a value there",
-                    loc=owner,
-                )
-            check_range(numbers[place], "its place at the start", owner)
-            speed = numbers[len(self._owners) + place]
-            check_range(speed, "its speed at the start", owner)
-        if not np.isfinite(numbers[self._begins[5] : self._begins[5 + self._gravity]]).all():
-            raise DeclarationProblem("must be finite", loc=("gravity",))
-        for number in numbers[self._begins[5] : self._begins[5 + self._gravity]]:
-            check_range(number, "", ("gravity",))
+        checked = np.abs(numbers[: 2 * len(self._owners)]).max(initial=0.0)
+        pulls = np.abs(numbers[self._begins[5] : self._begins[5 + self._gravity]]).max(initial=0.0)
+        if not (checked <= _MOST and pulls <= _MOST):
+            self._check(numbers)
         largest_sizes(numbers, self._begins, sizes)
         largest = sizes.tolist()
         length, speed, push, mass, duration = largest[:5]
@@ -159,3 +149,21 @@ class ScaleTape:
         coordinates = [length / move if move > 0.0 else 1.0 for move in moves]
         sizes = np.array([*coordinates, *(size * (speed / length) for size in coordinates)])
         return Scales(length, speed, acceleration, mass * acceleration, sizes)
+
+    def _check(self, numbers: Array) -> None:
+        """Raise at the first place, speed or gravity that is not finite or too large."""
+        for place, owner in enumerate(self._owners):
+            if not math.isfinite(numbers[place]):
+                raise DeclarationProblem(
+                    "its place at the start is not finite",
+                    advice="look for a logarithm, a root or a quotient without a value there",
+                    loc=owner,
+                )
+            check_range(numbers[place], "its place at the start", owner)
+            speed = numbers[len(self._owners) + place]
+            check_range(speed, "its speed at the start", owner)
+        gravity = numbers[self._begins[5] : self._begins[5 + self._gravity]]
+        if not np.isfinite(gravity).all():
+            raise DeclarationProblem("must be finite", loc=("gravity",))
+        for number in gravity:
+            check_range(number, "", ("gravity",))

@@ -12,7 +12,7 @@ import graphlib
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 from statechart.errors import FormulaError, Position
@@ -38,6 +38,8 @@ from statechart.formulas.syntax import (
 if TYPE_CHECKING:
     import sympy as sp
 
+# So many texts are remembered with what was read: more than the largest of our scenes has.
+_REMEMBERED = 4096
 # Above this an integer is no longer every integer's float, so exactness would be an illusion.
 _EXACT = 2**53
 
@@ -246,7 +248,10 @@ class Relation:
 
 
 def parse(text: str | int | float, *, position: Position | None = None) -> Formula:
-    """Read a formula.
+    """Read a formula; the same text is read once.
+
+    Fields keep what was written, so that a model is typed, compared and written as its user wrote
+    it; what computes with a field reads it here.
 
     Parameters
     ----------
@@ -260,14 +265,17 @@ def parse(text: str | int | float, *, position: Position | None = None) -> Formu
     FormulaError
         If it cannot be read, is beyond the bounds, or has a constant part without a value.
     """
-    if isinstance(text, str):
-        reader = Reader(Source(text, position))
-        root = reader.sum()
-        reader.expect_end()
-        return Formula(text, root, position)
-    if isinstance(text, bool) or not isinstance(text, int | float):
+    if isinstance(text, bool) or not isinstance(text, str | int | float):
         Source(str(text), position).fail("not a number and not a formula")
-    return parse(_number_text(text, position), position=position)
+    return _read(text if isinstance(text, str) else _number_text(text, position), position)
+
+
+@lru_cache(_REMEMBERED)
+def _read(text: str, position: Position | None) -> Formula:
+    reader = Reader(Source(text, position))
+    root = reader.sum()
+    reader.expect_end()
+    return Formula(text, root, position)
 
 
 def _number_text(value: int | float, position: Position | None) -> str:

@@ -14,6 +14,7 @@ from statechart.execution.perturbation import nudged
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
 
 
 class Observers:
@@ -34,6 +35,7 @@ class Observers:
     ) -> None:
         self._automaton, self._allowance, self._progress = automaton, allowance, progress
         self._kept: dict[tuple[Setting, bool], Observer] = {}
+        self._outputs: dict[Observer, Outputs] = {}
 
     def at(self, setting: Setting, *, off: bool = False) -> Observer:
         """Return the observer of a setting's simulator, the same one whenever asked.
@@ -48,6 +50,13 @@ class Observers:
         found = self._kept.get((setting, off))
         if found is None:
             found = self._kept[setting, off] = Observer(self._simulator(setting, off))
+        return found
+
+    def outputs(self, observer: Observer) -> Outputs:
+        """Return what computes the declared outputs by an observer, made ready once."""
+        found = self._outputs.get(observer)
+        if found is None:
+            found = self._outputs[observer] = Outputs(observer)
         return found
 
     def engine(self, setting: Setting) -> Engine:

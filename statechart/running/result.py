@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from statechart.automaton.trace import Trace
 from statechart.documents.setting import Setting
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import OutputValue as Output
 from statechart.reporting.pieces import Pieces
 from statechart.running.estimate import Cost
@@ -101,7 +100,7 @@ class Result:
     @cached_property
     def outputs(self) -> Mapping[str, Output]:
         """The outputs that the model declares."""
-        return Outputs(self.observer).of(self.trace)
+        return self.runner.observers.outputs(self.observer).of(self.trace)
 
     @cached_property
     def conditions(self) -> tuple[float | None, ...]:

@@ -232,7 +232,7 @@ class Runner:
             If a parameter or the end is wrong, or there is none.
         """
         overrides = dict(parameters or {})
-        values = self._check(overrides)
+        self._check_names(overrides)
         if until is not None:
             if not 0.0 <= until < math.inf:
                 raise DeclarationError(f"the end must be a finite time from 0 on, not {until:g}")
@@ -244,7 +244,7 @@ class Runner:
                     advice="write stop: {time: 10}, or say until when",
                     loc=("stop",),
                 )
-            end = self._end.value(values)
+            end = self._end.value(self._check(overrides) if self._end.names else {})
             if not 0.0 <= end < math.inf:
                 raise DeclarationProblem(
                     f"must be a finite time, not {end:g}", loc=("stop", "time")
@@ -253,6 +253,11 @@ class Runner:
 
     def _check(self, overrides: Mapping[str, float]) -> dict[str, float]:
         """Return the parameters' values with `overrides`."""
+        self._check_names(overrides)
+        with located(self.document, overrides):
+            return self._constants.values(overrides)
+
+    def _check_names(self, overrides: Mapping[str, float]) -> None:
         for name, value in overrides.items():
             if name not in self.model.parameters:
                 raise DeclarationError(
@@ -262,8 +267,6 @@ class Runner:
                 )
             if math.isnan(value):
                 raise DeclarationError(f"parameter {name!r} must be a number, not nan")
-        with located(self.document, overrides):
-            return self._constants.values(overrides)
 
     def _once(
         self, setting: Setting, overrides: Mapping[str, float], end: float, *, off: bool = False
