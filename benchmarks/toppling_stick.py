@@ -32,7 +32,7 @@ from scipy.integrate import solve_ivp
 from contacts.dynamics.setup import SceneNumbers
 from statechart.engines import taylor
 from statechart.engines.taylor import Taylor
-from statechart.execution import simulator as simulate
+from statechart.execution.execution import Execution
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
@@ -215,9 +215,9 @@ def shares(simulator: Simulator, trace: Callable[[], object]) -> dict[str, float
         ("numbers of the run (parameters, scales, tolerances)", SceneNumbers, "at"),
         ("first mode", laws, "begin"),
         ("flows: compiled steps and search", taylor, "taylor_flow"),
-        ("flows: what is around them", simulate._Run, "_flow"),
+        ("flows: what is around them", Execution, "_flow"),
         ("jumps: classification, evidence", laws, "jump"),
-        ("the trace", simulate._Run, "trace"),
+        ("the trace", Execution, "_trace"),
     ]
     spent = {what: 0.0 for what, _, _ in places}
 

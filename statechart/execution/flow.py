@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from statechart import interrupts
 from statechart.arrays import Array
-from statechart.automaton.automaton import Automaton
-from statechart.automaton.regions import Mode
 from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch, Path
 from statechart.engines.event_location import Crossing, Search, Verdict, search
 from statechart.errors import NonFinite, SimulationError, StepFailure, TooLong, Undecided
+from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.series import size_at
-from statechart.formulas.tape import Tape, compile_tape
 from statechart.kernels.polynomials import cut_steps, sample_states
 
 _FIRST_CHUNK = 4
@@ -38,92 +36,9 @@ _LOCATED = (Verdict.CROSSING, Verdict.GRAZE)
 _GROWTH = 16.0
 
 
-@dataclass(frozen=True, eq=False)
-class CompiledMode:
-    """A mode with its guards on tape, and what an engine made of its rates.
-
-    Attributes
-    ----------
-    mode : Mode
-        Equations and margins.
-    guards : Tape
-        Outputs: the margins, in order.
-    watched : tuple of (str, str)
-        Name and kind of every margin.
-    names : tuple of str
-        The names.
-    stepper : object
-        The engine's own.
-    """
-
-    mode: Mode
-    guards: Tape
-    watched: tuple[tuple[str, str], ...]
-    names: tuple[str, ...]
-    stepper: object
-
-    def kind(self, guard: int) -> str:
-        """Return the kind of a margin."""
-        return self.watched[guard][1]
-
-
 @dataclass(eq=False, slots=True)
 class Advance:
-    """What `advance` reached; its steps stand in the path.
-
-    Attributes
-    ----------
-    state : (n,) array
-        Where it ends.
-    crossing : Crossing or None
-        The event that ended it; None at the end of the duration.
-    graze : bool
-        True when the event is one that could not be proved.
-    boxes, steps : int
-        Costs.
-    failure : SimulationError, KeyboardInterrupt or None
-        What stopped the flow where it is.
-    """
-
-    state: Array
-    crossing: Crossing | None
-    graze: bool
-    boxes: int
-    steps: int
-    failure: SimulationError | KeyboardInterrupt | None = None
-
-
-def compile_mode(
-    engine: Engine, automaton: Automaton, mode: Mode, stepper: object = None
-) -> CompiledMode:
-    """Put the guards of `mode` on tape; without a `stepper`, let `engine` compile its rates."""
-    return CompiledMode(
-        mode,
-        compile_tape(
-            [margin.expression for margin in mode.margins],
-            variables=automaton.variables,
-            parameters=automaton.parameters,
-            time=automaton.time,
-            definitions=mode.definitions,
-        ),
-        tuple((margin.name, margin.kind) for margin in mode.margins),
-        tuple(margin.name for margin in mode.margins),
-        stepper or engine.compile(automaton, mode),
-    )
-
-
-def advance(
-    engine: Engine,
-    compiled: CompiledMode,
-    path: Path,
-    watch: FlowWatch,
-    *,
-    state: Array,
-    duration: float,
-    horizon: float,
-    on_steps: Callable[[float, int], None] | None,
-) -> Advance:
-    """Flow in one mode to the first event or to the end of `duration`.
+    """A flow in one mode to the first event or to the end of `duration`; its steps are in the path.
 
     The integrator runs ahead by a few steps at a time; the search then proves, step by step, that
     no margin fell, or finds the first that did. What was integrated beyond it is dropped.
@@ -134,9 +49,9 @@ def advance(
         Integrator and mode.
     path : Path
         Takes the steps.
-    watch : Watch
+    watch : FlowWatch
         The flow's guards and constraints, its parameters, when it starts.
-    state : (n,) array
+    initial : (n,) array
         State there.
     duration : float
         Longest flow.
@@ -147,113 +62,168 @@ def advance(
     on_steps : callable or None
         Called with the local time reached and the steps taken, now and then (progress).
 
-    Returns
-    -------
-    Advance
-        What was reached, also where the flow could not be continued.
+    Attributes
+    ----------
+    state : (n,) array
+        Where it is.
+    crossing : Crossing or None
+        The event that ended it; None at the end of the duration.
+    graze : bool
+        True when the event is one that could not be proved.
+    boxes, steps : int
+        Costs.
+    failure : SimulationError, KeyboardInterrupt or None
+        What stopped the flow where it is.
     """
-    initial = state
-    kept = path.count = 0
-    reached, boxes, total = 0.0, 0, 0
-    count, begin = _FIRST_CHUNK, Begin.NEW
-    end = min(horizon, duration)
-    seen, mark = math.inf, (0, 0.0)
+
+    engine: Engine
+    compiled: CompiledMode
+    path: Path
+    watch: FlowWatch
+    initial: Array
+    duration: float
+    horizon: float
+    on_steps: Callable[[float, int], None] | None
+    state: Array = field(init=False)
+    crossing: Crossing | None = None
+    graze: bool = False
+    boxes: int = 0
+    steps: int = 0
     failure: SimulationError | KeyboardInterrupt | None = None
-    try:
-        while reached < duration:
-            interrupts.check()
-            path.count = kept
-            ended, first = np.empty(len(state)), kept
-            made = engine.steps(compiled.stepper, path, watch, state, end, count, begin, ended)
-            last = path.count
-            if made.finished:
-                path.times[last] = end
-            boxes += made.boxes
-            total += last - kept
-            if made.first > kept:
-                kept, state, reached = made.first, made.begun.copy(), path.times.item(made.first)
-            taken = last - kept
-            count = max(count, taken)
-            local, off = path.times.item(last), 0.0
-            following, found = ended, made.found
-            if found is None:
-                following, off = _constrained(watch, ended, local)
-                if off > _DRIFT and taken > 1:
-                    # The chunk drifted off its constraints: again, in shorter ones.
-                    count, begin = max(1, taken // 4), Begin.MOVED
-                    continue
-                found = search(
-                    watch.guards,
-                    watch.tolerances,
-                    path.times,
-                    path.coefficients,
-                    watch.parameters,
-                    watch.start,
-                    kept,
-                    last,
-                )
-                boxes += found.boxes
-            blind = _blind(watch, path, first, last, found)
-            if _BLIND < off <= _STAYS * seen and watch.constraints.within is not None:
-                blind, seen = (kept, local), off
-            if blind is not None:
-                # The integrator did not see what it ran into: again, from before that.
-                kept, reached = blind[0], path.times.item(blind[0])
-                horizon = _NEARER * (blind[1] - reached)
-                end = reached + horizon
-                if not end > reached:
-                    raise StepFailure(
-                        f"at t = {watch.start + reached:.17g} no step is short enough to stay on "
-                        "the constraints"
-                    )
-                if cut_steps(path.times, path.coefficients, last, reached, ended) > 0:
-                    state = ended
-                else:
-                    state = initial
-                path.count, count, begin = kept, 1, Begin.MOVED
-                continue
-            noise = _noise(engine, compiled, watch, path, initial, found)
-            if noise is not None:
-                wider = watch._replace(tolerances=noise)
-                again = advance(
-                    engine,
-                    compiled,
-                    path,
-                    wider,
-                    state=initial,
-                    duration=duration,
-                    horizon=end,
-                    on_steps=on_steps,
-                )
-                again.boxes, again.steps = again.boxes + boxes, again.steps + total
-                return again
-            if found.verdict is not Verdict.NONE:
-                crossing = _decide(found, compiled, watch, path, reached)
-                graze = found.verdict is not Verdict.CROSSING
-                late = graze or compiled.kind(crossing.guard) == "force"
-                at = crossing.crossed if late else crossing.time
-                path.count = cut_steps(path.times, path.coefficients, last, at, ended)
-                state = ended if path.count > 0 else initial
-                return Advance(state, crossing, graze, boxes, total)
-            kept, state, reached, seen = last, following, local, math.inf
-            if kept - mark[0] >= _LOOKED_AT:
-                _check_pace(kept - mark[0], reached - mark[1], duration - reached)
-                mark = kept, reached
-            if on_steps is not None:
-                on_steps(reached, total)
-            if made.finished:
-                horizon *= _GROWTH
-                end = min(reached + horizon, duration)
-            if following is ended:
-                begin = Begin.MOVED if made.finished else Begin.ON
-                count = min(count + count // 2, LONGEST_CHUNK)
-            else:
-                # Chunks as long as this one stay near enough to be brought back.
-                begin = Begin.MOVED
-    except (SimulationError, KeyboardInterrupt) as error:
-        failure = error
-    path.count = kept
-    return Advance(state, None, False, boxes, total, failure)
+    # Steps that are proved, and the local time that they reach.
+    _kept: int = field(init=False)
+    _reached: float = field(init=False)
+    # The next chunk: its steps, where it has to end, how it follows from the last.
+    _count: int = field(init=False)
+    _end: float = field(init=False)
+    _begin: Begin = field(init=False)
+    # How far the last step was off that was made again; steps and time when their pace was told.
+    _seen: float = field(init=False)
+    _mark: tuple[int, float] = field(init=False)
+
+    def run(self) -> Advance:
+        """Flow; return this, also where the flow could not be continued."""
+        self._start()
+        try:
+            while self._reached < self.duration and self.crossing is None:
+                interrupts.check()
+                self._chunk()
+        except (SimulationError, KeyboardInterrupt) as error:
+            self.failure = error
+        self.path.count = self._kept
+        return self
+
+    def _start(self) -> None:
+        self.state, self._kept, self._reached = self.initial, 0, 0.0
+        self._count, self._begin = _FIRST_CHUNK, Begin.NEW
+        self._end = min(self.horizon, self.duration)
+        self._seen, self._mark = math.inf, (0, 0.0)
+
+    def _chunk(self) -> None:
+        """Make steps and prove them; then go on, end at an event, or make them again."""
+        watch, path, first = self.watch, self.path, self._kept
+        path.count, ended = first, np.empty(len(self.state))
+        made = self.engine.steps(
+            self.compiled.stepper,
+            path,
+            watch,
+            self.state,
+            self._end,
+            self._count,
+            self._begin,
+            ended,
+        )
+        last = path.count
+        if made.finished:
+            path.times[last] = self._end
+        self.boxes += made.boxes
+        self.steps += last - first
+        if made.first > first:
+            self._kept, self._reached = made.first, path.times.item(made.first)
+            self.state = made.begun.copy()
+        taken, local = last - self._kept, path.times.item(last)
+        self._count = max(self._count, taken)
+        found, following, off = made.found, ended, 0.0
+        if found is None:
+            following, off = _constrained(watch, ended, local)
+            if off > _DRIFT and taken > 1:
+                # The chunk drifted off its constraints: again, in shorter ones.
+                self._count, self._begin = max(1, taken // 4), Begin.MOVED
+                return
+            found = search(
+                watch.guards,
+                watch.tolerances,
+                path.times,
+                path.coefficients,
+                watch.parameters,
+                watch.start,
+                self._kept,
+                last,
+            )
+            self.boxes += found.boxes
+        blind = _blind(watch, path, first, last, found)
+        if _BLIND < off <= _STAYS * self._seen and watch.constraints.within is not None:
+            blind, self._seen = (self._kept, local), off
+        if blind is not None:
+            self._retreat(*blind, ended)
+        elif found.verdict is Verdict.NONE:
+            self._go_on(following, made.finished, moved=following is not ended)
+        elif not self._widened(found):
+            self._arrive(found, ended)
+
+    def _retreat(self, step: int, blind: float, ended: Array) -> None:
+        """Go on from before a step: the integrator did not see what it ran into, and when."""
+        path = self.path
+        self._kept, self._reached = step, path.times.item(step)
+        self.horizon = _NEARER * (blind - self._reached)
+        self._end = self._reached + self.horizon
+        if not self._end > self._reached:
+            raise StepFailure(
+                f"at t = {self.watch.start + self._reached:.17g} no step is short enough to stay "
+                "on the constraints"
+            )
+        left = cut_steps(path.times, path.coefficients, path.count, self._reached, ended)
+        self.state = ended if left > 0 else self.initial
+        self._count, self._begin = 1, Begin.MOVED
+
+    def _widened(self, found: Search) -> bool:
+        """Begin again with wider tolerances, where what was found is not a fall but noise."""
+        noise = _noise(self.engine, self.compiled, self.watch, self.path, self.initial, found)
+        if noise is None:
+            return False
+        self.watch, self.horizon = self.watch._replace(tolerances=noise), self._end
+        self._start()
+        return True
+
+    def _arrive(self, found: Search, ended: Array) -> None:
+        """End at the event that was found."""
+        path = self.path
+        crossing = _decide(found, self.compiled, self.watch, path, self._reached)
+        self.graze = found.verdict is not Verdict.CROSSING
+        late = self.graze or self.compiled.kind(crossing.guard) == "force"
+        at = crossing.crossed if late else crossing.time
+        self._kept = cut_steps(path.times, path.coefficients, path.count, at, ended)
+        self.state = ended if self._kept > 0 else self.initial
+        self.crossing = crossing
+
+    def _go_on(self, following: Array, finished: bool, *, moved: bool) -> None:
+        """Keep the steps made; `moved` says whether their end was brought onto its constraints."""
+        path, duration = self.path, self.duration
+        self._kept, self._reached = path.count, path.times.item(path.count)
+        self.state, self._seen = following, math.inf
+        steps, since = self._mark
+        if self._kept - steps >= _LOOKED_AT:
+            _check_pace(self._kept - steps, self._reached - since, duration - self._reached)
+            self._mark = self._kept, self._reached
+        if self.on_steps is not None:
+            self.on_steps(self._reached, self.steps)
+        if finished:
+            self.horizon *= _GROWTH
+            self._end = min(self._reached + self.horizon, duration)
+        # Chunks as long as one whose end had to be moved stay near enough to be brought back.
+        if not moved:
+            self._count = min(self._count + self._count // 2, LONGEST_CHUNK)
+        self._begin = Begin.MOVED if moved or finished else Begin.ON
 
 
 def _check_pace(steps: int, took: float, left: float) -> None:

@@ -1,0 +1,391 @@
+"""One execution on hybrid time: flow to the first event, ask the laws, jump, flow on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import chain
+
+import numpy as np
+
+from statechart import interrupts
+from statechart.automaton.dense_output import summands
+from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
+from statechart.automaton.trace import Arc, Clock, Jump, Key, Outcome, Trace, between, check_size
+from statechart.engines.engine import FlowWatch, Path
+from statechart.engines.event_location import Crossing
+from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
+from statechart.execution.compiled_modes import CompiledMode, CompiledModes
+from statechart.execution.flow import Advance
+from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace
+from statechart.execution.outcome import Progress
+from statechart.execution.zeno import Accumulation
+from statechart.formulas.series import size_at
+
+# At such a rate a variable would have changed by this many times its size.
+_STEEP = 1e6
+# A margin that cannot be decided gets so much more room at a time, and in all.
+_WIDER, _WIDEST = 16.0, 1e4
+# A gap that is closed to this part of its tolerance as the run ends has just closed.
+_AT_END = 1e-2
+# How far to look ahead at first, in lengths of the last flow: those of bounces shrink.
+_AHEAD = 16.0
+# A flow of no scale is looked at so far ahead at first: its powers are floats.
+_FARTHEST = 1e12
+_UNCERTIFIED = (Outcome.UNDECIDED, Outcome.NON_FINITE)
+
+
+@dataclass(eq=False)
+class Execution:
+    """A run of an automaton from its initial state, as far as it has come.
+
+    Attributes
+    ----------
+    modes : CompiledModes
+        The automaton and the engine, with the modes entered so far, in this run or before.
+    path : Path
+        Takes the steps of the flow under way.
+    setup : Setup
+        The numbers of the run.
+    until : float
+        Its end.
+    max_jumps : int
+        End after so many jumps.
+    progress : bool
+        Whether to report to stderr.
+    """
+
+    modes: CompiledModes
+    path: Path
+    setup: Setup
+    until: float
+    max_jumps: int
+    progress: bool
+    clock: Clock = field(default_factory=Clock)
+    arcs: list[Arc] = field(default_factory=list)
+    jumps: list[Jump] = field(default_factory=list)
+    outcome: Outcome = Outcome.HORIZON
+    message: str = ""
+    warnings: dict[str, None] = field(default_factory=dict)
+    evidence: dict[str, str] = field(default_factory=dict)
+    boxes: int = 0
+    steps: int = 0
+    size: int = 0
+    entered: dict[Key, CompiledMode] = field(default_factory=dict)
+    grazed: bool = False
+    failure: SimulationError | None = None
+
+    def __post_init__(self) -> None:
+        self.automaton, self.engine = self.modes.automaton, self.modes.engine
+        self.flow: Flow | None = None
+        self.state = self.setup.initial
+        self.started_mode: Key | None = None
+        self.started_state = self.setup.initial
+        self.horizon = min(self.setup.horizon, _FARTHEST)
+        self.evaluations = self.engine.evaluations
+        self._progress = Progress(self.until)
+        self._accumulation = Accumulation()
+        self._livelock = Livelock()
+
+    def run(self) -> Trace:
+        """Run to an end; return what was made, also where the run could not go on."""
+        try:
+            with interrupts.held():
+                self._loop()
+        except KeyboardInterrupt:
+            self._end(Outcome.INTERRUPTED, "interrupted by the user")
+        except SimulationError as error:
+            flow = self.flow
+            where = "at the start" if flow is None else self.automaton.label(flow.mode)
+            self._end(Outcome[error.outcome], f"mode {where}: {error}")
+        return self._trace()
+
+    def _end(self, outcome: Outcome, message: str) -> None:
+        self.outcome, self.message = outcome, message
+
+    def _loop(self) -> None:
+        laws = self.automaton.laws_of_events
+        self.flow, self.state = laws.begin(self.setup)
+        self.started_mode, self.started_state = self.flow.mode, self.state
+        self._warn()
+        fired: tuple[str, ...] = ()
+        if not self.flow.settled and self._settle(fired):
+            return
+        while True:
+            fired = self._flow()
+            if self.outcome is Outcome.STOPPED:
+                return
+            if not fired:
+                if not self._ending() or not self._settle(()):
+                    self.message = f"reached t = {self.clock.high:.17g}"
+                return
+            if self._settle(fired):
+                return
+
+    def _flow(self) -> tuple[str, ...]:
+        """Flow to the next event; return what fired, or nothing at the end of the run."""
+        interrupts.check()
+        flow = self.flow
+        assert flow is not None
+        remaining = flow.remaining
+        if flow.held:
+            remaining = min(remaining, *(between(self.clock, end) for end in flow.held.values()))
+        duration = min(self.clock.until(self.until), remaining)
+        if duration <= 0.0:
+            return ("zeno",) if remaining <= 0.0 else ()
+        compiled = self._enter(flow.flow)
+        reached = Advance(
+            self.engine,
+            compiled,
+            self.path,
+            self._watch(flow, compiled),
+            self.state,
+            duration,
+            self.horizon,
+            self._show if self.progress else None,
+        ).run()
+        self._keep(flow, reached)
+        if isinstance(reached.failure, StepFailure | NonFinite | TooLong):
+            self.failure = reached.failure
+            return (UNBOUNDED,)
+        if reached.failure is not None:
+            raise reached.failure
+        check_size(self.size, len(self.jumps), self.clock.high)
+        if reached.crossing is None:
+            return ("zeno",) if duration == remaining else ()
+        return self._event(compiled, reached.crossing, reached.graze)
+
+    def _enter(self, key: Key) -> CompiledMode:
+        """Return the mode that a flow is in, compiled."""
+        compiled = self.entered.get(key)
+        if compiled is None:
+            with interrupts.let_through():
+                compiled = self.modes.compiled(key, self.setup.zeros)
+            self.entered[key] = compiled
+        return compiled
+
+    def _watch(self, flow: Flow, compiled: CompiledMode) -> FlowWatch:
+        """Return what a flow from here is watched for."""
+        setup, start = self.setup, self.clock.high
+        tolerances, special = setup.tolerances, flow.tolerances
+        allowed = [
+            special[name] if name in special else tolerances[kind]
+            for name, kind in compiled.watched
+        ]
+        laws = self.automaton.laws_of_events
+        constraints = laws.constraints(setup, flow.flow, start, self.state)
+        return FlowWatch(compiled.guards, np.array(allowed), constraints, setup.values, start)
+
+    def _keep(self, flow: Flow, reached: Advance) -> None:
+        """Make an arc of the steps of a flow, and go to its end."""
+        path = self.path
+        self.boxes += reached.boxes
+        self.steps += reached.steps
+        if self.progress:
+            self._show(0.0, 0)  # flows that end in their first steps say nothing themselves
+        elapsed, terms = 0.0, flow.terms
+        if path.count > 0:
+            times, coefficients = path.arc()
+            elapsed, terms = times.item(-1), summands(times, coefficients)
+            self.arcs.append(
+                Arc(flow.mode, flow.flow, self.clock, len(self.jumps), times, coefficients)
+            )
+            self.size += times.nbytes + coefficients.nbytes
+        self.clock = self.clock.later(elapsed)
+        if elapsed > 0.0:
+            # A mode may flow on from where a margin fell, without a jump.
+            since = self.jumps[-1].t if self.jumps else 0.0
+            self.horizon = _AHEAD * max(elapsed, self.clock.high - since)
+        self.state = reached.state
+        remaining, special = flow.remaining - elapsed, flow.tolerances
+        self.flow = Flow(flow.mode, flow.flow, remaining, "", False, (), flow.held, special, terms)
+
+    def _event(self, compiled: CompiledMode, crossing: Crossing, graze: bool) -> tuple[str, ...]:
+        """Return what fired where a margin fell; a stop ends the run."""
+        margin = compiled.mode.margins[crossing.guard]
+        # They stand last; zeros and controls have been replaced in their formulas.
+        stops = crossing.guard >= len(compiled.mode.margins) - len(self.automaton.stops)
+        self.grazed = graze
+        if graze and stops and self._unbounded():
+            # Rates without bound make noise of what is watched next to where they end.
+            return (UNBOUNDED,)
+        if graze:
+            self.evidence[margin.name] = "graze: touches zero within the last bits of time"
+            self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.17g}"] = None
+        if stops:
+            self._stop(margin.name)
+        return (margin.name,)
+
+    def _unbounded(self) -> bool:
+        """Whether rates have grown without bound towards here, and a jump resolves it."""
+        flow, laws = self.flow, self.automaton.laws_of_events
+        if flow is None or flow.terms is None or not self.arcs:
+            return False
+        sizes = np.abs(self.arcs[-1].coefficients[:, :, 0]).max(axis=0)
+        if not (np.abs(flow.terms[:, -1]) > _STEEP * sizes).any():
+            return False
+        return laws.jump(self._instant(flow, (UNBOUNDED,))) is not None
+
+    def _instant(self, flow: Flow, fired: tuple[str, ...]) -> Instant:
+        return Instant(self.setup, self.clock, len(self.jumps), flow, self.state, fired)
+
+    def _ending(self) -> bool:
+        """Whether something may just be happening as the run ends: it belongs to the run.
+
+        Gaps are searched for below zero, and a guard may fall short of its boundary by what the
+        run is off.
+        """
+        assert self.flow is not None
+        compiled = self.entered.get(self.flow.flow)
+        if compiled is None:
+            return False
+        guards, parameters, time = compiled.guards, self.setup.values, self.clock.high
+        margins = guards.values(self.state, parameters, time).tolist()
+        relative, sizes = self.engine.tolerance, self.flow.sizes
+        sizes = np.abs(self.state) if sizes is None else sizes
+        closed, tolerances = False, dict(self.flow.tolerances)
+        for place, ((name, kind), margin) in enumerate(zip(compiled.watched, margins, strict=True)):
+            if kind == "gap":
+                closed |= margin <= _AT_END * self.setup.tolerances[kind]
+            elif kind == "plain" and name in tolerances:
+                size = size_at(guards, place, self.state, sizes, parameters, time)
+                tolerances[name] = max(tolerances[name], relative * size)
+                closed |= margin <= tolerances[name]
+        self.flow = self.flow._replace(tolerances=tolerances)
+        return closed
+
+    def _warn(self) -> None:
+        assert self.flow is not None
+        self.warnings |= dict.fromkeys(self.flow.notes)
+        if self.flow.warning:
+            self.warnings[f"t = {self.clock.high:.17g}: {self.flow.warning}"] = None
+
+    def _stop(self, name: str) -> None:
+        assert self.flow is not None
+        self.jumps.append(self._instant(self.flow, (name,)).jump("", "stop", self.flow.mode))
+        self._end(Outcome.STOPPED, f"{name} at t = {self.clock.high:.17g}")
+
+    def _settle(self, fired: tuple[str, ...]) -> bool:
+        """Jump until the mode holds; True when the run ends here."""
+        laws = self.automaton.laws_of_events
+        moved = False
+        for _ in range(JUMPS_AT_ONCE):
+            assert self.flow is not None
+            made = laws.jump(self._instant(self.flow, fired))
+            if made is None:
+                break
+            jump, following = made
+            if jump is None:
+                if following.flow != self.flow.flow:
+                    moved = True
+                    self._livelock.rearranged(self.clock, fired)
+                if following.start is not None:
+                    self.state = following.start
+                self.flow = following._replace(start=None)
+                continue
+            moved = True
+            self.flow = following
+            self._warn()
+            self.jumps.append(jump)
+            self.state = jump.after
+            self._skip(jump)
+            fired = ()
+            if not self.automaton.stops:
+                check_pace(self.jumps, self.clock, self.until, self.max_jumps)
+            if len(self.jumps) >= self.max_jumps:
+                self._end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
+                return True
+            if self.flow.settled:
+                break
+        else:
+            recent = ", ".join(
+                f"{jump.cause} -> {self.automaton.label(jump.target)}" for jump in self.jumps[-6:]
+            )
+            raise EventLoop(f"{JUMPS_AT_ONCE} jumps at t = {self.clock.high:.17g}: {recent}")
+        if fired and not moved:
+            if self.failure is not None:
+                raise self.failure
+            if self._livelock.stalled(self.clock, fired) and not self._widen(*fired):
+                self.failure = EventLoop(
+                    f"{', '.join(fired)} falls at t = {self.clock.high:.17g}, but no jump follows"
+                )
+                return self._settle((UNBOUNDED,))
+        self.failure = None
+        return False
+
+    def _skip(self, jump: Jump) -> None:
+        """Skip the rest of a sequence of jumps that accumulate, where the laws can."""
+        rest = self._accumulation.watch(jump, self.clock, self.setup.short)
+        if rest is None:
+            return
+        assert self.flow is not None
+        recent = self.jumps[-JUMPS_AT_ONCE:]
+        made = self.automaton.laws_of_events.accumulate(
+            self.setup, self.clock, self.flow, recent, rest
+        )
+        if made is not None:
+            self.jumps[-1], self.flow = made
+            self.state = self.jumps[-1].after
+            self._warn()
+
+    def _widen(self, margin: str) -> bool:
+        """Give a margin that rounding keeps at zero more room in this flow; False if it had much.
+
+        Where a force is zero as a whole (balls that fall side by side) its enclosure is wider
+        than the band of its kind. The laws may take a speed for none that is beyond its own.
+        """
+        assert self.flow is not None
+        compiled = self.entered[self.flow.flow]
+        kind = dict(compiled.watched).get(margin)
+        if kind is None or not (self.grazed or kind == "speed"):
+            return False
+        usual = self.setup.tolerances[kind]
+        wide = _WIDER * self.flow.tolerances.get(margin, usual)
+        if wide > _WIDEST * usual:
+            return False
+        self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: wide})
+        self.warnings[
+            f"t = {self.clock.high:.17g}: {margin} is zero to within rounding; "
+            f"it is watched with the tolerance {wide:.3g}"
+        ] = None
+        return True
+
+    def _show(self, local: float, steps: int) -> None:
+        self._progress.show(self.clock.high + local, len(self.jumps), self.steps + steps)
+
+    def _trace(self) -> Trace:
+        automaton, engine = self.automaton, self.engine
+        names = chain.from_iterable(compiled.names for compiled in self.entered.values())
+        evidence = dict.fromkeys(names, "interval enclosure") | self.evidence
+        start = self.started_mode or tuple(r.states[0] for r in automaton.regions)
+        return Trace(
+            name=automaton.name,
+            regions=tuple(region.name for region in automaton.regions),
+            variables=automaton.names,
+            parameters=dict(
+                zip(automaton.parameter_names, self.setup.values.tolist(), strict=True)
+            ),
+            arcs=tuple(self.arcs),
+            jumps=tuple(self.jumps),
+            initial=self.started_state,
+            final=self.state,
+            start_mode=start,
+            final_mode=self.flow.mode if self.flow else start,
+            t_end=self.clock.high,
+            outcome=self.outcome,
+            message=self.message,
+            certified=not self.evidence and self.outcome not in _UNCERTIFIED,
+            evidence=evidence,
+            tolerances=dict(self.setup.tolerances),
+            engine=engine.name
+            if engine.name == engine.method
+            else f"{engine.name} {engine.method}",
+            tolerance=engine.tolerance,
+            warnings=(*self.setup.warnings, *self.warnings),
+            counts={
+                "steps": self.steps,
+                "evaluations": engine.evaluations - self.evaluations,
+                "boxes": self.boxes,
+                "jumps": len(self.jumps),
+                "modes_built": self.modes.built,
+            },
+        )

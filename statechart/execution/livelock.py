@@ -1,0 +1,68 @@
+"""Livelock: runs that take jump after jump and get no further in time, or not far enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+from statechart.automaton.trace import FAR_TOO_MANY, Clock, Jump
+from statechart.errors import EventLoop, TooLong
+
+JUMPS_AT_ONCE = 64
+"""More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
+"""
+
+# Jumps whose pace was steady while their number doubled thrice, from so many on, go on like that
+# where no condition ends them.
+_STEADY = 512
+
+
+class Livelock:
+    """Watches for falls at one instant that nothing comes of."""
+
+    def __init__(self) -> None:
+        self._stalled: tuple[float, float, tuple[str, ...]] | None = None
+        self._stalls = 0
+        self._rearranged: tuple[tuple[float, float], int] = (0.0, 0.0), 0
+
+    def stalled(self, clock: Clock, fired: tuple[str, ...]) -> bool:
+        """Note a fall that changes no mode: once a graze, at the same instant again a loop."""
+        now, before = (clock.high, clock.low, fired), self._stalled
+        near = before is not None and before[0] == now[0] and before[2] == fired
+        # Time may creep on by less than a rounding.
+        self._stalls = self._stalls + 1 if near else 0
+        self._stalled = now
+        return before == now or self._stalls > JUMPS_AT_ONCE
+
+    def rearranged(self, clock: Clock, fired: tuple[str, ...]) -> None:
+        """Note that a mode goes on by other equations: again and again at one instant is a loop.
+
+        Raises
+        ------
+        EventLoop
+            Where it is one.
+        """
+        now = (clock.high, clock.low)
+        self._rearranged = (now, self._rearranged[1] + 1 if self._rearranged[0] == now else 1)
+        if self._rearranged[1] > JUMPS_AT_ONCE:
+            raise EventLoop(
+                f"{', '.join(fired)} falls at t = {now[0]:.17g}, and equations of the mode follow "
+                "one another for ever"
+            )
+
+
+def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int) -> None:
+    """Raise `TooLong` where steady jumps are so many that a run cannot reach its end."""
+    count = len(jumps)
+    if count < 8 * _STEADY or count & (count - 1):
+        return
+    times = [jumps[(count >> k) - 1].t for k in range(4)]
+    paces = [
+        (after - before) / (count >> k) for k, (after, before) in enumerate(pairwise(times), 1)
+    ]
+    left = clock.until(until)
+    if max(paces) <= 2.0 * min(paces) and left > FAR_TOO_MANY * max_jumps * max(paces):
+        raise TooLong(
+            f"{count} jumps took {clock.high:.3g}, and {left:.3g} is left, too much for "
+            f"{max_jumps} jumps; end the run earlier"
+        )
