@@ -22,7 +22,8 @@ from statechart.automaton.regions import Mode
 from statechart.documents.setting import LONG_DOUBLE
 from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch, Path, Steps
 from statechart.engines.event_location import BOXES, Verdict, as_search
-from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, Step, taylor_flow
+from statechart.engines.heyoka_step import Step
+from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
 from statechart.formulas.tape import Tape, compile_tape
 from statechart.kernels.polynomials import append_steps
@@ -150,8 +151,9 @@ class Taylor(Engine):
         first = path.count
         reached = path.times.item(first)
         path.room(count, *stepper.shape)
+        moved = begin is not Begin.ON
         if stepper.compiled is None:
-            if begin is not Begin.ON:
+            if moved:
                 stepper.integrator.time = self._number(0.0)
                 stepper.state[:] = state
                 if stepper.parametric:
@@ -163,38 +165,9 @@ class Taylor(Engine):
             made = Steps(finite == taken and h == left, first, state)
             last = first + finite
         else:
-            guards, constraints = watch.guards, watch.constraints
-            begun = stepper.begun
-            begins, last, finished, h, left, boxes, found = taylor_flow(
-                begin is not Begin.ON,
-                state,
-                *stepper.memory,
-                self.tolerance,
-                until,
-                count,
-                LONGEST_CHUNK,
-                first,
-                min(first + _MOST, len(path.coefficients)),
-                path.times,
-                path.coefficients,
-                begun,
-                end,
-                NEAR,
-                *constraints.tape.program,
-                constraints.targets,
-                constraints.weights,
-                *guards.program,
-                guards.reads,
-                guards.n_fixed,
-                watch.tolerances,
-                watch.parameters,
-                watch.start,
-                BOXES,
-            )
-            search = None if found[0] == OFF else as_search(found)
-            made = Steps(finished, begins, begun, boxes, search)
+            made, last, h, left = self._loop(stepper, path, watch, state, until, count, moved, end)
+        start = watch.start + reached
         if last == first:
-            start = watch.start + reached
             _check_powers(stepper, state, watch.parameters, start)
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
         if h == 0.0 and left > 0.0 and (made.found is None or made.found.verdict is Verdict.NONE):
@@ -202,11 +175,52 @@ class Taylor(Engine):
             if path.times.item(last) == path.times.item(last - 1):
                 last -= 1
             if last == first:
-                start = watch.start + reached
                 _check_powers(stepper, state, watch.parameters, start)
                 raise StepFailure(f"the step near t = {start:.17g} underflowed")
         path.count = last
         return made
+
+    def _loop(
+        self,
+        stepper: _Stepper,
+        path: Path,
+        watch: FlowWatch,
+        state: Array,
+        until: float,
+        count: int,
+        moved: bool,
+        end: Array,
+    ) -> tuple[Steps, int, float, float]:
+        """Run the compiled loop; return what it made, its last step, its length, what was left."""
+        guards, constraints, begun = watch.guards, watch.constraints, stepper.begun
+        begins, last, finished, h, left, boxes, found = taylor_flow(
+            moved,
+            state,
+            *stepper.memory,
+            self.tolerance,
+            until,
+            count,
+            LONGEST_CHUNK,
+            path.count,
+            min(path.count + _MOST, len(path.coefficients)),
+            path.times,
+            path.coefficients,
+            begun,
+            end,
+            NEAR,
+            *constraints.tape.program,
+            constraints.targets,
+            constraints.weights,
+            *guards.program,
+            guards.reads,
+            guards.n_fixed,
+            watch.tolerances,
+            watch.parameters,
+            watch.start,
+            BOXES,
+        )
+        search = None if found[0] == OFF else as_search(found)
+        return Steps(finished, begins, begun, boxes, search), last, h, left
 
 
 def _check_powers(stepper: _Stepper, state: Array, parameters: Array, time: float) -> None:

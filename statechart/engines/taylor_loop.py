@@ -1,41 +1,18 @@
-"""Taylor steps in one call: heyoka's compiled step, run from a compiled loop.
-
-A call of heyoka from Python costs as much as the step itself, and its code is at hand: an
-integrator hands out its object code and the LLVM module that it comes from, so that the function
-can be linked into this process once more and called by address.
-"""
+"""Taylor steps in one call: heyoka's compiled step, run from a compiled loop."""
 
 from __future__ import annotations
 
-import ctypes
-import itertools
 import math
-import re
-from functools import cache
-from typing import Any
 
-import llvmlite.binding as llvm
 import numpy as np
-from heyoka import _core
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
+from statechart.engines.heyoka_step import call_step
 from statechart.kernels.constraints import off_by
 from statechart.kernels.jit import kernel, part
+from statechart.kernels.polynomials import horner
 from statechart.kernels.search import NONE, search
-
-# What the loop below relies on: heyoka documents the module, not the function.
-_SIGNATURE = re.compile(
-    r"^define void @step\("
-    r"ptr[^,]*%state_ptr, ptr[^,]*%par_ptr, ptr[^,]*%time_ptr, ptr[^,]*%h_ptr, ptr[^,]*%tc_ptr\)",
-    re.MULTILINE,
-)
-# Functions that heyoka's library brings along.
-_HELPERS = re.compile(r"@(heyoka_\w+)")
-_numbers = itertools.count()
 
 OFF = -1
 """Verdict on a chunk that ends off its constraints, and was not searched therefore."""
@@ -56,72 +33,9 @@ HALVINGS = 40
 _MISSING = 1e-3
 _INSIDE = (0.382, 0.146, 0.056)
 
-
-class Step:
-    """heyoka's compiled step of one integrator, linked into this process.
-
-    Parameters
-    ----------
-    module : str
-        LLVM module, as text.
-    code : bytes
-        Object code of it.
-
-    Attributes
-    ----------
-    address : int
-        Of ``step(state, parameters, time, h, series)``, five pointers to float64: it advances
-        the state by at most h, writes what it took to h and the Taylor coefficients to series.
-    """
-
-    def __init__(self, module: str, code: bytes) -> None:
-        builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process()
-        library = ctypes.CDLL(_core.__file__)
-        for name in set(_HELPERS.findall(module)):
-            place = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
-            builder.import_symbol(name, place)
-        # The code is freed with what tracks it.
-        self._code = builder.export_symbol("step").link(_linker(), f"step {next(_numbers)}")
-        self.address = int(self._code["step"])
-
-    @classmethod
-    def of(cls, integrator: Any) -> Step | None:
-        """Return the step of a heyoka integrator; None where it has no such function."""
-        state = integrator.llvm_state
-        if not isinstance(state.ir, str) or _SIGNATURE.search(state.ir) is None:
-            return None
-        try:
-            return cls(state.ir, state.object_code)
-        except (AttributeError, RuntimeError):  # a symbol that is not to be found
-            return None
-
-
-@cache
-def _linker() -> Any:
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    machine = llvm.Target.from_default_triple().create_target_machine()
-    return llvm.create_lljit_compiler(machine)
-
-
-@intrinsic
-def _call(
-    typing: Any, address: Any, state: Any, parameters: Any, time: Any, h: Any, series: Any
-) -> Any:
-    """Call the step at an address."""
-    arrays = (state, parameters, time, h, series)
-
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = ir.PointerType(ir.IntType(8))
-        target = ir.FunctionType(ir.VoidType(), [pointer] * len(arrays)).as_pointer()
-        data = [
-            builder.bitcast(context.make_array(kind)(context, builder, value).data, pointer)
-            for kind, value in zip(arrays, arguments[1:], strict=True)
-        ]
-        builder.call(builder.inttoptr(arguments[0], target), data)
-        return context.get_dummy_value()
-
-    return types.void(address, *arrays), build
+Integrator = tuple[int, Array, Array, Array, Array, float]
+"""heyoka's, its step linked: address, state (n,), parameters (p,), clock (2,) with the time since
+the integration began and its rounding, series (n, d + 1), tolerance."""
 
 
 @part
@@ -142,17 +56,10 @@ def _stray(row: Array, h: float, series: Array, s: float) -> float:
 
 
 @part
-def _inside(
-    address: int,
-    row: Array,
-    h: float,
-    parameters: Array,
-    clock: Array,
-    series: Array,
-    allowed: float,
-    tolerance: float,
-) -> float:
+def _inside(integrator: Integrator, coeffs: Array, step: int, h: float) -> float:
     """How far a step without last terms strays inside, if by more than allowed; else 0."""
+    address, _, parameters, clock, series, tolerance = integrator
+    row = coeffs[step]
     n, last = row.shape[0], row.shape[1] - 1
     size, tail = 0.0, 0.0
     for v in range(n):
@@ -160,30 +67,52 @@ def _inside(
         tail = max(tail, abs(row[v, last]), abs(row[v, last - 1]))
     if tail > _MISSING * tolerance * size:
         return 0.0
-    state, now, step, rates = np.empty(n), np.empty(2), np.zeros(1), np.empty(series.shape)
+    state, now, none, rates = np.empty(n), np.empty(2), np.zeros(1), np.empty(series.shape)
     for s in _INSIDE:
         for v in range(n):
-            value = 0.0
-            for k in range(last, -1, -1):
-                value = value * s + row[v, k]
-            state[v] = value
+            state[v] = horner(coeffs, step, v, s)
         # The clock stands at the end of the step.
         now[0], now[1] = clock[0] - (1.0 - s) * h, 0.0
-        _call(address, state, parameters, now, step, rates)
+        call_step(address, state, parameters, now, none, rates)
         off = _stray(row, h, rates, s)
-        if off > allowed:
+        if off > _allowed(tolerance):
             return off
     return 0.0
 
 
 @part
+def _allowed(tolerance: float) -> float:
+    """How far a step may stray."""
+    return max(STRAY, _ORDERS * tolerance)
+
+
+@part
+def _expand(series: Array, h: float, row: Array) -> bool:
+    """Write a series in time as a polynomial in s = time / h; False if it is not finite."""
+    bounded = True
+    for v in range(series.shape[0]):
+        factor = 1.0
+        for k in range(series.shape[1]):
+            # Nothing to a power beyond all floats is nothing.
+            value = series[v, k] * factor if series[v, k] != 0.0 else 0.0
+            row[v, k] = value
+            factor *= h
+            bounded = bounded and abs(value) < math.inf
+    return bounded
+
+
+@part
+def _pass(clock: Array, h: float) -> None:
+    """Let the time `h` pass (Knuth's two-sum)."""
+    later = clock[0] + h
+    passed = later - clock[0]
+    clock[1] += (clock[0] - (later - passed)) + (h - passed)
+    clock[0] = later
+
+
+@part
 def _taylor_steps(
-    address: int,
-    state: Array,
-    parameters: Array,
-    clock: Array,
-    series: Array,
-    tolerance: float,
+    integrator: Integrator,
     duration: float,
     count: int,
     first: int,
@@ -191,32 +120,16 @@ def _taylor_steps(
     coeffs: Array,
     end: Array,
 ) -> tuple[int, int, float, float]:
-    """Take up to `count` steps from `state`, behind the `first` ones of an arc.
+    """Take up to `count` steps in `duration`, behind the `first` ones of an arc.
 
     Writes when they end to `times`, their polynomials in s = time / duration to `coeffs`, and
-    the state at the end of the last finite one to `end`.
+    the state at the end of the last finite one to `end`. The integrator's state is left where the
+    last step ends, and its clock is advanced.
 
     The length of a step follows from the last two terms of its series, and where these are
     missing it says nothing: x' = 1 - x**4 has every fourth only, from x = 0. So the slope at the
     end of each step is compared with the rate there, with which the series of the next begins,
     and a step that strays is made again at half its length.
-
-    Parameters
-    ----------
-    address : int
-        Of the step.
-    state : (n,) array
-        Left where the last step ends.
-    parameters : (p,) array
-        heyoka's.
-    clock : (2,) array
-        Time since the integration began, and its rounding; advanced.
-    series : (n, d + 1) array
-        Scratch.
-    tolerance : float
-        heyoka's.
-    duration : float
-        Longest time.
 
     Returns
     -------
@@ -225,30 +138,29 @@ def _taylor_steps(
     h, left : float
         Length of the last step, and what was left before it.
     """
-    n, terms = series.shape
+    address, state, parameters, clock, series, tolerance = integrator
+    n, allowed = series.shape[0], _allowed(tolerance)
     step, here, begun = np.empty(1), np.empty(n), np.empty(n)
     left, total, taken = duration, 0.0, 0
-    allowed = max(STRAY, _ORDERS * tolerance)
     longest, off, halvings, done = math.inf, math.inf, 0, False
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
     while True:
-        for v in range(n):
-            here[v] = state[v]
+        here[:] = state
         step[0] = 0.0 if done else min(left, longest)
-        _call(address, state, parameters, clock, step, series)
+        call_step(address, state, parameters, clock, step, series)
         if taken > 0:
-            row = coeffs[first + taken - 1]
-            before, off = off, _stray(row, h, series, 1.0)
+            last = first + taken - 1
+            before, off = off, _stray(coeffs[last], h, series, 1.0)
             if off <= allowed:
-                off = _inside(address, row, h, parameters, clock, series, allowed, tolerance)
+                off = _inside(integrator, coeffs, last, h)
             falls = halvings == 0 or off > _ROUGH or off <= _ROUNDING * before
             if off > allowed and falls:
                 halvings += 1
                 longest, done = 0.5 * h, False
                 taken -= 1
                 total, left, clock[0], clock[1] = summed, length, since, rest
-                for v in range(n):
-                    state[v] = end[v] = begun[v]
+                state[:] = begun
+                end[:] = begun
                 if halvings > HALVINGS:
                     return taken, taken, 0.0, left
                 continue
@@ -256,33 +168,18 @@ def _taylor_steps(
         if done:
             return taken, taken, h, left
         h = step[0]
-        bounded = True
-        for v in range(n):
-            begun[v] = here[v]
-            factor = 1.0
-            for k in range(terms):
-                # Nothing to a power beyond all floats is nothing.
-                value = series[v, k] * factor if series[v, k] != 0.0 else 0.0
-                coeffs[first + taken, v, k] = value
-                factor *= h
-                bounded = bounded and abs(value) < math.inf
+        begun[:] = here
+        bounded = _expand(series, h, coeffs[first + taken])
         taken += 1
         summed, length, since, rest = total, left, clock[0], clock[1]
-        # Knuth's two-sum.
-        later = clock[0] + h
-        part = later - clock[0]
-        clock[1] += (clock[0] - (later - part)) + (h - part)
-        clock[0] = later
+        _pass(clock, h)
         if not bounded:
             return taken, taken - 1, h, left
         total += h
         # Summed from the start of these steps, so that long arcs lose nothing.
         times[first + taken] = times[first] + total
         for v in range(n):
-            value = 0.0
-            for k in range(terms - 1, -1, -1):
-                value += coeffs[first + taken - 1, v, k]
-            end[v] = value
+            end[v] = horner(coeffs, first + taken - 1, v, 1.0)
         if not times[first + taken] > times[first + taken - 1]:
             # On its way into a singularity, for ever.
             return taken, taken, 0.0, left
@@ -334,15 +231,17 @@ def taylor_flow(
     ----------
     moved : bool
         Whether to start from `initial` instead of where the last call ended.
-    address, state, clock, series, tolerance, times, coeffs, end
-        As in `_taylor_steps`; `heyokas` are the parameters there: a time and those of
-        `parameters` that are `used`.
+    address, state, heyokas, clock, series, tolerance
+        An `Integrator`; its parameters `heyokas` are a time and those of `parameters` that are
+        `used`.
     until : float
         Longest time since the flow began.
     count, longest : int
         Number of steps in the first chunk; later ones grow by half, up to `longest`.
     first, most : int
         Steps that stand in the arrays, and how many may.
+    times, coeffs, end
+        As in `_taylor_steps`.
     begun : (n,) array
         Takes the state at the start of the last chunk.
     near : float
@@ -365,25 +264,18 @@ def taylor_flow(
     found : tuple
         What `search` returns for the last chunk, or `OFF` in the place of its verdict.
     """
-    n, boxes = state.shape[0], 0
+    integrator, boxes = (address, state, heyokas, clock, series, tolerance), 0
     if moved:
         clock[0] = clock[1] = 0.0
-        for v in range(n):
-            state[v] = initial[v]
+        state[:] = initial
         if heyokas.shape[0] > 0:
             heyokas[0] = start + times[first]
             for i in range(used.shape[0]):
                 heyokas[i + 1] = parameters[used[i]]
     while True:
-        for v in range(n):
-            begun[v] = state[v]
+        begun[:] = state
         taken, finite, h, left = _taylor_steps(
-            address,
-            state,
-            heyokas,
-            clock,
-            series,
-            tolerance,
+            integrator,
             until - times[first],
             min(count, most - first),
             first,

@@ -87,6 +87,64 @@ def _defined(op: int, a: Interval) -> Interval:
 
 
 @part
+def _kinked(op: int, a: Interval) -> Jet:
+    """Enclosures of abs or sign and of their derivatives."""
+    f = d = e = WHOLE
+    if op == ABS:
+        if a[0] >= 0.0:
+            f, d, e = a, ONE, ZERO
+        elif a[1] <= 0.0:
+            f, d, e = neg(a), MINUS_ONE, ZERO
+        else:
+            f, d = (0.0, max(-a[0], a[1])), (-1.0, 1.0)
+    elif a[0] > 0.0:
+        f, d, e = ONE, ZERO, ZERO
+    elif a[1] < 0.0:
+        f, d, e = MINUS_ONE, ZERO, ZERO
+    else:
+        f = (-1.0, 1.0)
+    return f, d, e
+
+
+@part
+def _inverse(op: int, a: Interval) -> Jet:
+    """Enclosures of atan, asin or acos and of their derivatives."""
+    f = d = e = WHOLE
+    if op == ATAN:
+        f = wide((math.atan(a[0]), math.atan(a[1])), LIBM)
+        d = div(ONE, add(square(a), ONE))
+        e = mul(scaled(2.0, neg(a)), square(d))
+    elif a[0] >= -1.0 and a[1] <= 1.0:
+        p = sub(ONE, square(a))
+        d = div(ONE, sqrt(p))
+        e = div(mul(a, d), p)
+        if op == ASIN:
+            f = wide((math.asin(a[0]), math.asin(a[1])), LIBM)
+        else:
+            f = wide((math.acos(a[1]), math.acos(a[0])), LIBM)
+            d, e = neg(d), neg(e)
+    return f, d, e
+
+
+@part
+def _hyperbolic(op: int, a: Interval) -> Jet:
+    """Enclosures of sinh, cosh or tanh and of their derivatives."""
+    f = d = e = WHOLE
+    if op == SINH:
+        f = e = sinh(a)
+        d = cosh(a)
+    elif op == COSH:
+        f = e = cosh(a)
+        d = sinh(a)
+    else:
+        f = wide((math.tanh(a[0]), math.tanh(a[1])), LIBM)
+        f = (max(f[0], -1.0), min(f[1], 1.0))
+        d = sub(ONE, square(f))
+        e = mul(scaled(2.0, neg(f)), d)
+    return f, d, e
+
+
+@part
 def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
     """Enclosures over an interval of f and, if the order is above 0, of f' and f''."""
     if order < 0:
@@ -121,50 +179,17 @@ def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
             e = neg(square(d))
         elif order < 0 and a[0] == 0.0:
             f = wide((-INF, math.log(a[1]) if a[1] > 0.0 else -INF), LIBM)
-    elif op == ABS:
-        if a[0] >= 0.0:
-            f, d, e = a, ONE, ZERO
-        elif a[1] <= 0.0:
-            f, d, e = neg(a), MINUS_ONE, ZERO
-        else:
-            f, d = (0.0, max(-a[0], a[1])), (-1.0, 1.0)
-    elif op == SIGN:
-        if a[0] > 0.0:
-            f, d, e = ONE, ZERO, ZERO
-        elif a[1] < 0.0:
-            f, d, e = MINUS_ONE, ZERO, ZERO
-        else:
-            f = (-1.0, 1.0)
     elif op == TAN:
         if extrema(a, 0.5)[0] < 1.0:
             f = wide((math.tan(a[0]), math.tan(a[1])), LIBM)
             d = add(square(f), ONE)
             e = mul(scaled(2.0, f), d)
-    elif op == ATAN:
-        f = wide((math.atan(a[0]), math.atan(a[1])), LIBM)
-        d = div(ONE, add(square(a), ONE))
-        e = mul(scaled(2.0, neg(a)), square(d))
-    elif op in (ASIN, ACOS):
-        if a[0] >= -1.0 and a[1] <= 1.0:
-            p = sub(ONE, square(a))
-            d = div(ONE, sqrt(p))
-            e = div(mul(a, d), p)
-            if op == ASIN:
-                f = wide((math.asin(a[0]), math.asin(a[1])), LIBM)
-            else:
-                f = wide((math.acos(a[1]), math.acos(a[0])), LIBM)
-                d, e = neg(d), neg(e)
-    elif op == SINH:
-        f = e = sinh(a)
-        d = cosh(a)
-    elif op == COSH:
-        f = e = cosh(a)
-        d = sinh(a)
-    elif op == TANH:
-        f = wide((math.tanh(a[0]), math.tanh(a[1])), LIBM)
-        f = (max(f[0], -1.0), min(f[1], 1.0))
-        d = sub(ONE, square(f))
-        e = mul(scaled(2.0, neg(f)), d)
+    elif op in (ABS, SIGN):
+        f, d, e = _kinked(op, a)
+    elif op in (ATAN, ASIN, ACOS):
+        f, d, e = _inverse(op, a)
+    elif op in (SINH, COSH, TANH):
+        f, d, e = _hyperbolic(op, a)
     return f, d, e
 
 

@@ -18,6 +18,9 @@ NARROW = 2.0**-48  # of a step: narrower boxes tell nothing new in float64
 
 FLAT = 2.0**-12  # likewise: nothing that a step resolves is within rounding of zero thrice in it
 
+Scratch = tuple[Array, Array, Array, Array]
+"""Memory to evaluate in: bounds of third derivatives, registers, jets, evidence on one output."""
+
 
 @part
 def _alone(along: Along, output: int) -> Along:
@@ -94,10 +97,7 @@ def _descent(
     step: int,
     left: float,
     right: float,
-    bounds: Array,
-    regs: Array,
-    jets: Array,
-    work: Array,
+    scratch: Scratch,
 ) -> tuple[int, float]:
     """Where the margin itself vanished, on the descent that ends at `right` below its tolerance.
 
@@ -106,6 +106,7 @@ def _descent(
     of it, the answer is where it starts.
     """
     reads, coeffs = along[4], along[6]
+    bounds, regs, jets, work = scratch
     p, q = right, left
     if _margin(along, step, guard[0], p, regs) >= 0.0:
         return step, p
@@ -140,15 +141,14 @@ def _falls(
     step: int,
     a: float,
     b: float,
-    bounds: Array,
-    jets: Array,
-    work: Array,
+    scratch: Scratch,
 ) -> tuple[int, float]:
     """Whether an output that falls all over [a, b] passes -tolerance there, and a sure end.
 
     Returns 0 for no, 1 for yes, 2 for undecided. Zero to within rounding at b is a yes if b is
     the end of the step; elsewhere it is decided a little beyond b, if it falls there too.
     """
+    bounds, _, jets, work = scratch
     end = b
     for shrink in (0.0, 1.0, 0.0625):
         if shrink > 0.0:
@@ -226,6 +226,7 @@ def search(
             jets[r, 0], jets[r, 1] = -INF, INF
     run_jets(code, 0, n_fixed, base, jets, 2)
     bounds, work, aside = np.zeros(n), np.empty((n_out, 11)), np.empty((1, 11))
+    scratch = (bounds, regs, jets, aside)
     lefts, rights = np.empty(64), np.empty(64)  # boxes still to see, the leftmost on top
     marks = np.empty((64, n_out), dtype=np.uint8)  # the guards that are undecided in them
     state = np.empty(n_out, dtype=np.uint8)
@@ -281,7 +282,7 @@ def search(
                 elif work[i, 7] < 0.0:
                     guard, alone = outputs[i : i + 1], _alone(along, outputs[i])
                     aside[0, 7] = work[i, 7]
-                    falls, end = _falls(alone, guard, tolerance, step, a, b, bounds, jets, aside)
+                    falls, end = _falls(alone, guard, tolerance, step, a, b, scratch)
                     if falls == 0:
                         state[i] = 0
                         continue
@@ -348,7 +349,7 @@ def search(
         if found >= 0:
             guard = outputs[found : found + 1]
             event_step, event = _descent(
-                _alone(along, guard[0]), guard, step, found_left, root, bounds, regs, jets, aside
+                _alone(along, guard[0]), guard, step, found_left, root, scratch
             )
             at = local_time(times, event_step, event)
             return CROSSING, found, event_step, event, at, local_time(times, step, sure), boxes
