@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 from contacts.dynamics.conditions import hidden
@@ -19,6 +20,7 @@ from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Considered
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import OFF, OPEN
+from statechart.arrays import Array
 from statechart.automaton.laws import CAPTURED, Flow, Instant, shown_mode
 from statechart.automaton.trace import Jump, Key
 
@@ -29,6 +31,69 @@ class Rules(NamedTuple):
     tape: SnapshotTape
     simultaneous: Simultaneous
     paradox: Resolution
+
+
+class Landing(NamedTuple):
+    """Where a flow has come to, brought back onto its constraints, and the scene's numbers there.
+
+    Attributes
+    ----------
+    at : Instant
+        On the constraints.
+    setup : SceneSetup
+        Of the instant.
+    snapshot : Snapshot
+        There.
+    moving : Key
+        The mode that the flow moves in.
+    closed : list of bool
+        Of every contact.
+    """
+
+    at: Instant
+    setup: SceneSetup
+    snapshot: Snapshot
+    moving: Key
+    closed: list[bool]
+
+    @property
+    def slow(self) -> float:
+        """Speeds up to this are none."""
+        return self.setup.tolerances["speed"]
+
+
+class _Struck(NamedTuple):
+    """What an impact does.
+
+    Attributes
+    ----------
+    laws : sequence of ContactLaw
+        By which it went.
+    result : Impacts
+        Its impulses.
+    state, snapshot
+        After it.
+    rests : mapping
+        Contact -> how long the bounces last that it stands for.
+    """
+
+    laws: Sequence[ContactLaw]
+    result: Impacts
+    state: Array
+    snapshot: Snapshot
+    rests: Mapping[int, float]
+
+
+class _Entered(NamedTuple):
+    """The mode that follows: as shown, as it moves, and what there is to say of it."""
+
+    target: Key
+    moving: Key
+    state: Array
+    settled: bool
+    considered: Mapping[str, str] = MappingProxyType({})
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def flow_in(
@@ -55,13 +120,7 @@ def shown_flow(mode: Key, flow: Key) -> Key:
 
 
 def impact_jump(
-    rules: Rules,
-    at: Instant,
-    setup: SceneSetup,
-    snapshot: Snapshot,
-    hitting: list[int],
-    closed: list[bool],
-    jam: Jam | None = None,
+    rules: Rules, here: Landing, hitting: list[int], jam: Jam | None = None
 ) -> tuple[Jump, Flow, Snapshot]:
     """Return the jump of an impact, the flow after it, and the numbers there.
 
@@ -69,108 +128,124 @@ def impact_jump(
     ----------
     rules : Rules
         What the scene says of impacts.
-    at : Instant
-        Before the impact, on the constraints of the flow.
-    setup : SceneSetup
-        Of the instant.
-    snapshot : Snapshot
-        There.
+    here : Landing
+        Before the impact.
     hitting : list of int
         Contacts that strike, or are jammed.
-    closed : list of bool
-        Of every contact.
     jam : Jam or None
         Where it is an impact without collision.
     """
-    clock, flow, state = at.clock, at.flow, at.state
-
-    def collided(laws: Sequence[ContactLaw]) -> Impacts:
-        if jam is not None:
-            return without_collision(snapshot, laws, jam.places)
-        return impacts(snapshot, laws, closed, rules.simultaneous)
-
-    laws, slow = setup.contacts, setup.tolerances["speed"]
-    result = collided(laws)
-    after = snapshot.moved(state, result.velocity)
-    following = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
-    rests = rests_of_bounces(setup, following, after, closed)
-    if rests:
-        plastic = tuple(
-            law._replace(restitution=0.0) if i in rests else law for i, law in enumerate(laws)
-        )
-        captured = collided(plastic)
-        stopped = snapshot.moved(state, captured.velocity)
-        held = hidden(rules.tape.at(setup.values, stopped, clock.high), flow.mode)
-        if stands_for_bounces(rests, following, held, closed):
-            laws, result, after, following = plastic, captured, stopped, held
-        else:
-            rests = {}
-    rates = [contact.gap_rate for contact in following.contacts]
-    touching = [shut and rate <= slow for shut, rate in zip(closed, rates, strict=True)]
-    considered: Mapping[str, str] = {}
-    warnings = [*filter(None, ("" if jam is None else str(jam), result.warning))]
-    target = moving = tuple(OFF if name == OFF else "free" for name in flow.mode)
-    notes: tuple[str, ...] = ()
-    # A sequence of impacts may leave an approach behind: then it is asked again.
-    settled = not any(shut and rate < -slow for shut, rate in zip(closed, rates, strict=True))
-    check_listed(setup, following, touching)
-    if any(touching):
-        choice = decide(setup, following, touching, rules.paradox)
-        if isinstance(choice, Jam):
-            moving, settled = choice.sliding, False
-        else:
-            considered, moving, notes = choice.considered, choice.taken.flow, choice.notes
-            warnings += [choice.warning] if choice.warning else []
-        after = landed(shown_mode(moving), following, after, setup.tolerances)
-        # Where bounces are skipped the contact is still free, and moves as if closed.
-        target = tuple("free" if i in rests else name for i, name in enumerate(shown_mode(moving)))
+    at, setup, closed, slow = here.at, here.setup, here.closed, here.slow
+    struck = _struck(rules, here, jam)
+    laws, contacts, rests = struck.laws, struck.snapshot.contacts, struck.rests
+    touching = [
+        shut and contact.gap_rate <= slow for shut, contact in zip(closed, contacts, strict=True)
+    ]
+    entered = _entered(rules, here, struck, touching)
     if jam is None and not rests:
-        # What is hit without rebound and thrown off by the turning of its body closes first.
-        ended = tuple(
-            closed_state(law, contact, 2.0 * slow)
-            if i in hitting and touching[i] and target[i] == "free" and law.restitution == 0.0
-            else target[i]
-            for i, (law, contact) in enumerate(zip(laws, following.contacts, strict=True))
-        )
-        if ended != target:
-            target = moving = ended
-            settled = False
-    target = listed(target, laws, following.contacts, 2.0 * slow)
-    before, left = snapshot.energy, rules.tape.at(setup.values, after, clock.high).energy
+        entered = _closed_first(entered, struck, [i for i in hitting if touching[i]], 2.0 * slow)
+    target = listed(entered.target, laws, contacts, 2.0 * slow)
+    left = rules.tape.at(setup.values, entered.state, at.clock.high).energy
     rest = max(rests.values(), default=None)
     jump = at.jump(
         laws[hitting[0]].name,  # whichever gap fell by a rounding earlier
         "touchdown" if jam is None else "jam",
         target,
-        after,
+        entered.state,
         impulse={
             law.name: (normal, tangential)
-            for law, (normal, tangential) in zip(laws, result.impulses.tolist(), strict=True)
+            for law, (normal, tangential) in zip(laws, struck.result.impulses.tolist(), strict=True)
             if normal != 0.0 or tangential != 0.0
         },
-        path=result.path,
+        path=struck.result.path,
         considered=Considered(
             partial(
                 explained,
                 {} if jam is None else jam.considered,
                 laws,
-                following.contacts,
+                contacts,
                 closed,
                 touching,
-                considered,
+                entered.considered,
             )
         ),
-        energy=(before, left),
+        energy=(here.snapshot.energy, left),
         skipped=rest or 0.0,
     )
-    warning = "; ".join(warnings)
-    flow = flow_in(setup, target, moving, rest, warning, settled, notes)
+    told = ("" if jam is None else str(jam), struck.result.warning, *entered.warnings)
+    warning = "; ".join(filter(None, told))
+    flow = flow_in(setup, target, entered.moving, rest, warning, entered.settled, entered.notes)
     # Where a long flight's rounding has left a gap below its tolerance, it opens from there.
     below = {
         f"{law.name}.gap": -2.0 * contact.gap
-        for law, contact, now in zip(laws, following.contacts, shown_mode(moving), strict=True)
+        for law, contact, now in zip(laws, contacts, shown_mode(entered.moving), strict=True)
         if now == "free" and contact.gap < -setup.tolerances["gap"]
     }
     if below:
         flow = flow._replace(tolerances={**flow.tolerances, **below})
-    return jump, flow, following
+    return jump, flow, struck.snapshot
+
+
+def _struck(rules: Rules, here: Landing, jam: Jam | None) -> _Struck:
+    """Return what the impact does; bounces that follow it are summed where they can be."""
+    (_, clock, _, flow, state, _), setup, snapshot, _, closed = here
+
+    def under(laws: Sequence[ContactLaw], rests: Mapping[int, float]) -> _Struck:
+        if jam is not None:
+            result = without_collision(snapshot, laws, jam.places)
+        else:
+            result = impacts(snapshot, laws, closed, rules.simultaneous)
+        after = snapshot.moved(state, result.velocity)
+        following = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
+        return _Struck(laws, result, after, following, rests)
+
+    made = under(setup.contacts, {})
+    rests = rests_of_bounces(setup, made.snapshot, made.state, closed)
+    if not rests:
+        return made
+    plastic = tuple(
+        law._replace(restitution=0.0) if i in rests else law for i, law in enumerate(made.laws)
+    )
+    captured = under(plastic, rests)
+    return captured if stands_for_bounces(rests, made.snapshot, captured.snapshot, closed) else made
+
+
+def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool]) -> _Entered:
+    """Return the mode that the state after an impact calls for."""
+    setup, following = here.setup, struck.snapshot
+    # A sequence of impacts may leave an approach behind: then it is asked again.
+    settled = not any(
+        shut and contact.gap_rate < -here.slow
+        for shut, contact in zip(here.closed, following.contacts, strict=True)
+    )
+    check_listed(setup, following, touching)
+    if not any(touching):
+        flying = tuple(OFF if name == OFF else "free" for name in here.at.flow.mode)
+        return _Entered(flying, flying, struck.state, settled)
+    choice = decide(setup, following, touching, rules.paradox)
+    moving = choice.sliding if isinstance(choice, Jam) else choice.taken.flow
+    shown = shown_mode(moving)
+    state = landed(shown, following, struck.state, setup.tolerances)
+    # Where bounces are skipped the contact is still free, and moves as if closed.
+    target = tuple("free" if i in struck.rests else name for i, name in enumerate(shown))
+    if isinstance(choice, Jam):
+        return _Entered(target, moving, state, settled=False)
+    said = choice.considered, (choice.warning,), choice.notes
+    return _Entered(target, moving, state, settled, *said)
+
+
+def _closed_first(
+    entered: _Entered, struck: _Struck, hitting: list[int], still_below: float
+) -> _Entered:
+    """Close what is hit without rebound and thrown off by the turning of its body."""
+    ended = tuple(
+        closed_state(law, contact, still_below)
+        if i in hitting and name == "free" and law.restitution == 0.0
+        else name
+        for i, (law, contact, name) in enumerate(
+            zip(struck.laws, struck.snapshot.contacts, entered.target, strict=True)
+        )
+    )
+    if ended == entered.target:
+        return entered
+    return entered._replace(target=ended, moving=ended, settled=False)

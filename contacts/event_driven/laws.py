@@ -17,10 +17,16 @@ from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_start
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.decision import cause, check_declared, decide
-from contacts.event_driven.impact_jump import Rules, flow_in, impact_jump, shown_flow
+from contacts.event_driven.impact_jump import (
+    Landing,
+    Rules,
+    flow_in,
+    impact_jump,
+    shown_flow,
+)
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
-from contacts.modes.classification import Considered
+from contacts.modes.classification import Choice, Considered
 from contacts.modes.configuration import judged
 from contacts.modes.fast_classification import fast_mode
 from contacts.states import OFF, OPEN
@@ -140,7 +146,6 @@ class SceneLaws:
             mode = fast_mode(setup, self._tape, state, clock.high, flow.flow)
             if mode is not None:
                 return self._usual(at, setup, *mode)
-        before = state
         snapshot = self._tape.at(setup.values, state, clock.high)
         switched = self._gates.switched(
             flow.mode,
@@ -154,65 +159,81 @@ class SceneLaws:
         )
         if switched:
             return self._switch(at, snapshot, switched)
-        snapshot = hidden(snapshot, flow.mode)
-        # Between steps a dense output leaves the constraints by its own error: a contact that the
-        # flow kept closed is judged as closed.
-        moving = shown_mode(flow.flow)
-        state = landed(moving, snapshot, state, setup.tolerances)
+        here = self._landing(at, setup, hidden(snapshot, flow.mode))
+        contacts, closed, slow = here.snapshot.contacts, here.closed, here.slow
+        if fired == (UNBOUNDED,):
+            return self._unbounded(here)
+        hitting = [i for i, c in enumerate(contacts) if closed[i] and c.gap_rate < -slow]
+        if hitting:
+            return self._impact(here, hitting)
+        touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
+        choice = decide(setup, here.snapshot, touching, self._paradox)
+        if isinstance(choice, Jam):
+            if all(choice.sliding[i] == here.moving[i] for i in choice.places):
+                # A contact that slid on to where none can: p fell to zero on the way.
+                grown = self._grown(here)
+                choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
+            return self._impact(here, [*choice.places], choice)
+        return self._enter(at, here, choice)
+
+    def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
+        """Bring the state back onto the constraints that the flow kept.
+
+        Between steps a dense output leaves them by its own error: a contact that the flow kept
+        closed is judged as closed.
+        """
+        flow, moving = at.flow, shown_mode(at.flow.flow)
+        state = landed(moving, snapshot, at.state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
-        rested = self._rested(flow, moving, snapshot, fired, 2.0 * slow)
+        rested = self._rested(flow, moving, snapshot, at.fired, 2.0 * slow)
         if rested != moving:
             state = on_constraints(rested, snapshot, state)
-        landing = at._replace(state=state)
-        if state is not before:
-            snapshot = hidden(self._tape.at(setup.values, state, clock.high), flow.mode)
+        if state is not at.state:
+            snapshot = hidden(self._tape.at(setup.values, state, at.clock.high), flow.mode)
         closed = [c.gap <= close for c in snapshot.contacts]
-        if fired == (UNBOUNDED,):
-            shut = [state not in OPEN for state in moving]
-            jam = unbounded(snapshot, setup.contacts, shut, 2.0 * slow)
-            if jam is None:
-                sizes = setup.scales.sizes[: len(state) // 2]
-                # Where contacts share a load their constraints are dependent, and rightly so.
-                why = dead_point(snapshot, setup.contacts, moving, sizes)
-                if why and moving == uncaptured(flow.flow):
-                    raise SingularMode(why)
-                return None
-            if self._paradox == "stop":
-                raise NoConsistentMode(jam.why)
-            return self._impact(landing, setup, snapshot, [*jam.places], closed, jam)
-        hitting = [i for i, c in enumerate(snapshot.contacts) if closed[i] and c.gap_rate < -slow]
-        if hitting:
-            return self._impact(landing, setup, snapshot, hitting, closed)
-        touching = [
-            shut and c.gap_rate <= slow for shut, c in zip(closed, snapshot.contacts, strict=True)
-        ]
-        choice = decide(setup, snapshot, touching, self._paradox)
-        if isinstance(choice, Jam):
-            if all(choice.sliding[i] == moving[i] for i in choice.places):
-                # A contact that slid on to where none can: p fell to zero on the way.
-                shut = [state not in OPEN for state in moving]
-                grown = unbounded(snapshot, setup.contacts, shut, 2.0 * slow)
-                choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
-            return self._impact(landing, setup, snapshot, [*choice.places], closed, choice)
+        return Landing(at._replace(state=state), setup, snapshot, moving, closed)
+
+    def _unbounded(self, here: Landing) -> tuple[Jump, Flow] | None:
+        """Resolve a flow that cannot be continued, where a force has grown without bound."""
+        setup, snapshot, moving = here.setup, here.snapshot, here.moving
+        jam = self._grown(here)
+        if jam is None:
+            sizes = setup.scales.sizes[: len(here.at.state) // 2]
+            # Where contacts share a load their constraints are dependent, and rightly so.
+            why = dead_point(snapshot, setup.contacts, moving, sizes)
+            if why and moving == uncaptured(here.at.flow.flow):
+                raise SingularMode(why)
+            return None
+        if self._paradox == "stop":
+            raise NoConsistentMode(jam.why)
+        return self._impact(here, [*jam.places], jam)
+
+    def _grown(self, here: Landing) -> Jam | None:
+        """Return the jam where a force grows without bound, if it does."""
+        shut = [state not in OPEN for state in here.moving]
+        return unbounded(here.snapshot, here.setup.contacts, shut, 2.0 * here.slow)
+
+    def _enter(self, at: Instant, here: Landing, choice: Choice) -> tuple[Jump | None, Flow] | None:
+        """Return the jump to a mode; None where it is the one that the flow moves in."""
+        (_, clock, _, flow, state, fired), setup, snapshot, moving, _ = here
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
             goes_on = shown_flow(flow.mode, choice.taken.flow)
             if goes_on != flow.flow:
                 return None, flow._replace(flow=goes_on, settled=True)
-            if state is before or not fired or flow.settled:
+            if state is at.state or not fired or flow.settled:
                 return None
             # What fell off the constraints has not fallen on them.
             return None, flow._replace(settled=True, start=state)
         after = landed(target, snapshot, state, setup.tolerances)
-        energy = snapshot.energy
-        left = energy if after is state else self._energy(setup, after, clock.high)
+        left = snapshot if after is state else self._tape.at(setup.values, after, clock.high)
         jump = at.jump(
             *cause(self._names, flow.mode, target, skipping),
             target,
             after,
             considered=choice.considered,
-            energy=(energy, left),
+            energy=(snapshot.energy, left.energy),
         )
         return jump, flow_in(
             setup, target, choice.taken.flow, warning=choice.warning, notes=choice.notes
@@ -332,19 +353,14 @@ class SceneLaws:
         return judged(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _impact(
-        self,
-        at: Instant,
-        setup: SceneSetup,
-        snapshot: Snapshot,
-        hitting: list[int],
-        closed: list[bool],
-        jam: Jam | None = None,
+        self, here: Landing, hitting: list[int], jam: Jam | None = None
     ) -> tuple[Jump, Flow]:
         rules = Rules(self._tape, self._mechanics.scene.simultaneous, self._paradox)
-        jump, flow, following = impact_jump(rules, at, setup, snapshot, hitting, closed, jam)
-        before, left = jump.energy or (0.0, 0.0)
+        jump, flow, following = impact_jump(rules, here, hitting, jam)
+        setup, closed, (before, left) = here.setup, here.closed, jump.energy or (0.0, 0.0)
         idle = jam is None and sum(closed) > 1 and left >= before
         if idle and opens_in_vain(setup, following, closed):
+            at = here.at
             done = self._closed_at_once(setup, at.clock, flow, jump, closed, 0.0, jump.skipped)
             if done is not None:
                 return done
@@ -379,6 +395,3 @@ class SceneLaws:
         )
         following = flow._replace(mode=tuple(mode), flow=tuple(moving), warning="", settled=False)
         return jump, following
-
-    def _energy(self, setup: SceneSetup, state: Array, time: float) -> float:
-        return self._tape.at(setup.values, state, time).energy
