@@ -162,8 +162,7 @@ def without_collision(
         impulses, unknown = found.impulses, found.indeterminate
         velocity = snapshot.velocity + found.change
         path = "plastic " + ", ".join(f"{laws[i].name}:{found.states[i]}" for i in places)
-    before, after = (float(0.5 * v @ snapshot.mass @ v) for v in (snapshot.velocity, velocity))
-    return Impacts(velocity, impulses, (path,), before, after, 1.0, unknown)
+    return Impacts(velocity, impulses, (path,), 1.0, unknown)
 
 
 def _sliding(

@@ -44,8 +44,6 @@ class Impacts:
         V and H on the body.
     path : tuple of str
         What was done, in order.
-    energy_before, energy_after : float
-        Kinetic.
     share : float
         Of the way from the plastic impulse to the one with restitution; the smallest where
         several groups of contacts are hit, 1 where no group needs it.
@@ -58,8 +56,6 @@ class Impacts:
     velocity: Array
     impulses: Array
     path: tuple[str, ...]
-    energy_before: float
-    energy_after: float
     share: float
     indeterminate: tuple[bool, ...]
     warning: str = ""
@@ -115,17 +111,8 @@ def impacts(
         path += steps
         warnings += [warning] if warning else []
     velocity = snapshot.velocity + change
-    before, after = (float(0.5 * v @ snapshot.mass @ v) for v in (snapshot.velocity, velocity))
-    return Impacts(
-        velocity,
-        impulses,
-        tuple(path),
-        before,
-        after,
-        share,
-        tuple(indeterminate),
-        "; ".join(warnings),
-    )
+    told = "; ".join(warnings)
+    return Impacts(velocity, impulses, tuple(path), share, tuple(indeterminate), told)
 
 
 def groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
