@@ -22,7 +22,7 @@ def lowest(
     Parameters
     ----------
     tape, times, coeffs, parameters, start
-        As in `first_crossing`.
+        As in `statechart.engines.event_location.search`.
     per_step : int
         Intervals of the grid in each step; both ends belong to it.
 
@@ -59,7 +59,7 @@ def integrals(
     Parameters
     ----------
     tape, times, coeffs, parameters, start
-        As in `first_crossing`.
+        As in `statechart.engines.event_location.search`.
     t_from, t_to : float
         Local times; what lies outside the steps does not count.
 

@@ -17,10 +17,9 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from statechart.automaton.dense_output import checked_arc
-from statechart.formulas.tape import Tape, contiguous
+from statechart.formulas.tape import Tape
 from statechart.kernels.search import BUDGET, CROSSING, GRAZE, NON_FINITE, NONE
 from statechart.kernels.search import search as kernel
 
@@ -74,7 +73,7 @@ class Crossing(NamedTuple):
 
 
 class Search(NamedTuple):
-    """Result of `first_crossing`.
+    """Result of `search`.
 
     Attributes
     ----------
@@ -95,63 +94,6 @@ class Search(NamedTuple):
     undecided: Crossing | None = None
 
 
-def first_crossing(
-    tape: Tape,
-    tolerances: ArrayLike,
-    times: ArrayLike,
-    coeffs: ArrayLike,
-    parameters: ArrayLike,
-    start: float,
-    *,
-    budget: int = BOXES,
-) -> Search:
-    """Find the first place where an output of the tape falls below minus its tolerance.
-
-    The outputs are margins, >= 0 while a mode holds. With a tolerance > 0 a start on the surface
-    (margin 0) needs no cool-down. A margin that is zero to within rounding where a step starts
-    and provably rises from there does not fall: that is no event either. The end of a step
-    belongs to the step that ends there: a margin that falls and meets minus its tolerance to
-    within rounding exactly at the end of a chunk is reported, with s = 1, by that chunk. A margin
-    below minus its tolerance where a step starts crosses there.
-
-    Of several margins the one that passes minus its tolerance first is reported, of equal ones
-    that of lowest index. Others may fall at the same instant to within rounding: whoever acts
-    on an event looks at all of them.
-
-    Parameters
-    ----------
-    tape : Tape
-        Program of the margins.
-    tolerances : array, shape (n_out,)
-        How far below zero each margin may go, >= 0, in the margin's unit.
-    times : array, shape (n_steps + 1,)
-        Local times of the steps' ends, increasing.
-    coeffs : array, shape (n_steps, n_variables, degree + 1)
-        Polynomials of the steps.
-    parameters : array, shape (n_parameters,)
-        Values of the parameters.
-    start : float
-        Absolute time of the local time 0.
-    budget : int
-        Greatest number of boxes.
-
-    Returns
-    -------
-    Search
-        Verdict and crossing.
-
-    Raises
-    ------
-    ValueError
-        If a shape does not fit or a tolerance is negative.
-    """
-    times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
-    tolerances = contiguous(tolerances)
-    if tolerances.shape != tape.outputs.shape:
-        raise ValueError(f"the tolerances have shape {tolerances.shape}, not {tape.outputs.shape}")
-    return search(tape, tolerances, times, coeffs, parameters, float(start), 0, len(coeffs), budget)
-
-
 def search(
     tape: Tape,
     tolerances: NDArray[np.float64],
@@ -163,10 +105,35 @@ def search(
     last: int,
     budget: int = BOXES,
 ) -> Search:
-    """Return `first_crossing` in the steps [first, last); those before are known to be clear.
+    """Find the first place in the steps [first, last) where an output of the tape falls.
 
-    For inner loops: arrays are float64, contiguous and of the right shape. Nothing is checked,
-    and a wrong shape reads beyond the arrays.
+    The outputs are margins, >= 0 while a mode holds; one falls where it passes minus its
+    tolerance. With a tolerance > 0 a start on the surface (margin 0) needs no cool-down. A margin
+    that is zero to within rounding where a step starts and provably rises from there does not
+    fall: that is no event either. The end of a step belongs to the step that ends there: a margin
+    that falls and meets minus its tolerance to within rounding exactly at the end of a chunk is
+    reported, with s = 1, by that chunk. A margin below minus its tolerance where a step starts
+    crosses there. Steps before `first` are known to be clear.
+
+    Of several margins the one that passes minus its tolerance first is reported, of equal ones
+    that of lowest index. Others may fall at the same instant to within rounding: whoever acts
+    on an event looks at all of them.
+
+    For inner loops: nothing is checked, and a wrong shape reads beyond the arrays.
+
+    Parameters
+    ----------
+    tape : Tape
+        Program of the margins.
+    tolerances : (n_out,) array
+        How far below zero each margin may go, >= 0, in the margin's unit.
+    times : (n_steps + 1,), coeffs : (n_steps, n_variables, degree + 1)
+        Local times of the steps' ends, and their polynomials.
+    parameters : (n_parameters,) array
+    start : float
+        Absolute time of the local time 0.
+    budget : int
+        Greatest number of boxes.
     """
     return as_search(
         kernel(

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy as sp
+from crossings import first_crossing
 
-from statechart.engines.event_location import Verdict, first_crossing
+from statechart.engines.event_location import Verdict
 from statechart.formulas.tape import compile_tape
 
 X, Y, T, A, K, PHASE, C, W = sp.symbols("x y t A k phase c w")

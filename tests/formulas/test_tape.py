@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 import sympy as sp
+from crossings import first_crossing
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import P, Q, T, X, Y, examples, expressions, tape_of
 
-from statechart.engines.event_location import first_crossing
 from statechart.errors import StatechartError
 from statechart.formulas.tape import compile_tape
 from statechart.kernels.search import search

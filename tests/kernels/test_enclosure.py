@@ -5,12 +5,13 @@ import flint
 import numpy as np
 import pytest
 import sympy as sp
+from crossings import first_crossing
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import P, T, X, Y, examples, expressions, tape_of
 
 from statechart.automaton.dense_output import integrals, lowest, sample
-from statechart.engines.event_location import Verdict, first_crossing
+from statechart.engines.event_location import Verdict
 from statechart.formulas.tape import compile_tape, contiguous
 from statechart.kernels.boxes import enclose, judge, prepare
 from statechart.kernels.intervals import wave

@@ -1,0 +1,27 @@
+"""The first crossing of a margin along an arc given as arrays."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from statechart.automaton.dense_output import checked_arc
+from statechart.engines.event_location import BOXES, Search, search
+from statechart.formulas.tape import Tape, contiguous
+
+
+def first_crossing(
+    tape: Tape,
+    tolerances: ArrayLike,
+    times: ArrayLike,
+    coeffs: ArrayLike,
+    parameters: ArrayLike,
+    start: float,
+    *,
+    budget: int = BOXES,
+) -> Search:
+    """Return what `search` finds in all steps, of arrays of any kind."""
+    times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
+    tolerances = contiguous(tolerances)
+    if tolerances.shape != tape.outputs.shape:
+        raise ValueError(f"the tolerances have shape {tolerances.shape}, not {tape.outputs.shape}")
+    return search(tape, tolerances, times, coeffs, parameters, float(start), 0, len(coeffs), budget)
