@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS, capped
+from contacts.solvers.contact_lcp_kernels import STEEPEST, UNKNOWNS, capped
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
@@ -100,7 +100,7 @@ def _sweep(
             before_n, before_t = impulses[i, 0], impulses[i, 1]
             # Both rows of a contact that sticks, solved together; else the edge of its cone.
             wn, wt, wx = own[a]
-            cone_n, cone_t = max(cones[i, 0], 2.0**-12), cones[i, 1]
+            cone_n, cone_t = max(cones[i, 0], STEEPEST), cones[i, 1]
             free_n = normal - wn * before_n - wx * before_t
             free_t = slip - wx * before_n - wt * before_t
             pn, pt = 0.0, 0.0
@@ -149,7 +149,7 @@ def _holds(
         pn, pt = impulses[i, 0], impulses[i, 1]
         if normal < -allowed or (pn > 0.0 and normal > allowed):
             return False
-        edge = cones[i, 1] * pn - max(cones[i, 0], 2.0**-12) * abs(pt)
+        edge = cones[i, 1] * pn - max(cones[i, 0], STEEPEST) * abs(pt)
         if pn > 0.0 and abs(slip) > allowed and (edge > 1e-9 * pn or slip * pt > 0.0):
             return False
     return True

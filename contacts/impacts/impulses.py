@@ -19,6 +19,7 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import Snapshot
 from contacts.impacts.work import work_of
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
+from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.solvers.exact_lcp import exact_impulses
 from contacts.solvers.lcp import LcpStatus, solve_lcp
 from contacts.solvers.mode_solver import solve_modes
@@ -367,7 +368,7 @@ def _mode(impulse: tuple[float, float], cone: tuple[float, float]) -> int:
     if H == 0.0:
         return _PRESS
     # Steep cones were cut for Lemke's algorithm.
-    inside = cone_t * V - max(cone_n, 2.0**-12) * abs(H)
+    inside = cone_t * V - max(cone_n, STEEPEST) * abs(H)
     if inside > _ON_EDGE * math.hypot(V, H):
         return PIN
     return SLIDE_MINUS if H > 0.0 else SLIDE_PLUS

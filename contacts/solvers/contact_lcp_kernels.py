@@ -15,6 +15,9 @@ from contacts.solvers.lemke import FOUND, lemke, on_support
 from statechart.arrays import Array, Bools
 from statechart.kernels.jit import kernel
 
+STEEPEST = 2.0**-12
+"""No cone's edge is steeper: its normal part, of 1, counts as at least this."""
+
 UNKNOWNS = 4
 """Of a contact: normal impulse, tangential one to either side, slip speed."""
 
@@ -28,44 +31,60 @@ LOOSEST = 1e-6
 _ROUNDING = 1e-13
 # A guess is improved so many times before Lemke's algorithm starts from nothing.
 _GUESSES = 8
-_STEEPEST = 2.0**-12
 _CAP_ROUNDS = 60
 # What makes bases regular, relative to scaled rows; and how often.
 _DELTA, _PROXIMAL_STEPS = 2.0**-16, 12
 
 
 @kernel
-def problem(delassus: Array, free: Array, cones: Array) -> tuple[Array, Array]:
-    """Return (M, q) as `contacts.solvers.contact_lcp.contact_problem`, four unknowns per contact.
+def problem(delassus: Array, free: Array, cones: Array, slides: Array) -> tuple[Array, Array]:
+    """Return (M, q) of planar contacts with friction (Stewart and Trinkle 1996).
 
-    A contact without friction keeps its unknowns, with rows that hold by themselves.
+    Friction enters by the unit edge of its cone, so that mu = 0 and large mu are ordinary numbers;
+    at mu = inf a tangential impulse without a normal one would hold no contact closed, so that
+    cones end at `STEEPEST`. A contact without friction, and one that slips, keeps its four
+    unknowns, with rows that hold by themselves.
+
+    Parameters
+    ----------
+    delassus : (2 c, 2 c) array
+        Velocities of the contacts (normal, tangential, normal, ...) per unit impulses.
+    free : (c, 2) array
+        What these velocities would be without impulses; the normal ones plus e times the speed
+        of approach where contacts rebound.
+    cones : (c, 2) array
+        ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``.
+    slides : (c,) array
+        For accelerations and forces: -1 or 1 where the contact slips already, in that direction,
+        and its only unknown is the force along the edge against it; 0 elsewhere.
     """
     count = len(cones)
     matrix = np.zeros((UNKNOWNS * count, UNKNOWNS * count))
     vector = np.zeros(UNKNOWNS * count)
+    rough = (cones[:, 1] > 0.0) & (slides == 0.0)
     for i in range(count):
         a = UNKNOWNS * i
-        rough = cones[i, 1] > 0.0
         vector[a] = free[i, 0]
         for k in range(count):
             b = UNKNOWNS * k
-            matrix[a, b] = delassus[2 * i, 2 * k]
-            if cones[k, 1] > 0.0:
-                matrix[a, b + 1] = delassus[2 * i, 2 * k + 1]
-                matrix[a, b + 2] = -delassus[2 * i, 2 * k + 1]
-            if not rough:
-                continue
-            matrix[a + 1, b] = delassus[2 * i + 1, 2 * k]
-            matrix[a + 2, b] = -delassus[2 * i + 1, 2 * k]
-            if cones[k, 1] > 0.0:
-                both = delassus[2 * i + 1, 2 * k + 1]
-                matrix[a + 1, b + 1], matrix[a + 1, b + 2] = both, -both
-                matrix[a + 2, b + 1], matrix[a + 2, b + 2] = -both, both
-        if rough:
+            normal, tangential = delassus[2 * i, 2 * k], delassus[2 * i, 2 * k + 1]
+            along, across = delassus[2 * i + 1, 2 * k], delassus[2 * i + 1, 2 * k + 1]
+            if slides[k] != 0.0:
+                normal = normal * cones[k, 0] - tangential * slides[k] * cones[k, 1]
+                along = along * cones[k, 0] - across * slides[k] * cones[k, 1]
+            matrix[a, b] = normal
+            if rough[k]:
+                matrix[a, b + 1], matrix[a, b + 2] = tangential, -tangential
+            if rough[i]:
+                matrix[a + 1, b], matrix[a + 2, b] = along, -along
+            if rough[i] and rough[k]:
+                matrix[a + 1, b + 1], matrix[a + 1, b + 2] = across, -across
+                matrix[a + 2, b + 1], matrix[a + 2, b + 2] = -across, across
+        if rough[i]:
             vector[a + 1], vector[a + 2] = free[i, 1], -free[i, 1]
             matrix[a + 1, a + 3] = matrix[a + 2, a + 3] = 1.0
             matrix[a + 3, a] = cones[i, 1]
-            matrix[a + 3, a + 1] = matrix[a + 3, a + 2] = -max(cones[i, 0], _STEEPEST)
+            matrix[a + 3, a + 1] = matrix[a + 3, a + 2] = -max(cones[i, 0], STEEPEST)
         else:
             matrix[a + 1, a + 1] = matrix[a + 2, a + 2] = matrix[a + 3, a + 3] = 1.0
     return matrix, vector
@@ -216,7 +235,7 @@ def solve_contacts(
     Parameters
     ----------
     delassus : (2 m, 2 m), free : (m, 2), cones : (m, 2)
-        As `contacts.solvers.contact_lcp.contact_problem` takes them.
+        See `problem`.
     guess : (4 m,) array of bool
         Which unknowns may be positive, as of the step before.
     limit : int
@@ -230,7 +249,7 @@ def solve_contacts(
         parting = parting and free[i, 0] >= 0.0
     if parting:
         return True, z, np.zeros(size, np.bool_)
-    matrix, vector = problem(delassus, free, cones)
+    matrix, vector = problem(delassus, free, cones, np.zeros(len(cones)))
     scales = _scales(matrix)
     scaled, right = np.empty((size, size)), scales * vector
     for i in range(size):
@@ -268,7 +287,7 @@ def _known(
     size = UNKNOWNS * len(cones)
     if len(given) >= size:
         # Whose solution is which, the residual tells.
-        matrix, vector = problem(delassus, free, cones)
+        matrix, vector = problem(delassus, free, cones, np.zeros(len(cones)))
         for first in range(0, len(given) - size + 1, UNKNOWNS):
             z = given[first : first + size].copy()
             if step_residual(matrix, vector, z) <= LOOSEST:

@@ -15,6 +15,7 @@ from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_start
 from contacts.scene.other_laws import replaced
+from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping import loop as impulse
 from contacts.time_stepping.control import StepControl, SteppedTapes
@@ -30,7 +31,6 @@ from statechart.formulas.tape import compile_tape
 _TRIAL = 1e-6
 # Tolerances at the start, relative to the scene.
 _RELATIVE = 1e-9
-_STEEPEST = 4096.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,9 +186,9 @@ class SceneStepper:
         warnings = [f"{what}: {why}" for what, why in replaced(self._scene, values).items()]
         for law in setup.contacts:
             kinds = self._scene.contacts[law.name].kinds
-            if law.cone_t > _STEEPEST * law.cone_n and "free" in kinds:
+            if law.cone_t * STEEPEST > law.cone_n and "free" in kinds:
                 mu = math.inf if law.cone_n == 0.0 else law.cone_t / law.cone_n
                 warnings.append(
-                    f"contact {law.name!r}: friction {mu:g} is computed as {_STEEPEST:g}"
+                    f"contact {law.name!r}: friction {mu:g} is computed as {1.0 / STEEPEST:g}"
                 )
         return warnings

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.solvers.contact_lcp import contact_problem
+from contacts.solvers.contact_lcp import contact_problem, four_unknowns
 from contacts.solvers.contact_lcp_kernels import LOOSEST, UNKNOWNS, problem, smoothed, step_residual
 from contacts.solvers.lcp import solve_lcp
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
@@ -321,20 +321,15 @@ def widened(delassus: Array, free: Array, cones: Array) -> Array:
     if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
         raise NonFinite("the velocities of contacts became infinite or undefined")
     solution = solve_lcp(matrix, vector)
-    z = np.zeros((len(cones), UNKNOWNS))
-    at = 0
-    for i, (_, cone_t) in enumerate(cones):
-        width = UNKNOWNS if cone_t > 0.0 else 1
-        z[i, :width] = solution.z[at : at + width]
-        at += width
+    z = four_unknowns(solution.z, cones)
     # Its own measure forgives no row that is the rounding of others.
-    left = step_residual(*problem(delassus, free, cones), z.ravel())
+    left = step_residual(*problem(delassus, free, cones, np.zeros(len(cones))), z)
     if left > LOOSEST:
         raise UnsolvedImpulses(
             f"{len(cones)} contacts: {solution.status.value} (residual {left:.2g}); a shorter step "
             "may take the bodies past it"
         )
-    return z.ravel()
+    return z
 
 
 def _failure(status: int) -> SingularMode | NonFinite:
