@@ -20,7 +20,6 @@ from contacts.dynamics.snapshot import Snapshot
 from contacts.impacts.work import work_of
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.contact_lcp_kernels import STEEPEST
-from contacts.solvers.exact_lcp import exact_impulses
 from contacts.solvers.lcp import LcpStatus, solve_lcp
 from contacts.solvers.mode_solver import solve_modes
 from contacts.solvers.redundancy import connected, into_cone, mode_columns, rank, smallest
@@ -89,8 +88,8 @@ def collisions(
     ``0 <= P_n``, ``v_n+ + e min(v_n-, 0) >= 0``, their product 0; friction in its cone, against
     the slip that remains. The state's saddle point is solved, so that no inertia need be positive
     that the contacts do not accelerate. Up to four contacts all combinations of modes are tried;
-    above, Lemke's algorithm finds one, and whether it is the only one is not known. What rounding
-    hides is looked for in rational arithmetic. None: there is none.
+    above, Lemke's algorithm finds one, and whether it is the only one is not known. None: there
+    is none, or rounding hides it, as where inertias differ by 24 decades.
 
     Parameters
     ----------
@@ -106,8 +105,6 @@ def collisions(
         agree = problem.solve(problem.by_lemke())
     if not agree and len(group) <= _ENUMERATED_LAST:
         agree = problem.solve(list(product(*(_choices(laws[i]) for i in group))))
-    if not agree:
-        agree = problem.exactly()
     found: list[Impulses] = []
     for collision in sorted(agree, key=_preference):
         if not any(problem.same_motion(collision, one) for one in found):
@@ -213,17 +210,18 @@ class _Problem:
         forces = forces[status == SOLVED]
         impulses = forces[:, : len(self.group)] + forces[:, len(self.group) :]
         violations = self._violations(table, changes, impulses)
+        unshared = (False,) * len(self.group)
         return [
-            self._collision(code, changes[k], impulses[k], violations[k])
+            Impulses(
+                changes[k],
+                impulses[k],
+                tuple(_NAMES[mode] for mode in code.tolist()),
+                unshared,
+                float(violations[k]),
+            )
             for k, code in enumerate(table)
             if violations[k] <= _TIE and self._independent(code)
         ]
-
-    def _collision(
-        self, code: NDArray[np.int64], change: Array, impulses: Array, violation: float
-    ) -> Impulses:
-        names = tuple(_NAMES[int(c)] for c in code)
-        return Impulses(change, impulses, names, (False,) * len(code), float(violation))
 
     def _after(self, change: Array) -> tuple[Array, Array]:
         """Return the velocities (.., g, 2) after, and the sizes of the terms they consist of."""
@@ -312,15 +310,6 @@ class _Problem:
             return []
         impulses = contact_impulses(solution.z, self.cones)
         return [tuple(map(_mode, impulses.tolist(), self.cones.tolist()))]
-
-    def exactly(self) -> list[Impulses]:
-        """Return what rational arithmetic finds: for inertias and impulses too far apart."""
-        found = exact_impulses(self.mass, self.jacobians, self.start, self.cones)
-        if found is None:
-            return []
-        code, change, impulses = found
-        violation = self._violations(code[None], change[None], impulses[None]).item()
-        return [self._collision(code, change, impulses, violation)] if violation <= _TIE else []
 
     def same_motion(self, one: Impulses, other: Impulses) -> bool:
         """Whether the contacts, whose impulses are all that moves the bodies, move alike."""
