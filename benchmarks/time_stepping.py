@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS, solve_contacts
-from contacts.time_stepping.scene_steps import widened
+from contacts.time_stepping.chunk import widened
 from statechart.errors import UnsolvedImpulses
 from statechart.running.runner import Runner
 

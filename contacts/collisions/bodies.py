@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import sympy as sp
 
-from contacts.collisions.body_step import DONE, FULL, HARD, MEMORY, NOT_FINITE, step_bodies
+from contacts.collisions.body_step import MEMORY, step_bodies
 from contacts.collisions.outlines import body_numbers, owners_of
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales, check_range
@@ -21,12 +21,10 @@ from contacts.scene.checks import check_finite, check_physical, check_shapes
 from contacts.scene.other_laws import replaced
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
-from contacts.solvers.contact_lcp_kernels import smoothed
 from contacts.states import FREE
 from contacts.time_stepping import loop as impulse
+from contacts.time_stepping.chunk import FULL, Chunk, softened_remark, stepped
 from contacts.time_stepping.loop import Stepping
-from contacts.time_stepping.recorder import Chunk
-from contacts.time_stepping.scene_steps import softened_remark, widened
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Region, State
@@ -35,9 +33,7 @@ from statechart.documents.declaration import TIME
 from statechart.errors import (
     DeclarationProblem,
     NonFinite,
-    SimulationError,
     StepTooLarge,
-    UnsolvedImpulses,
 )
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.parameters import Parameters
@@ -52,8 +48,6 @@ _START_DEPTH = 1e-6
 _CROSSED, _FALLEN = 0.1, 0.02
 # Contacts that there is place for at first.
 _PER_BODY = 24
-# Unknowns of a step solved outside its kernel.
-_MOST_GIVEN = 4096
 
 
 def bodies_automaton(scene: Scene) -> Automaton:
@@ -297,16 +291,13 @@ class SteppedHeap:
 
     def __init__(self, scene: Scene, owners: Sequence[str], known: Mapping[str, float]) -> None:
         self.numbers = body_numbers(scene, owners, known)
-        laws = self.numbers.materials
-        self._materials = np.column_stack([smoothed(laws[:, :2]), laws[:, 2]])
         self._names = tuple(scene.bodies)
         count = len(self._names)
         self._keys = np.zeros((_PER_BODY * count, 2), dtype=np.int64)
         self._memory = np.zeros((_PER_BODY * count, MEMORY))
-        self._remembered = 0
+        self._remembered = np.zeros(1, dtype=np.int64)
         self._softened = 0
         self._plastic = scene.simultaneous == "plastic"
-        self._counts = np.zeros(2, dtype=np.int64)
         self._least = np.full(count, np.inf)
 
     @property
@@ -325,70 +316,26 @@ class SteppedHeap:
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps; see `SteppedScene.steps`."""
-        bodies, of = len(self._names), self.numbers
-        states = np.empty((count + 1, 6 * bodies))
-        states[0] = state
-        now = state.copy()
-        solved, impulses = np.zeros((count, 3 * bodies)), np.zeros((count, bodies, 2))
-        codes = np.zeros((count, bodies), dtype=np.int64)
-        struck = np.zeros((count, bodies), dtype=np.bool_)
-        gaps = np.full((count, bodies), np.inf)
-        approach, closing = np.zeros(count), np.zeros(count)
-        given, done, softened = np.zeros(0), 0, False
-        while done < count:
-            taken, status, self._remembered, delassus, least, cones = step_bodies(
-                of.vertices, of.firsts, of.radii, of.sizes, of.inverse,
-                of.gravity, of.surfaces, of.pairs, self._materials, self._plastic, h, now,
-                self._keys, self._memory, self._remembered, given, softened,
-                states[done + 1 :], solved[done:], impulses[done:], codes[done:], struck[done:],
-                gaps[done:], approach[done:], closing[done:], self._counts,
-            )  # fmt: skip
-            done += taken
-            if status == DONE:
-                break
-            if status == FULL:
-                self._keys = np.concatenate([self._keys, np.zeros_like(self._keys)])
-                self._memory = np.concatenate([self._memory, np.zeros_like(self._memory)])
-                if taken:
-                    given, softened = np.zeros(0), False
-                continue
-            try:
-                if status == NOT_FINITE:
-                    raise NonFinite("a coordinate became infinite or undefined")
-                if taken:
-                    given, softened = np.zeros(0), False
-                if len(given) > _MOST_GIVEN:
-                    raise UnsolvedImpulses("solutions of a step are not those of its problems")
-                try:
-                    found = self._harder(status, delassus, least, cones)
-                    given = np.concatenate([given, found])
-                except UnsolvedImpulses:
-                    if softened:
-                        raise
-                    given, softened = np.zeros(0), True
-                    self._softened += 1
-            except SimulationError:
-                if done == 0:
-                    raise
-                break
-        if done:
-            self._least = np.minimum(self._least, gaps[:done].min(axis=0))
-        return Chunk(
-            h,
-            states[: done + 1],
-            solved[:done],
-            codes[:done],
-            struck[:done],
-            np.zeros_like(struck[:done]),
-            impulses[:done],
-            approach[:done],
-            closing[:done],
-        )
+        bodies = len(self._names)
+        chunk = Chunk.room(h, state, 3 * bodies, bodies, count)
 
-    def _harder(self, status: int, delassus: Array, least: Array, cones: Array) -> Array:
-        if status == HARD and len(cones):
-            return widened(delassus, least, cones)
-        raise UnsolvedImpulses(
-            "an island of many contacts was swept without settling; a shorter step may take the "
-            "bodies past it"
-        )
+        def step(
+            left: Chunk, done: int, given: Array, softened: bool
+        ) -> tuple[int, int, Array, Array, Array]:
+            return step_bodies(
+                self.numbers, self._plastic, self._keys, self._memory, self._remembered,
+                given, softened, left,
+            )  # fmt: skip
+
+        done, softened = stepped(step, self._failure, chunk)
+        self._softened += softened
+        chunk = chunk.first(done)
+        self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
+        return chunk
+
+    def _failure(self, status: int) -> NonFinite | None:
+        if status != FULL:
+            return NonFinite("a coordinate became infinite or undefined")
+        self._keys = np.concatenate([self._keys, np.zeros_like(self._keys)])
+        self._memory = np.concatenate([self._memory, np.zeros_like(self._memory)])
+        return None

@@ -9,6 +9,7 @@ dynamics).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,29 +18,60 @@ from contacts.collisions.detection import FOUND, against_surface, between, place
 from contacts.collisions.islands import compliance, island_of, push, swept, velocity
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS, solve_impacts, steady_impulses
 from contacts.states import FREE, PIN, SLIDE
+from contacts.time_stepping.chunk import (
+    APART,
+    BESIDE,
+    DONE,
+    FULL,
+    HARD,
+    HIT,
+    NOT_FINITE,
+    SLOW,
+    Chunk,
+    arriving,
+    pressed_guess,
+)
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
-
-DONE, HARD, NOT_FINITE, FULL = range(4)
 
 MEMORY = 5
 """What is kept of a contact from step to step: level, lasting, impulses, number of its basis."""
 
-# Corners that arrive together are told apart by no rounding of their gaps and speeds: bounds are
-# this part of a step beside the numbers that declared lengths and speeds make.
-_BESIDE = 1e-6
-_SLOW = 2.0 + _BESIDE
 # Points of contact that a pair can have: a polygon on a surface has as many as corners.
 _POINTS = 16
 # Islands of more contacts are swept.
 _DENSE = 40
 
 
-@kernel
-def _restore(state: Array, old: Array, h: float, n: int) -> None:
-    """Take the first half of a step back."""
-    for i in range(n):
-        state[i] -= 0.5 * h * old[i // 3, i % 3]
+class BodyNumbers(NamedTuple):
+    """What does not change in a run of colliding bodies.
+
+    Attributes
+    ----------
+    vertices : (v, 2), firsts : (b + 1,)
+        Corners of all bodies in their frames, and where those of a body begin; none of discs.
+    radii, sizes : (b,)
+        Of discs; and how far a body reaches from its centre.
+    inverse : (b, 3)
+        1/mass, 1/mass, 1/moment of inertia.
+    gravity : (2,)
+    surfaces : (s, 4)
+        A point, and the unit normal out of the solid.
+    pairs : (b, b + s) array of int
+        Which law bodies touch each other and surfaces by; -1: they do not.
+    materials : (m, 3)
+        Laws: edge of the cone (2), restitution.
+    """
+
+    vertices: Array
+    firsts: Ints
+    radii: Array
+    sizes: Array
+    inverse: Array
+    gravity: Array
+    surfaces: Array
+    pairs: Ints
+    materials: Array
 
 
 @kernel
@@ -78,69 +110,37 @@ def _swept_steady(
 
 @kernel
 def step_bodies(
-    vertices: Array,
-    firsts: Ints,
-    radii: Array,
-    sizes: Array,
-    inverse: Array,
-    gravity: Array,
-    surfaces: Array,
-    pairs: Ints,
-    materials: Array,
+    numbers: BodyNumbers,
     plastic: bool,
-    h: float,
-    state: Array,
     keys: Ints,
     memory: Array,
-    remembered: int,
+    remembered: Ints,
     given: Array,
     softened: bool,
-    states: Array,
-    solved: Array,
-    impulses: Array,
-    codes: Ints,
-    struck: NDArray[np.bool_],
-    gaps: Array,
-    approach: Array,
-    closing: Array,
-    counts: Ints,
-) -> tuple[int, int, int, Array, Array, Array]:
-    """Take steps until the arrays are full.
+    chunk: Chunk,
+) -> tuple[int, int, Array, Array, Array]:
+    """Take the steps of a chunk.
 
-    Return (steps, status, number remembered, W, free, cones); see `scene_kernels.step_scene`.
+    Return (steps, status, W, free, cones); see `contacts.time_stepping.scene_step.step_scene`.
 
     Parameters
     ----------
-    vertices : (v, 2), firsts : (b + 1,)
-        Corners of all bodies in their frames, and where those of a body begin; none of discs.
-    radii, sizes : (b,)
-        Of discs; and how far the body reaches from its centre.
-    inverse : (b, 3)
-        1/mass, 1/mass, 1/moment of inertia.
-    gravity : (2,)
-    surfaces : (s, 4)
-        A point, and the normal.
-    pairs : (b, b + s)
-        Which material bodies touch each other and surfaces with; -1: they do not.
-    materials : (m, 3)
-        Edge of the cone (2), restitution.
+    numbers : BodyNumbers
     plastic : bool
         Whether what is hit together does not rebound.
-    h : float
-    state : (6 b,)
-        All coordinates, all rates; changed in place, as are the following.
-    keys : (c, 2), memory : (c, MEMORY), remembered : int
-        Contacts of the step before: pair and feature; see `MEMORY`. They must be more than take
-        part in a step, else the status is `FULL`.
+    keys : (c, 2), memory : (c, MEMORY), remembered : (1,)
+        Contacts of the step before: pair and feature; see `MEMORY`; and how many they are. They
+        must be more than take part in a step, else the status is `FULL`. Changed in place.
     given : (4 m,)
         Solutions of problems of the first step that were not solved before.
     softened : bool
         See `step_scene`.
-    states, solved, impulses, codes, struck, gaps, approach, closing
-        As `step_scene`, per body instead of per contact; `solved` has accelerations alone.
-    counts : (2,)
-        Contacts that took part so far, and islands that were swept.
+    chunk : Chunk
+        To be filled, per body instead of per contact; the unknowns are accelerations alone.
     """
+    vertices, firsts, radii, sizes, inverse, gravity, surfaces, pairs, materials = numbers
+    h, states, solved, codes, struck, _, impulses, gaps, approach, closing = chunk
+    state = states[0].copy()
     b_count, s_count = len(sizes), len(surfaces)
     n = 3 * b_count
     most = len(keys)
@@ -159,7 +159,7 @@ def step_bodies(
     world = np.empty_like(vertices)
     reach = np.empty(b_count)
     fall = math.hypot(gravity[0], gravity[1]) * h
-    for k in range(len(states)):
+    for k in range(len(codes)):
         old = state[n:].copy().reshape(b_count, 3)
         loose = old.copy()
         for b in range(b_count):
@@ -208,7 +208,7 @@ def step_bodies(
                         mine, centres[b], radii[b], surfaces[c - b_count], within, found
                     )
                 pair = b * (b_count + s_count) + c
-                while at_old < remembered and keys[at_old, 0] < pair:
+                while at_old < remembered[0] and keys[at_old, 0] < pair:
                     at_old += 1
                 for p in range(count):
                     nx, ny, x, y, gap = found[p]
@@ -218,7 +218,7 @@ def step_bodies(
                     level, lasting, basis = 0.0, False, -1
                     pushes[m, 0] = pushes[m, 1] = 0.0
                     place_old = at_old
-                    while place_old < remembered and keys[place_old, 0] == pair:
+                    while place_old < remembered[0] and keys[place_old, 0] == pair:
                         if keys[place_old, 1] == features[p]:
                             level = memory[place_old, 0]
                             lasting = memory[place_old, 1] > 0.0
@@ -236,34 +236,26 @@ def step_bodies(
                             rows[m, d, 5] = -(rx * uy - ry * ux)
                         before[m, d] = velocity(bodies, rows, old, m, d)
                         free[m, d] = velocity(bodies, rows, loose, m, d)
-                    if not lasting:
-                        # What has come out does not go as deep again.
-                        level = min(max(level, gap), 0.0)
                     nearing = -before[m, 0]
-                    slow = max(_SLOW * abs(free[m, 0] - before[m, 0]), _SLOW * fall)
-                    above = gap - level
-                    hit[m] = False
+                    slow = SLOW * max(abs(free[m, 0] - before[m, 0]), fall)
+                    # Struck in the step whose middle is nearest to the instant of touching.
+                    part, level, above = arriving(
+                        gap, level, lasting, nearing, free[m, 0], slow, 0.5 + BESIDE, h
+                    )
+                    if part == APART:
+                        continue
+                    hit[m] = part == HIT
                     wanted[m, 0] = wanted[m, 1] = 0.0
-                    # What is slow is let in before it arrives: others may push it there now.
-                    soon = gap <= 0.0 or above + h * (free[m, 0] - slow) <= 0.0
-                    if lasting or (nearing <= slow and soon):
-                        if above < 0.0 and not lasting:
-                            level, above = gap, 0.0
-                        # A point that turns away faster than gravity follows lifts off; what is
-                        # deeper than that makes was moved there by a change of features.
-                        wanted[m, 0] = max(above / h, -0.5 * fall)
-                    elif above <= (0.5 + _BESIDE) * h * nearing and nearing > slow:
-                        # Struck in the step whose middle is nearest to the instant of touching.
-                        hit[m] = True
+                    if hit[m]:
                         wanted[m, 0] = -materials[material, 2] * nearing
                         approach[k] = max(approach[k], nearing)
                         closing[k] = max(closing[k], -gap)
-                        level = min(gap, 0.0)
                     else:
-                        continue
+                        # A point that turns away faster than gravity follows lifts off; what is
+                        # deeper than that makes was moved there by a change of features.
+                        wanted[m, 0] = max(above / h, -0.5 * fall)
                     if m == most - 1:
-                        _restore(state, old, h, n)
-                        return k, FULL, remembered, nothing, none, none
+                        return k, FULL, nothing, none, none
                     cones[m, 0], cones[m, 1] = materials[material, 0], materials[material, 1]
                     elastic[m] = materials[material, 2]
                     new_keys[m, 0], new_keys[m, 1] = pair, features[p]
@@ -273,13 +265,8 @@ def step_bodies(
                         for u in range(UNKNOWNS):
                             guesses[m, u] = (basis >> u) & 1 == 1
                     else:
-                        toward = free[m, 1] < 0.0
-                        guesses[m, 0] = True
-                        guesses[m, 1] = toward and cones[m, 1] > 0.0
-                        guesses[m, 2] = not toward and cones[m, 1] > 0.0
-                        guesses[m, 3] = cones[m, 1] > 0.0
+                        pressed_guess(guesses[m], free[m, 1], cones[m, 1] > 0.0)
                     m += 1
-        counts[0] += m
         parents = np.arange(b_count)
         for i in range(m):
             if bodies[i, 1] >= 0:
@@ -307,7 +294,6 @@ def step_bodies(
                 members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
                 pushes, sliding, guesses,
             ):  # fmt: skip
-                counts[1] += 1
                 _swept_steady(
                     members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
                     pushes, sliding, guesses, hit, steady,
@@ -336,13 +322,11 @@ def step_bodies(
             )  # fmt: skip
             if not good:
                 # All but degenerate: the sweeps need no basis.
-                counts[1] += 1
                 if not swept(
                     members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
                     pushes, sliding, guesses,
                 ):  # fmt: skip
-                    _restore(state, old, h, n)
-                    return k, HARD, remembered, delassus, least, ours
+                    return k, HARD, delassus, least, ours
                 _swept_steady(
                     members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
                     pushes, sliding, guesses, hit, steady,
@@ -390,7 +374,7 @@ def step_bodies(
                         codes[k, b] = PIN
                     elif codes[k, b] == FREE:
                         codes[k, b] = SLIDE
-        remembered = m
+        remembered[0] = m
         for b in range(b_count):
             for d in range(3):
                 at = 3 * b + d
@@ -398,7 +382,7 @@ def step_bodies(
                 state[n + at] = rates[b, d]
                 state[at] += 0.5 * h * rates[b, d]
                 if not math.isfinite(state[at]):
-                    return k, NOT_FINITE, remembered, nothing, none, none
+                    return k, NOT_FINITE, nothing, none, none
         for i in range(2 * n):
-            states[k, i] = state[i]
-    return len(states), DONE, remembered, nothing, none, none
+            states[k + 1, i] = state[i]
+    return len(codes), DONE, nothing, none, none

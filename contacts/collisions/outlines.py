@@ -4,48 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.collisions.body_step import BodyNumbers
+from contacts.dynamics.contact_law import edge
 from contacts.scene.fields import copies
 from contacts.scene.scene import Scene
+from contacts.solvers.contact_lcp_kernels import smoothed
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
-
-
-@dataclass(frozen=True, eq=False)
-class BodyNumbers:
-    """What does not change in a run of colliding bodies.
-
-    Attributes
-    ----------
-    vertices : (v, 2), firsts : (b + 1,)
-        Corners of all bodies in their frames, and where those of a body begin; none of discs.
-    radii, sizes : (b,)
-        Of discs; and how far a body reaches from its centre.
-    inverse : (b, 3)
-        1/mass, 1/mass, 1/moment of inertia.
-    gravity : (2,)
-    surfaces : (s, 4)
-        A point, and the unit normal out of the solid.
-    pairs : (b, b + s) array of int
-        Which law bodies touch each other and surfaces by; -1: they do not.
-    materials : (m, 3)
-        Laws: edge of the cone (2), restitution.
-    """
-
-    vertices: Array
-    firsts: NDArray[np.int64]
-    radii: Array
-    sizes: Array
-    inverse: Array
-    gravity: Array
-    surfaces: Array
-    pairs: NDArray[np.int64]
-    materials: Array
 
 
 def owners_of(scene: Scene) -> list[str]:
@@ -150,13 +120,12 @@ def _materials(
     pairs = np.full((len(names), len(names) + len(surfaces)), -1, dtype=np.int64)
     laws = []
     for law, collision in enumerate(scene.collisions.values()):
-        mu = number(collision.friction)
-        edge = (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1, mu), mu / math.hypot(1, mu))
-        laws.append((*edge, number(collision.restitution)))
+        laws.append((*edge(number(collision.friction)), number(collision.restitution)))
         members = [i for i, owner in enumerate(owners) if owner in collision.bodies]
         others = [len(names) + surfaces.index(name) for name in collision.surfaces]
         for one in members:
             for other in [k for k in members if k > one] + others:
                 if pairs[one, other] < 0:
                     pairs[one, other] = law
-    return pairs, np.array(laws)
+    edges = np.array(laws)
+    return pairs, np.column_stack([smoothed(edges[:, :2]), edges[:, 2]])

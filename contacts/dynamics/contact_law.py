@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -39,3 +40,10 @@ class ContactLaw(NamedTuple):
 def cones(laws: tuple[ContactLaw, ...]) -> Array:
     """Return the unit edges (c, 2) of the contacts' friction cones."""
     return np.array([(law.cone_n, law.cone_t) for law in laws], dtype=float).reshape(-1, 2)
+
+
+def edge(mu: float) -> tuple[float, float]:
+    """Return the unit edge ``(1, mu) / hypot(1, mu)`` of a cone of friction, also at mu = inf."""
+    if math.isinf(mu):
+        return 0.0, 1.0
+    return 1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu)

@@ -10,7 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from contacts.collisions.outlines import BodyNumbers, body_numbers, owners_of
+from contacts.collisions.body_step import BodyNumbers
+from contacts.collisions.outlines import body_numbers, owners_of
 from contacts.scene.scene import Scene
 from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, step_ends
 from statechart.arrays import Array

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from contacts.dynamics.contact_law import edge
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
 from contacts.states import OFF
@@ -79,9 +80,7 @@ def cone_edges(scene: Scene, trace: Trace, mode: Key) -> dict[str, tuple[float, 
     for name, contact in scene.contacts.items():
         # Without friction declared the contact does not slide, whatever that takes.
         mu = math.inf if contact.friction is None else value(contact.friction)
-        result[name] = (
-            (0.0, 1.0) if math.isinf(mu) else (1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu))
-        )
+        result[name] = edge(mu)
     return result
 
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from contacts.dynamics.control_guards import ControlGuards, listening
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
-from contacts.time_stepping.recorder import Chunk, Recorder
+from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.scene_steps import SteppedScene, SteppedTape
 from statechart.arrays import Array
 from statechart.automaton.regions import Region

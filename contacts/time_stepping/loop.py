@@ -30,7 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.dynamics.setup import SceneSetup
-from contacts.time_stepping.recorder import TERMS, Chunk, Recorder
+from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.recorder import TERMS, Recorder
 from statechart import interrupts
 from statechart.arrays import Array
 from statechart.automaton.trace import (

@@ -17,59 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
+from contacts.time_stepping.chunk import Chunk
 from statechart.arrays import Array, Ints
 from statechart.automaton.trace import Arc, Clock, Jump, Key
 
 TERMS = 3
 """Terms of the polynomial of a step."""
-
-
-@dataclass(frozen=True, eq=False)
-class Chunk:
-    """Consecutive steps of one length.
-
-    Attributes
-    ----------
-    h : float
-        Length of a step.
-    states : (k + 1, 2 n) array
-        The first is where the first step begins.
-    solved : (k, u) array
-        Accelerations (n,) under what lasts, and the further unknowns.
-    codes : (k, r) array
-        Mode of every region, as `contacts.states` numbers them.
-    struck, shared : (k, r) array of bool
-        Regions with an impact in the middle of the step; those whose forces the motion does not
-        determine.
-    impulses : (k, r, 2) array
-        Of the impacts, and of what they make others bear.
-    approach, closing : (k,) array
-        The fastest approach of an impact; the largest gap, of either sign, that a step closes.
-    """
-
-    h: float
-    states: Array
-    solved: Array
-    codes: Ints
-    struck: NDArray[np.bool_]
-    shared: NDArray[np.bool_]
-    impulses: Array
-    approach: Array
-    closing: Array
-
-    def first(self, count: int) -> Chunk:
-        """Return the first `count` steps."""
-        return Chunk(
-            self.h,
-            self.states[: count + 1],
-            self.solved[:count],
-            self.codes[:count],
-            self.struck[:count],
-            self.shared[:count],
-            self.impulses[:count],
-            self.approach[:count],
-            self.closing[:count],
-        )
 
 
 @dataclass(eq=False)

@@ -21,20 +21,26 @@ from contacts.solvers.contact_lcp_kernels import (
     steady_impulses,
 )
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE
+from contacts.time_stepping.chunk import (
+    APART,
+    BAD_INERTIA,
+    BESIDE,
+    DONE,
+    HARD,
+    HIT,
+    LASTING,
+    NOT_FINITE,
+    SLOW,
+    Chunk,
+    arriving,
+    pressed_guess,
+)
 from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
 from contacts.time_stepping.forces import borne_mode, jammed, resting, shared_forces
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
-DONE, HARD, BAD_INERTIA, NOT_FINITE = range(4)
-
-# Corners that arrive together are told apart by no rounding of their gaps and speeds: bounds are
-# this part of a step beside the numbers that declared lengths and speeds make.
-_BESIDE = 1e-6
-# Impulses of contacts that approach slower than what so many steps without contact would make of
-# rest are those of a contact that lasts.
-_SLOW = 2.0 + _BESIDE
 # A contact that lands slower than this part of what a step without contact would make of rest
 # brings no momentum that forces would tell.
 _LATE = 1e-9
@@ -58,8 +64,6 @@ def step_scene(
     joints: int,
     near: float,
     start: float,
-    h: float,
-    state: Array,
     level: Array,
     closed: NDArray[np.bool_],
     fresh: NDArray[np.int64],
@@ -68,17 +72,9 @@ def step_scene(
     bases: NDArray[np.bool_],
     given: Array,
     softened: bool,
-    states: Array,
-    solved: Array,
-    impulses: Array,
-    codes: NDArray[np.int64],
-    struck: NDArray[np.bool_],
-    shared: NDArray[np.bool_],
-    gaps: Array,
-    approach: Array,
-    closing: Array,
+    chunk: Chunk,
 ) -> tuple[int, int, Array, Array, Array]:
-    """Take steps until the arrays are full; return (steps, status, W, free, cones).
+    """Take the steps of a chunk; return (steps, status, W, free, cones).
 
     The last three are the contact problem that was not solved, where the status is `HARD`; called
     again with its unknowns as `given`, the step is finished with them.
@@ -102,12 +98,11 @@ def step_scene(
         Number of components of joints.
     near : float
         Contacts that were off come back where they are no deeper than this.
-    start, h : float
-        Time of the state, and step.
-    state : (2 n,)
-        Changed in place, as are the following six.
+    start : float
+        Time of the first state.
     level : (c,)
         Gap at which a contact that lasts is kept: what its landing has left, never above 0.
+        Changed in place, as are the following five.
     closed : (c,)
         Whether it lasts.
     fresh : (c,) array of int
@@ -122,22 +117,19 @@ def step_scene(
         Solutions of problems of the first step that were not solved before.
     softened : bool
         Whether no contact is made to part in the first step: nothing else solves it.
-    states : (k, 2 n), solved : (k, n + joints + 2 c + u)
-    impulses : (k, c, 2), codes, struck, shared, gaps : (k, c)
-        To be filled: state after each step; accelerations, forces of joints and of contacts that
-        last (not a number where the step holds an impact as well), what controllers set; impulses
-        of instants; modes; where something struck; whose forces the motion does not determine;
-        gaps at the midpoints.
-    approach, closing : (k,)
-        Fastest approach of an impact; largest gap, of either sign, that the step closes.
+    chunk : Chunk
+        To be filled; unknowns are accelerations (n,), forces of joints and of contacts that last
+        (2 c,; not a number where the step holds an impact as well), what controllers set (u,).
     """
+    h, states, solved, codes, struck, shared, impulses, gaps, approach, closing = chunk
+    state = states[0].copy()
     n, c = len(state) // 2, len(cones)
     nothing, none = np.empty((0, 0)), np.empty((0, 2))
     numbers = np.empty(len(outputs))
     per = 2 * n + CONTACT
     first = n * n + n + (n * n if damped else 0)
     borne = n + joints
-    for k in range(len(states)):
+    for k in range(len(codes)):
         time = start + (k + 0.5) * h
         middle = state.copy()
         for i in range(n):
@@ -177,28 +169,20 @@ def step_scene(
                 before[i, d] = free[i, d] = numbers[row + 2 * n + 3 + d]
                 for j in range(n):
                     free[i, d] += numbers[row + d * n + j] * change[j]
-            if not closed[i]:
-                # What has come out does not go as deep again.
-                level[i] = min(max(level[i], gap), 0.0)
             nearing = -before[i, 0]
-            slow = _SLOW * abs(free[i, 0] - before[i, 0])
-            above = gap - level[i]
+            slow = SLOW * abs(free[i, 0] - before[i, 0])
             bias = 0.5 * h * numbers[row + 2 * n]
-            # What is slow is let in before it arrives: others may push it there in this step.
-            soon = gap <= 0.0 or above + h * (free[i, 0] + bias - slow) <= 0.0
-            if closed[i] or (nearing <= slow and soon):
-                active[i] = True
-                if above < 0.0 and not closed[i]:
-                    level[i] = gap
-                    above = 0.0
+            part, level[i], above = arriving(
+                gap, level[i], closed[i], nearing, free[i, 0] + bias, slow, BESIDE, h
+            )
+            active[i], hit[i] = part != APART, part == HIT
+            if part == LASTING:
                 wanted[i, 0] = above / h + bias
                 wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
-            elif above <= _BESIDE * h * nearing and nearing > slow:
-                active[i] = hit[i] = True
+            elif part == HIT:
                 wanted[i, 0] = -restitution[i] * nearing
                 approach[k] = max(approach[k], nearing)
                 closing[k] = max(closing[k], -gap)
-                level[i] = min(gap, 0.0)
         which = np.nonzero(active)[0]
         m = len(which)
         total = np.zeros(size)
@@ -244,10 +228,8 @@ def step_scene(
                 for u in range(UNKNOWNS):
                     guess[UNKNOWNS * a + u] = bases[which[a], u]
                 if not guess[UNKNOWNS * a]:
-                    guess[UNKNOWNS * a] = True
-                    if ours[a, 1] > 0.0:
-                        guess[UNKNOWNS * a + (1 if least[a, 1] < 0.0 else 2)] = True
-                        guess[UNKNOWNS * a + 3] = True
+                    mine = guess[UNKNOWNS * a : UNKNOWNS * (a + 1)]
+                    pressed_guess(mine, least[a, 1], ours[a, 1] > 0.0)
             good, z, basis, pushes, least = solve_impacts(
                 delassus, groups, start_at, free[which], wanted[which], ours, rebounds, guess,
                 given if k == 0 else given[:0], softened and k == 0,
@@ -345,5 +327,5 @@ def step_scene(
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE, nothing, none, none
         for i in range(2 * n):
-            states[k, i] = state[i]
-    return len(states), DONE, nothing, none, none
+            states[k + 1, i] = state[i]
+    return len(codes), DONE, nothing, none, none

@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.solvers.contact_lcp import contact_problem, four_unknowns
-from contacts.solvers.contact_lcp_kernels import LOOSEST, UNKNOWNS, problem, smoothed, step_residual
-from contacts.solvers.lcp import solve_lcp
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS, smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
+from contacts.time_stepping.chunk import BAD_INERTIA, Chunk, softened_remark, stepped
 from contacts.time_stepping.equations import CONTACT
-from contacts.time_stepping.recorder import Chunk
-from contacts.time_stepping.scene_step import BAD_INERTIA, DONE, HARD, step_scene
+from contacts.time_stepping.scene_step import step_scene
 from statechart.arrays import Array
-from statechart.errors import NoConsistentMode, NonFinite, SingularMode, UnsolvedImpulses
+from statechart.errors import NoConsistentMode, NonFinite, SingularMode
 from statechart.formulas.tape import Tape, compile_tape
 
 _CODES = {state: code for code, state in STATES.items()}
@@ -198,61 +196,26 @@ class SteppedScene:
         """
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
-        states = np.empty((count + 1, 2 * n))
-        states[0] = state
-        now = state.copy()
-        solved = np.zeros((count, n + r + 2 * c + source.controls))
-        impulses, codes = np.zeros((count, c, 2)), np.zeros((count, c), np.int64)
-        struck, shared = np.zeros((count, c), np.bool_), np.zeros((count, c), np.bool_)
-        gaps = np.full((count, c), np.inf)
-        approach, closing = np.zeros(count), np.zeros(count)
+        chunk = Chunk.room(h, state, n + r + 2 * c + source.controls, c, count)
         self._kept = self._memory.copy()
         memory = self._memory
-        given, done, softened = np.zeros(0), 0, False
-        while done < count:
-            taken, status, delassus, least, cones = step_scene(
+
+        def step(
+            left: Chunk, done: int, given: Array, softened: bool
+        ) -> tuple[int, int, Array, Array, Array]:
+            return step_scene(
                 tape.code, tape.constants, tape.outputs, source.damped, self._values,
                 self._cones, self._restitution, source.plastic, source.held, source.slips, r,
-                self._near, start + done * h, h, now, memory.level, memory.closed, memory.fresh,
-                memory.off, memory.light, memory.bases, given, softened, states[done + 1 :],
-                solved[done:], impulses[done:],
-                codes[done:], struck[done:], shared[done:], gaps[done:], approach[done:],
-                closing[done:],
+                self._near, start + done * h, memory.level, memory.closed, memory.fresh,
+                memory.off, memory.light, memory.bases, given, softened, left,
             )  # fmt: skip
-            done += taken
-            if status == DONE:
-                break
-            try:
-                if status != HARD:
-                    raise _failure(status)
-                if taken:
-                    given, softened = np.zeros(0), False
-                try:
-                    # Of a step there are two problems: with restitution, and without.
-                    given = np.concatenate([given, widened(delassus, least, cones)])
-                except UnsolvedImpulses:
-                    if softened:
-                        raise
-                    given, softened = np.zeros(0), True
-                    self._softened += 1
-            except (UnsolvedImpulses, SingularMode, NonFinite):
-                if done == 0:
-                    raise
-                break
-        done = self._declared(codes[:done], start, h)
-        forces = solved[:done, n + r : n + r + 2 * c].reshape(done, c, 2)
-        self._note(gaps[:done], forces, codes[:done])
-        return Chunk(
-            h,
-            states[: done + 1],
-            solved[:done],
-            codes[:done],
-            struck[:done],
-            shared[:done],
-            impulses[:done],
-            approach[:done],
-            closing[:done],
-        )
+
+        done, softened = stepped(step, _failure, chunk)
+        self._softened += softened
+        chunk = chunk.first(self._declared(chunk.codes[:done], start, h))
+        forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
+        self._note(chunk.gaps, forces, chunk.codes)
+        return chunk
 
     def _declared(self, codes: NDArray[np.int64], start: float, h: float) -> int:
         """Return how many steps take declared modes; replace a stick that only passes.
@@ -294,42 +257,6 @@ class SteppedScene:
             borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)
             seen = np.where(borne, values, np.inf).min(axis=0)
             memory.least[:, k] = np.minimum(memory.least[:, k], seen)
-
-
-def softened_remark(steps: int) -> tuple[str, ...]:
-    """Say in how many steps impacts did not rebound."""
-    if not steps:
-        return ()
-    return (
-        f"in {steps} steps no impulses were found that make all contacts part as Moreau's law of "
-        "impact asks: what was hit then did not rebound",
-    )
-
-
-def widened(delassus: Array, free: Array, cones: Array) -> Array:
-    """Solve a step's contact problem by all the ways there are; return four unknowns a contact.
-
-    Raises
-    ------
-    UnsolvedImpulses
-        If none finds a solution.
-    NonFinite
-        If there is none to find: the steps before have grown beyond all bounds.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):
-        matrix, vector = contact_problem(delassus, free, cones)
-    if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
-        raise NonFinite("the velocities of contacts became infinite or undefined")
-    solution = solve_lcp(matrix, vector)
-    z = four_unknowns(solution.z, cones)
-    # Its own measure forgives no row that is the rounding of others.
-    left = step_residual(*problem(delassus, free, cones, np.zeros(len(cones))), z)
-    if left > LOOSEST:
-        raise UnsolvedImpulses(
-            f"{len(cones)} contacts: {solution.status.value} (residual {left:.2g}); a shorter step "
-            "may take the bodies past it"
-        )
-    return z
 
 
 def _failure(status: int) -> SingularMode | NonFinite:

@@ -17,7 +17,7 @@ from contacts.solvers.contact_lcp_kernels import (
     step_residual,
 )
 from contacts.solvers.lcp import enumerate_lcp
-from contacts.time_stepping.scene_steps import widened
+from contacts.time_stepping.chunk import widened
 from statechart.errors import UnsolvedImpulses
 
 

@@ -1,0 +1,234 @@
+"""Steps of one length: their arrays, when a contact takes part in one, and how hard ones are taken.
+
+What points on surfaces and bodies with shapes have in common; both have a compiled step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.solvers.contact_lcp import contact_problem, four_unknowns
+from contacts.solvers.contact_lcp_kernels import LOOSEST, problem, step_residual
+from contacts.solvers.lcp import solve_lcp
+from statechart.arrays import Array, Bools, Ints
+from statechart.errors import NonFinite, SimulationError, UnsolvedImpulses
+from statechart.kernels.jit import part
+
+DONE, HARD, BAD_INERTIA, NOT_FINITE, FULL = range(5)
+"""How a chunk ended: with its last step, before a contact problem that was not solved, an inertia
+that determines no motion, a number that is none, or more contacts than there is place for."""
+
+APART, LASTING, HIT = range(3)
+"""How a contact takes part in a step."""
+
+BESIDE = 1e-6
+"""Corners that arrive together are told apart by no rounding of their gaps and speeds: bounds are
+this part of a step beside the numbers that declared lengths and speeds make."""
+
+SLOW = 2.0 + BESIDE
+"""Impulses of contacts that approach slower than what so many steps without contact would make of
+rest are those of a contact that lasts."""
+
+# Unknowns of a step solved outside its kernel.
+_MOST_GIVEN = 4096
+
+
+class Chunk(NamedTuple):
+    """Consecutive steps of one length.
+
+    Attributes
+    ----------
+    h : float
+        Length of a step.
+    states : (k + 1, 2 n) array
+        The first is where the first step begins.
+    solved : (k, u) array
+        Accelerations (n,) under what lasts, and the further unknowns.
+    codes : (k, r) array
+        Mode of every region, as `contacts.states` numbers them.
+    struck, shared : (k, r) array of bool
+        Regions with an impact in the middle of the step; those whose forces the motion does not
+        determine.
+    impulses : (k, r, 2) array
+        Of the impacts, and of what they make others bear.
+    gaps : (k, r) array
+        At the midpoints.
+    approach, closing : (k,) array
+        The fastest approach of an impact; the largest gap, of either sign, that a step closes.
+    """
+
+    h: float
+    states: Array
+    solved: Array
+    codes: Ints
+    struck: NDArray[np.bool_]
+    shared: NDArray[np.bool_]
+    impulses: Array
+    gaps: Array
+    approach: Array
+    closing: Array
+
+    @classmethod
+    def room(cls, h: float, state: Array, unknowns: int, regions: int, count: int) -> Chunk:
+        """Return place for steps from `state`."""
+        states = np.empty((count + 1, len(state)))
+        states[0] = state
+        return cls(
+            h,
+            states,
+            np.zeros((count, unknowns)),
+            np.zeros((count, regions), dtype=np.int64),
+            np.zeros((count, regions), dtype=np.bool_),
+            np.zeros((count, regions), dtype=np.bool_),
+            np.zeros((count, regions, 2)),
+            np.full((count, regions), np.inf),
+            np.zeros(count),
+            np.zeros(count),
+        )
+
+    def first(self, count: int) -> Chunk:
+        """Return the first `count` steps."""
+        return Chunk._make((self.h, self.states[: count + 1], *(rows[:count] for rows in self[2:])))
+
+    def after(self, count: int) -> Chunk:
+        """Return the steps after the first `count`."""
+        return Chunk._make((self.h, *(rows[count:] for rows in self[1:])))
+
+
+@part
+def arriving(
+    gap: float, level: float, lasting: bool, nearing: float, ahead: float, slow: float,
+    early: float, h: float,
+) -> tuple[int, float, float]:  # fmt: skip
+    """Return how a contact takes part in a step, its level, and how far above that it is.
+
+    Parameters
+    ----------
+    gap, level : float
+        At the midpoint; at which a contact that lasts is kept.
+    lasting : bool
+        Whether it does.
+    nearing, ahead : float
+        Speed of approach before the step, and of separation after it without impulses.
+    slow : float
+        Up to here an approach is that of a contact that lasts.
+    early : float
+        What touches within this part of a step is struck in it.
+    h : float
+    """
+    if not lasting:
+        # What has come out does not go as deep again.
+        level = min(max(level, gap), 0.0)
+    above = gap - level
+    # What is slow is let in before it arrives: others may push it there in this step.
+    soon = gap <= 0.0 or above + h * (ahead - slow) <= 0.0
+    if lasting or (nearing <= slow and soon):
+        if above < 0.0 and not lasting:
+            return LASTING, gap, 0.0
+        return LASTING, level, above
+    if above <= early * h * nearing and nearing > slow:
+        return HIT, min(gap, 0.0), above
+    return APART, level, above
+
+
+@part
+def pressed_guess(guess: Bools, slip: float, rough: bool) -> None:
+    """Write which unknowns (4,) a contact has that presses and would slip at this speed."""
+    guess[0] = True
+    guess[1], guess[2] = rough and slip < 0.0, rough and not slip < 0.0
+    guess[3] = rough
+
+
+def stepped(
+    step: Callable[[Chunk, int, Array, bool], tuple[int, int, Array, Array, Array]],
+    failure: Callable[[int], SimulationError | None],
+    chunk: Chunk,
+) -> tuple[int, int]:
+    """Take the steps of a chunk; return how many could be taken, and how many did not rebound.
+
+    Parameters
+    ----------
+    step : callable
+        (steps to take, how many are done, solutions of problems of the first of them that were
+        not solved before, whether no contact is made to part in it) -> (steps taken, status, and
+        the problem that was not solved, where there is one).
+    failure : callable
+        Status -> what it means; None where the step can be tried again.
+    chunk : Chunk
+        To be filled.
+
+    Raises
+    ------
+    SimulationError
+        Where not one step can be taken.
+    """
+    given, done, softened, without_rebound = np.zeros(0), 0, False, 0
+    count = len(chunk.codes)
+    while done < count:
+        taken, status, delassus, least, cones = step(chunk.after(done), done, given, softened)
+        done += taken
+        if status == DONE:
+            break
+        if taken:
+            given, softened = np.zeros(0), False
+        try:
+            if status != HARD:
+                error = failure(status)
+                if error is not None:
+                    raise error
+                continue
+            if len(given) > _MOST_GIVEN:
+                raise UnsolvedImpulses("solutions of a step are not those of its problems")
+            try:
+                # Of a step there are two problems: with restitution, and without.
+                given = np.concatenate([given, widened(delassus, least, cones)])
+            except UnsolvedImpulses:
+                if softened:
+                    raise
+                given, softened = np.zeros(0), True
+                without_rebound += 1
+        except SimulationError:
+            if done == 0:
+                raise
+            break
+    return done, without_rebound
+
+
+def softened_remark(steps: int) -> tuple[str, ...]:
+    """Say in how many steps impacts did not rebound."""
+    if not steps:
+        return ()
+    return (
+        f"in {steps} steps no impulses were found that make all contacts part as Moreau's law of "
+        "impact asks: what was hit then did not rebound",
+    )
+
+
+def widened(delassus: Array, free: Array, cones: Array) -> Array:
+    """Solve a step's contact problem by all the ways there are; return four unknowns a contact.
+
+    Raises
+    ------
+    UnsolvedImpulses
+        If none finds a solution.
+    NonFinite
+        If there is none to find: the steps before have grown beyond all bounds.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        matrix, vector = contact_problem(delassus, free, cones)
+    if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
+        raise NonFinite("the velocities of contacts became infinite or undefined")
+    solution = solve_lcp(matrix, vector)
+    z = four_unknowns(solution.z, cones)
+    # Its own measure forgives no row that is the rounding of others.
+    left = step_residual(*problem(delassus, free, cones, np.zeros(len(cones))), z)
+    if left > LOOSEST:
+        raise UnsolvedImpulses(
+            f"{len(cones)} contacts: {solution.status.value} (residual {left:.2g}); a shorter step "
+            "may take the bodies past it"
+        )
+    return z
