@@ -19,11 +19,11 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import Snapshot
 from contacts.impacts.work import work_of
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
-from contacts.solvers.contact_lcp_kernels import STEEPEST
+from contacts.solvers.contact_lcp_kernels import STEEPEST, into_cone
 from contacts.solvers.lcp import LcpStatus, solve_lcp
 from contacts.solvers.mode_solver import solve_modes
-from contacts.solvers.redundancy import connected, into_cone, mode_columns, rank, smallest
-from contacts.solvers.saddle_point import SOLVED
+from contacts.solvers.redundancy import connected, mode_columns, smallest
+from contacts.solvers.saddle_point import SOLVED, independent
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array
 
@@ -43,8 +43,6 @@ _GAIN = 1e-9
 _SAME = 1e-8
 # Velocities below this part of the largest in their group are not compared with themselves.
 _ROUNDED = 1e-4
-# Elimination does not tell columns closer to dependent apart.
-_NEARLY_DEPENDENT = 1e-10
 
 # As `contacts.states` numbers them; pressing is sticking that needs no friction.
 _PRESS = -1
@@ -295,8 +293,8 @@ class _Problem:
         huge and cancel.
         """
         plain = np.where(code == _PRESS, SLIDE, code)
-        columns = sum(mode_columns(plain, self.jacobians, self.cones), start=list[Array]())
-        return not columns or rank(np.array(columns).T, _NEARLY_DEPENDENT)[0] == len(columns)
+        columns, _ = mode_columns(plain, self.cones, self.jacobians, -1)
+        return bool(independent(columns)[0] == len(columns))
 
     def by_lemke(self) -> list[tuple[int, ...]]:
         """Return the modes that Lemke's algorithm ends in, on the Delassus matrix.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.dynamics.snapshot import Snapshot
-from contacts.solvers.redundancy import directions, mode_columns, unseen
+from contacts.solvers.redundancy import mode_columns, unseen
 from contacts.solvers.saddle_point import independent
 from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
 from contacts.states import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
@@ -96,9 +96,7 @@ def share(
         boundary of what can be explained the zones still determine the forces.
     """
     jacobians = snapshot.jacobians
-    columns = mode_columns(code, jacobians, cones)
-    owners = np.array([k for k, several in enumerate(columns) for _ in several], dtype=np.int64)
-    flat = np.array([column for several in columns for column in several])
+    flat, owners = mode_columns(code, cones, jacobians, -1)
     count, order, _ = independent(flat)
     hidden = unseen(flat.T, count)
     shared = np.unique(owners[np.abs(hidden).max(axis=1) > _DEPENDENT])
@@ -131,9 +129,8 @@ def share(
     rows, joints = _rows(code, jacobians), np.zeros(0, dtype=np.int64)
     if snapshot.held is not None:
         joints = np.nonzero(~snapshot.held.joints.redundant)[0]
-        seen = mode_columns(code[shared], snapshot.whole.jacobians[shared], cones[shared])
-        held = snapshot.held.joints.jacobian[joints]
-        together = np.array([*(column for several in seen for column in several), *held])
+        seen, _ = mode_columns(code[shared], cones[shared], snapshot.whole.jacobians[shared], -1)
+        together = np.vstack([seen, snapshot.held.joints.jacobian[joints]])
         _, order, _ = independent(np.ascontiguousarray(together.T))
         # What joints allow has the rank `reach`: the sum is no matter of rounding.
         coordinates = np.sort(order[: reach + len(joints)])
@@ -153,8 +150,9 @@ def _outside(mode: int, cone: Array, force: Array) -> float:
     (n, t), (V, H) = cone.tolist(), force.tolist()
     if mode == PIN:
         return max(-V, n * abs(H) - t * V)
-    (along_n, along_t), *_ = directions(mode, cone)
-    return -(along_n * V + along_t * H)
+    if mode == SLIDE:
+        return -V
+    return -(n * V - _SLIDING[mode] * t * H)
 
 
 def _rows(code: NDArray[np.int64], jacobians: Array) -> tuple[str, ...]:

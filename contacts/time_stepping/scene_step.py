@@ -20,6 +20,7 @@ from contacts.solvers.contact_lcp_kernels import (
     solve_impacts,
     steady_impulses,
 )
+from contacts.solvers.redundancy import shared_forces
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE
 from contacts.time_stepping.chunk import (
     APART,
@@ -36,7 +37,7 @@ from contacts.time_stepping.chunk import (
     pressed_guess,
 )
 from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
-from contacts.time_stepping.forces import borne_mode, jammed, resting, shared_forces
+from contacts.time_stepping.forces import borne_mode, jammed, resting
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
