@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +32,12 @@ from numpy.typing import NDArray
 from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import TERMS, Recorder
+from contacts.time_stepping.stops import StopConditions
 from statechart import interrupts
 from statechart.arrays import Array
 from statechart.automaton.trace import (
     FAR_TOO_MANY,
     LARGEST,
-    Arc,
     Jump,
     Key,
     Outcome,
@@ -56,8 +56,6 @@ DEEPEST = 0.1
 _COUNTED = 2.0**53
 # After so many steps it is known what each takes.
 _KNOWN = 2**15
-# A stop condition is located within its step to this part of it.
-_BISECTIONS = 60
 
 
 class Stepped(Protocol):
@@ -167,7 +165,8 @@ def run(
         stepping.forces,
         lambda state, time: float(stepping.energy.values(state, setup.values, time)[0]),
     )
-    made = _Run(stepping, stepped, setup, recorder, control, step, until, max_jumps, show)
+    span = _Span(step, until, max_jumps, show)
+    made = _Run(stepping, stepped, setup, recorder, control, span)
     try:
         if failure is not None:
             raise failure
@@ -180,6 +179,15 @@ def run(
     return made.trace(warnings)
 
 
+class _Span(NamedTuple):
+    """How far a run goes, by which steps, and who is told."""
+
+    step: float
+    until: float
+    max_jumps: int
+    show: Callable[[float, int, int], None]
+
+
 class _Run:
     def __init__(
         self,
@@ -188,14 +196,11 @@ class _Run:
         setup: SceneSetup,
         recorder: Recorder,
         control: Control | None,
-        step: float,
-        until: float,
-        max_jumps: int,
-        show: Callable[[float, int, int], None],
+        span: _Span,
     ) -> None:
         self.stepping, self.stepped, self.setup = stepping, stepped, setup
-        self.recorder, self.control, self.step, self.until = recorder, control, step, until
-        self.max_jumps, self.show = max_jumps, show
+        self.recorder, self.control, self.span = recorder, control, span
+        self.stops = StopConditions(stepping.stops, stepping.stop_names, setup.values)
         self.state = setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
@@ -204,23 +209,20 @@ class _Run:
         self.outcome, self.message = outcome, message
 
     def loop(self) -> None:
-        if self.stepping.stop_names:
-            # What is solved for is not known yet: conditions on it wait for the first step.
-            blank = np.full(self.stepping.stops.n_variables - len(self.state), np.nan)
-            margins = self._margins(np.concatenate([self.state, blank])[None], 0.0)
-            if (margins < 0.0).any():
-                self._stop(int(np.argmax(margins[0] < 0.0)))
-                return
+        step, until = self.span.step, self.span.until
+        met = self.stops.at_start(self.state)
+        if met is not None:
+            self._stop(met)
+            return
         if self.control is not None:
-            unknown = np.full(self.stepping.stops.n_variables - len(self.state), np.nan)
-            self.control.turn(self.recorder, (), self.state, unknown, self.step)
-        whole = math.floor(min(self.until / self.step * (1.0 + 4e-16), _COUNTED))
-        rest = self.until - whole * self.step
-        if rest <= 1e-9 * self.step:
-            counts = [(whole, self.step)]
+            self.control.turn(self.recorder, (), self.state, self.stops.unknown(self.state), step)
+        whole = math.floor(min(until / step * (1.0 + 4e-16), _COUNTED))
+        rest = until - whole * step
+        if rest <= 1e-9 * step:
+            counts = [(whole, step)]
         else:
             # Forces are impulses over a step: in a very short one they would be rounding.
-            counts = [(whole - 1, self.step), (2, 0.5 * (self.step + rest))]
+            counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
         most = max(1, _CHUNK // len(self.stepping.regions)) if self.stepping.regions else _CHUNK
         for count, h in counts:
             done = 0
@@ -238,8 +240,8 @@ class _Run:
                     fresh = self.recorder.jumps[jumps:]
                     self.control.turn(self.recorder, fresh, self.state, chunk.solved[-1], h)
                 done += len(chunk.codes)
-        self.time = self.until
-        self.message = f"reached t = {self.until:.17g}"
+        self.time = until
+        self.message = f"reached t = {until:.17g}"
 
     def _accept(self, chunk: Chunk, start: float) -> bool:
         """Record steps; True where the run ends in them."""
@@ -248,7 +250,7 @@ class _Run:
         if wrong is not None:
             failure = wrong[1]
             chunk = chunk.first(wrong[0])
-        stopped = self._stopped(chunk, start)
+        stopped = self.stops.met(chunk, start)
         if stopped is not None:
             chunk = chunk.first(stopped[0] + 1)
         if len(chunk.codes):
@@ -257,14 +259,15 @@ class _Run:
         self.taken += len(chunk.codes)
         self.state = chunk.states[-1]
         self.time = start + len(chunk.codes) * chunk.h
-        self.show(self.time, len(self.recorder.jumps), self.taken)
+        self.span.show(self.time, len(self.recorder.jumps), self.taken)
         if stopped is not None:
-            self._locate(*stopped)
+            self.state = self.stops.locate(self.recorder, stopped[1])
+            self._stop(stopped[1])
             return True
         if failure is not None:
             raise failure
-        if len(self.recorder.jumps) >= self.max_jumps:
-            self.end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
+        if len(self.recorder.jumps) >= self.span.max_jumps:
+            self.end(Outcome.TOO_MANY_JUMPS, f"{self.span.max_jumps} jumps")
             return True
         self.size += TERMS * chunk.states[1:].nbytes + chunk.solved.nbytes
         check_size(self.size, len(self.recorder.jumps), self.time)
@@ -273,7 +276,7 @@ class _Run:
 
     def _check_pace(self) -> None:
         """Raise `TooLong` where the steps of a run that nothing else ends cannot all be kept."""
-        steps = self.until / self.step
+        steps = self.span.until / self.span.step
         most = FAR_TOO_MANY * LARGEST
         if self.taken >= _KNOWN and not self.stepping.stop_names:
             needed = self.size / self.taken * steps
@@ -304,55 +307,6 @@ class _Run:
             "or less"
         )
 
-    def _margins(self, rows: Array, times: Array | float) -> Array:
-        times = np.broadcast_to(np.asarray(times, dtype=float), len(rows)).copy()
-        return self.stepping.stops.table(rows, self.setup.values, times)
-
-    def _stopped(self, chunk: Chunk, start: float) -> tuple[int, int] | None:
-        """Return (step, condition) of the first stop condition met, by the steps' ends."""
-        if not self.stepping.stop_names:
-            return None
-        rows = np.hstack([chunk.states[1:], chunk.solved])
-        times: Array = start + chunk.h * np.arange(1, len(rows) + 1, dtype=float)
-        below = self._margins(rows, times) < 0.0
-        if not below.any():
-            return None
-        k = int(np.argmax(below.any(axis=1)))
-        return k, int(np.argmax(below[k]))
-
-    def _locate(self, step: int, condition: int) -> None:
-        """Cut the trace where a condition is met in its last step."""
-        recorder = self.recorder
-        recorder.close()
-        while True:
-            arc = recorder.arcs[-1]
-            begin = arc.times[-2]
-            if len(arc.times) > 2 or self._margin(arc, float(begin), condition) >= 0.0:
-                break
-            # It was met in the half of the step before an impact.
-            recorder.arcs.pop()
-            del recorder.jumps[recorder.arcs[-1].j :]
-        low, high = float(begin), arc.duration
-        if self._margin(arc, low, condition) < 0.0:
-            high = low
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            if self._margin(arc, middle, condition) < 0.0:
-                high = middle
-            else:
-                low = middle
-        recorder.arcs[-1] = _cut(arc, high)
-        self.state = recorder.arcs[-1].coefficients[-1].sum(axis=1)
-        recorder.rewind(arc.mode)
-        self._stop(condition)
-
-    def _margin(self, arc: Arc, local: float, condition: int) -> float:
-        at = np.array([local])
-        unknowns = arc.unknowns(at)
-        assert unknowns is not None
-        rows = np.hstack([arc.states(at), unknowns])
-        return float(self._margins(rows, arc.start.later(local).high)[0, condition])
-
     def _stop(self, condition: int) -> None:
         name = self.stepping.stop_names[condition]
         self.time = self.recorder.clock.high
@@ -364,7 +318,7 @@ class _Run:
         recorder.close()
         tolerances = dict(self.setup.tolerances)
         # A contact lands within a step, and stays as deep as it has landed.
-        tolerances["gap"] = max(tolerances["gap"], self.step * self.fastest)
+        tolerances["gap"] = max(tolerances["gap"], self.span.step * self.fastest)
         return Trace(
             name=stepping.name,
             regions=stepping.regions,
@@ -392,17 +346,7 @@ class _Run:
                 "jumps": len(recorder.jumps),
                 "modes_built": 0,
             },
-            step=self.step,
+            step=self.span.step,
             margins=self.stepped.margins,
             undetermined=recorder.indeterminate,
         )
-
-
-def _cut(arc: Arc, end: float) -> Arc:
-    """Return an arc that ends at local time `end`, in its last step."""
-    begin = arc.times[-2]
-    s = (end - begin) / (arc.times[-1] - begin)
-    times, coefficients = arc.times.copy(), arc.coefficients.copy()
-    times[-1] = end
-    coefficients[-1] *= s ** np.arange(coefficients.shape[2])
-    return Arc(arc.mode, arc.flow, arc.start, arc.j, times, coefficients, arc.solved)

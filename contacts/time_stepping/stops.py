@@ -1,0 +1,102 @@
+"""Stop conditions of a run by steps: seen at the ends of steps, located inside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.recorder import Recorder
+from statechart.arrays import Array
+from statechart.automaton.trace import Arc
+from statechart.formulas.tape import Tape
+
+# A condition is located within its step to this part of it.
+_BISECTIONS = 60
+
+
+class StopConditions:
+    """The conditions that end a run.
+
+    Parameters
+    ----------
+    tape : Tape
+        Their margins, over variables and unknowns.
+    names : sequence of str
+        What they are called; none where the run has no conditions.
+    values : (p,) array
+        Of the parameters.
+    """
+
+    def __init__(self, tape: Tape, names: Sequence[str], values: Array) -> None:
+        self._tape, self._names, self._values = tape, names, values
+
+    def unknown(self, state: Array) -> Array:
+        """Return what is solved for where it is not known yet, before the first step."""
+        return np.full(self._tape.n_variables - len(state), np.nan)
+
+    def at_start(self, state: Array) -> int | None:
+        """Return the condition that holds at the start; those on unknowns wait for a step."""
+        if not self._names:
+            return None
+        below = self._margins(np.concatenate([state, self.unknown(state)])[None], 0.0)[0] < 0.0
+        return int(np.argmax(below)) if below.any() else None
+
+    def met(self, chunk: Chunk, start: float) -> tuple[int, int] | None:
+        """Return (step, condition) of the first condition met, by the steps' ends."""
+        if not self._names:
+            return None
+        rows = np.hstack([chunk.states[1:], chunk.solved])
+        times: Array = start + chunk.h * np.arange(1, len(rows) + 1, dtype=float)
+        below = self._margins(rows, times) < 0.0
+        if not below.any():
+            return None
+        k = int(np.argmax(below.any(axis=1)))
+        return k, int(np.argmax(below[k]))
+
+    def locate(self, recorder: Recorder, condition: int) -> Array:
+        """Cut what is recorded where a condition is met in its last step; return that state."""
+        recorder.close()
+        while True:
+            arc = recorder.arcs[-1]
+            begin = arc.times[-2]
+            if len(arc.times) > 2 or self._margin(arc, float(begin), condition) >= 0.0:
+                break
+            # It was met in the half of the step before an impact.
+            recorder.arcs.pop()
+            del recorder.jumps[recorder.arcs[-1].j :]
+        low, high = float(begin), arc.duration
+        if self._margin(arc, low, condition) < 0.0:
+            high = low
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            if self._margin(arc, middle, condition) < 0.0:
+                high = middle
+            else:
+                low = middle
+        recorder.arcs[-1] = _cut(arc, high)
+        recorder.rewind(arc.mode)
+        state: Array = recorder.arcs[-1].coefficients[-1].sum(axis=1)
+        return state
+
+    def _margin(self, arc: Arc, local: float, condition: int) -> float:
+        at = np.array([local])
+        unknowns = arc.unknowns(at)
+        assert unknowns is not None
+        rows = np.hstack([arc.states(at), unknowns])
+        return float(self._margins(rows, arc.start.later(local).high)[0, condition])
+
+    def _margins(self, rows: Array, times: Array | float) -> Array:
+        times = np.broadcast_to(np.asarray(times, dtype=float), len(rows)).copy()
+        return self._tape.table(rows, self._values, times)
+
+
+def _cut(arc: Arc, end: float) -> Arc:
+    """Return an arc that ends at local time `end`, in its last step."""
+    begin = arc.times[-2]
+    s = (end - begin) / (arc.times[-1] - begin)
+    times, coefficients = arc.times.copy(), arc.coefficients.copy()
+    times[-1] = end
+    coefficients[-1] *= s ** np.arange(coefficients.shape[2])
+    return Arc(arc.mode, arc.flow, arc.start, arc.j, times, coefficients, arc.solved)
