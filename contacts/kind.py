@@ -11,39 +11,72 @@ from statechart.automaton.automaton import Automaton
 from statechart.loading.kind import Kind
 
 if TYPE_CHECKING:
+    from contacts.dynamics.mechanics import Mechanics
     from contacts.scene.modes import ContactSymbols
+    from statechart.automaton.regions import Region
 
 
 def automaton(scene: Scene) -> Automaton:
     """Compose the automaton of a scene; modes are built when a run enters them."""
-    from contacts.dynamics.control_guards import controller
+    if scene.collisions:
+        from contacts.collisions.bodies import bodies_automaton
+
+        return bodies_automaton(scene)
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.setup import SceneNumbers, cones, scene_parameters
     from contacts.event_driven.controlled_laws import ControlledLaws
     from contacts.event_driven.laws import SceneLaws
-    from contacts.scene.regions import region
     from contacts.time_stepping.scene_stepper import SceneStepper
     from statechart.automaton.laws import Laws
     from statechart.automaton.regions import Margin
     from statechart.formulas.formula import parse_relation
 
-    if scene.collisions:
-        from contacts.collisions.bodies import bodies_automaton
-
-        return bodies_automaton(scene)
     parameters = scene_parameters(scene)
+    symbols = tuple(parameters.symbols.values())
     mechanics = Mechanics(scene, parameters.symbols, cones(scene, parameters.symbols))
-    names = mechanics.names
-    observables = mechanics.observables
+    names, observables = mechanics.names, mechanics.observables
     stops = {
         name: Margin(name, parse_relation(text).margin(observables))
         for name, text in scene.stop.conditions.items()
     }
+    regions = _regions(mechanics)
+    numbers = SceneNumbers(mechanics, parameters, stops)
+    contact_laws = SceneLaws(mechanics, parameters, numbers)
+    laws: Laws = contact_laws
+    if scene.regions:
+        laws = ControlledLaws(contact_laws, mechanics, symbols, regions)
+    return Automaton(
+        name=scene.name,
+        declaration=scene,
+        names=(*names, *(scene.rate_name(name) for name in names)),
+        variables=(*mechanics.q, *mechanics.v),
+        parameter_names=parameters.names,
+        parameters=symbols,
+        time=mechanics.time,
+        unknowns=(*mechanics.a, *mechanics.unknown_forces),
+        rates=(*mechanics.v, *mechanics.a),
+        equations=mechanics.equations,
+        regions=regions,
+        stops=stops,
+        observables=observables,
+        setup=numbers.at,
+        laws=laws,
+        controls=mechanics.controls,
+        stepper=lambda: SceneStepper(mechanics, parameters, stops, regions),
+    )
+
+
+def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
+    """Return a region for every contact, then one for every controller."""
+    from contacts.dynamics.control_guards import controller
+    from contacts.scene.regions import region
+
+    scene = mechanics.scene
 
     def symbols(contact: str) -> ContactSymbols:
         return mechanics.contact(contact).symbols
 
-    regions = tuple(
+    of_contacts = (
         region(
             name,
             contact,
@@ -56,34 +89,7 @@ def automaton(scene: Scene) -> Automaton:
         )
         for name, contact in scene.contacts.items()
     )
-    forces = [row.force for row in mechanics.joint_rows]
-    forces += [symbol for pair in mechanics.forces.values() for symbol in pair]
-    numbers = SceneNumbers(mechanics, parameters, stops)
-    contact_laws = SceneLaws(mechanics, parameters, numbers)
-    laws: Laws = contact_laws
-    if scene.regions:
-        regions += tuple(controller(n, r, mechanics) for n, r in scene.regions.items())
-        values = tuple(parameters.symbols.values())
-        laws = ControlledLaws(contact_laws, mechanics, values, regions)
-    return Automaton(
-        name=scene.name,
-        declaration=scene,
-        names=(*names, *(scene.rate_name(name) for name in names)),
-        variables=(*mechanics.q, *mechanics.v),
-        parameter_names=parameters.names,
-        parameters=tuple(parameters.symbols.values()),
-        time=mechanics.time,
-        unknowns=(*mechanics.a, *forces),
-        rates=(*mechanics.v, *mechanics.a),
-        equations=mechanics.equations,
-        regions=regions,
-        stops=stops,
-        observables=observables,
-        setup=numbers.at,
-        laws=laws,
-        controls=mechanics.controls,
-        stepper=lambda: SceneStepper(mechanics, parameters, stops, regions),
-    )
+    return (*of_contacts, *(controller(n, r, mechanics) for n, r in scene.regions.items()))
 
 
 SCENE = Kind("scene", Scene, automaton, Path(__file__).with_name("starter.yaml"))

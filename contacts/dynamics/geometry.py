@@ -3,15 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import sympy as sp
 
+from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Pair, Path, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
 
 Vector = tuple[sp.Expr, sp.Expr]
+
+
+@dataclass(frozen=True, eq=False)
+class ContactGeometry:
+    """Where a contact point is and how it moves.
+
+    Attributes
+    ----------
+    point : (Expr, Expr)
+        Its position in the frame of the surface (the world's, unless a body carries the surface).
+    normal, tangent : (Expr, Expr)
+        Unit vectors of the surface there, in that frame; the normal points out of the solid, the
+        tangent is the normal turned clockwise.
+    symbols : ContactSymbols
+        Gap, velocities, accelerations, forces.
+    jacobian_n, jacobian_t : tuple of Expr
+        d(velocity of the point along normal, tangent)/d(rates), one per coordinate.
+    bias_n, bias_t : Expr
+        The parts of the point's accelerations that do not depend on the unknown ones.
+    """
+
+    point: Vector
+    normal: Vector
+    tangent: Vector
+    symbols: ContactSymbols
+    jacobian_n: tuple[sp.Expr, ...]
+    jacobian_t: tuple[sp.Expr, ...]
+    bias_n: sp.Expr
+    bias_t: sp.Expr
 
 
 class Geometry:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import sympy as sp
 from numpy.typing import NDArray
 
 from contacts.solvers.saddle_point import SMALLEST
@@ -16,6 +17,38 @@ from statechart.arrays import Array
 _DEPENDENT = 1e-8
 # Singular values below this part of the largest are rounding.
 _RANK = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class JointRow:
+    """One component of a joint: what it holds at zero, in every mode.
+
+    Attributes
+    ----------
+    joint, component : str
+        Its name; X or Y.
+    gap, gap_rate, bias : Expr
+        Point less place; its rate; the part of its second derivative that does not depend on the
+        unknown accelerations.
+    jacobian : tuple of Expr
+        d(gap)/d(coordinates).
+    force : Symbol
+        On the body of the point.
+    path_rate : Expr
+        Velocity of the place, where it is driven in time; what the force works on from outside.
+    redundant : Symbol
+        Parameter: 1 where the rows before imply this one in a run, else 0.
+    """
+
+    joint: str
+    component: str
+    gap: sp.Expr
+    gap_rate: sp.Expr
+    bias: sp.Expr
+    jacobian: tuple[sp.Expr, ...]
+    force: sp.Symbol
+    path_rate: sp.Expr
+    redundant: sp.Symbol
 
 
 class JointNumbers(NamedTuple):

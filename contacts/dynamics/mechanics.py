@@ -8,12 +8,12 @@ simplified.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import sympy as sp
 
-from contacts.dynamics.geometry import Geometry, Vector
+from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector
+from contacts.dynamics.joints import JointRow
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
@@ -23,67 +23,6 @@ from statechart.formulas.linear import Definition
 
 COEFFICIENTS = ("friction", "cone_n", "cone_t")
 """Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
-
-
-@dataclass(frozen=True, eq=False)
-class ContactGeometry:
-    """Where a contact point is and how it moves.
-
-    Attributes
-    ----------
-    point : (Expr, Expr)
-        Its position in the frame of the surface (the world's, unless a body carries the surface).
-    normal, tangent : (Expr, Expr)
-        Unit vectors of the surface there, in that frame; the normal points out of the solid, the
-        tangent is the normal turned clockwise.
-    symbols : ContactSymbols
-        Gap, velocities, accelerations, forces.
-    jacobian_n, jacobian_t : tuple of Expr
-        d(velocity of the point along normal, tangent)/d(rates), one per coordinate.
-    bias_n, bias_t : Expr
-        The parts of the point's accelerations that do not depend on the unknown ones.
-    """
-
-    point: Vector
-    normal: Vector
-    tangent: Vector
-    symbols: ContactSymbols
-    jacobian_n: tuple[sp.Expr, ...]
-    jacobian_t: tuple[sp.Expr, ...]
-    bias_n: sp.Expr
-    bias_t: sp.Expr
-
-
-@dataclass(frozen=True, eq=False)
-class JointRow:
-    """One component of a joint: what it holds at zero, in every mode.
-
-    Attributes
-    ----------
-    joint, component : str
-        Its name; X or Y.
-    gap, gap_rate, bias : Expr
-        Point less place; its rate; the part of its second derivative that does not depend on the
-        unknown accelerations.
-    jacobian : tuple of Expr
-        d(gap)/d(coordinates).
-    force : Symbol
-        On the body of the point.
-    path_rate : Expr
-        Velocity of the place, where it is driven in time; what the force works on from outside.
-    redundant : Symbol
-        Parameter: 1 where the rows before imply this one in a run, else 0.
-    """
-
-    joint: str
-    component: str
-    gap: sp.Expr
-    gap_rate: sp.Expr
-    bias: sp.Expr
-    jacobian: tuple[sp.Expr, ...]
-    force: sp.Symbol
-    path_rate: sp.Expr
-    redundant: sp.Symbol
 
 
 class Mechanics(Geometry):
@@ -189,6 +128,12 @@ class Mechanics(Geometry):
                     )
                 )
         return tuple(rows)
+
+    @cached_property
+    def unknown_forces(self) -> tuple[sp.Symbol, ...]:
+        """Those that modes are solved for beside the accelerations: of joints, then of contacts."""
+        of_contacts = (force for pair in self.forces.values() for force in pair)
+        return (*(row.force for row in self.joint_rows), *of_contacts)
 
     @cached_property
     def energy(self) -> sp.Expr:

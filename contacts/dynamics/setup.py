@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import sympy as sp
 
@@ -90,69 +91,74 @@ def cones(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, tuple[sp.Ex
 
 def scene_parameters(scene: Scene) -> Parameters:
     """Return the scene's parameters, the contacts' coefficients, and the initial state."""
+    return Parameters(scene.parameters, partial(_derived, scene), partial(_initial, scene))
+
+
+def _states(
+    scene: Scene, text: FormulaText, known: Mapping[str, sp.Symbol]
+) -> Iterator[tuple[str, Mapping[str, sp.Expr]]]:
+    """Yield what a coefficient may use, and in which state of the region that sets it."""
     controls = scene.controlled
+    region = controls.region_of(text)
+    if region is None:
+        yield "", known
+        return
+    for state in scene.regions[region].states:
+        set_ = controls.values(region, state)
+        used = parse(text).names.intersection(set_)
+        yield f".{state}", {**known, **{n: parse(set_[n]).to_sympy(known) for n in used}}
 
-    def states(
-        text: FormulaText, known: Mapping[str, sp.Symbol]
-    ) -> Iterator[tuple[str, Mapping[str, sp.Expr]]]:
-        """Yield what a coefficient may use, and in which state of the region that sets it."""
-        region = controls.region_of(text)
-        if region is None:
-            yield "", known
-            return
-        for state in scene.regions[region].states:
-            set_ = controls.values(region, state)
-            used = parse(text).names.intersection(set_)
-            yield f".{state}", {**known, **{n: parse(set_[n]).to_sympy(known) for n in used}}
 
-    def derived(known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
-        result: dict[str, sp.Expr] = {}
-        for name, contact in scene.contacts.items():
-            if contact.friction is not None and not contact.frictionless:
-                for state, names in states(contact.friction, known):
-                    mu = parse(contact.friction).to_sympy(names)
-                    # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
-                    edge = (1 / sp.sqrt(1 + mu**2), 1 / sp.sqrt(1 + (1 / mu) ** 2))
-                    for key, value in zip(COEFFICIENTS, (mu, *edge), strict=True):
-                        result[f"{name}.{key}{state}"] = value
-            if contact.restitution is not None:
-                for state, names in states(contact.restitution, known):
-                    value = parse(contact.restitution).to_sympy(names)
-                    result[f"{name}.restitution{state}"] = value
-        for name, body in scene.bodies.items():
-            if body.inertia is not None:
-                result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
-        for name, joint in scene.joints.items():
-            # Found from the start of a run, see `contacts.dynamics.joints.redundant`.
-            result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
-        return result
+def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
+    """Return the coefficients of contacts, moments of inertia, redundancies of joints."""
+    result: dict[str, sp.Expr] = {}
+    for name, contact in scene.contacts.items():
+        if contact.friction is not None and not contact.frictionless:
+            for state, names in _states(scene, contact.friction, known):
+                mu = parse(contact.friction).to_sympy(names)
+                # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
+                edge = (1 / sp.sqrt(1 + mu**2), 1 / sp.sqrt(1 + (1 / mu) ** 2))
+                for key, value in zip(COEFFICIENTS, (mu, *edge), strict=True):
+                    result[f"{name}.{key}{state}"] = value
+        if contact.restitution is not None:
+            for state, names in _states(scene, contact.restitution, known):
+                value = parse(contact.restitution).to_sympy(names)
+                result[f"{name}.restitution{state}"] = value
+    for name, body in scene.bodies.items():
+        if body.inertia is not None:
+            result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
+    for name, joint in scene.joints.items():
+        # Found from the start of a run, see `contacts.dynamics.joints.redundant`.
+        result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
+    return result
 
-    def initial(known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
-        positions: list[sp.Expr] = []
-        rates: list[sp.Expr] = []
-        for coordinate in scene.coordinates.values():
-            positions.append(parse(coordinate.start).to_sympy(known))
-            rates.append(parse(coordinate.rate).to_sympy(known))
-        for body in scene.bodies.values():
-            for name in body.coordinates:
-                positions.append(parse(body.start.get(name, 0)).to_sympy(known))  # type: ignore[call-overload]
-                rates.append(parse(body.start.get(f"d{name}", 0)).to_sympy(known))  # type: ignore[call-overload]
-        return [*positions, *rates, *(lever(name, known) for name in scene.bodies)]
 
-    def lever(name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
-        """Return mass times the longest arm squared of the body's contact points and joints."""
-        points = [contact.point for contact in scene.contacts.values()]
-        points += [joint.point for joint in scene.joints.values()]
-        points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
-        arms = [
-            sp.Add(*(parse(text).to_sympy(known) ** 2 for text in point.at))
-            for point in points
-            if point.body == name
-        ]
-        mass = parse(scene.bodies[name].mass).to_sympy(known)
-        return mass * (sp.Max(*arms) if arms else sp.S.Zero)
+def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
+    """Return positions and rates at the start, and the bodies' levers."""
+    positions: list[sp.Expr] = []
+    rates: list[sp.Expr] = []
+    for coordinate in scene.coordinates.values():
+        positions.append(parse(coordinate.start).to_sympy(known))
+        rates.append(parse(coordinate.rate).to_sympy(known))
+    for body in scene.bodies.values():
+        for name in body.coordinates:
+            positions.append(parse(body.start.get(name, 0)).to_sympy(known))  # type: ignore[call-overload]
+            rates.append(parse(body.start.get(f"d{name}", 0)).to_sympy(known))  # type: ignore[call-overload]
+    return [*positions, *rates, *(_lever(scene, name, known) for name in scene.bodies)]
 
-    return Parameters(scene.parameters, derived, initial)
+
+def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
+    """Return mass times the longest arm squared of the body's contact points and joints."""
+    points = [contact.point for contact in scene.contacts.values()]
+    points += [joint.point for joint in scene.joints.values()]
+    points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
+    arms = [
+        sp.Add(*(parse(text).to_sympy(known) ** 2 for text in point.at))
+        for point in points
+        if point.body == name
+    ]
+    mass = parse(scene.bodies[name].mass).to_sympy(known)
+    return mass * (sp.Max(*arms) if arms else sp.S.Zero)
 
 
 class SceneNumbers:
@@ -180,8 +186,7 @@ class SceneNumbers:
         self.gates = Conditions(mechanics, symbols)
         self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
         self._stops = tuple(stops)
-        forces = [force for pair in mechanics.forces.values() for force in pair]
-        forces += [row.force for row in mechanics.joint_rows]
+        forces = mechanics.unknown_forces
         self._of_forces = {
             name
             for name, stop in stops.items()

@@ -39,35 +39,32 @@ def _largest(values: Array) -> float:
 
 
 @part
-def solve_refined(scaled: Array, b: Array, x: Array) -> int:
-    """Solve ``scaled x = b`` with partial pivoting and two refinements.
-
-    Matrix and right side are equilibrated in place, by powers of two (exact). A pivot that its own
-    rounding could have made of zero is none: running error analysis (Wilkinson 1963), to the first
-    order, of entries that are known to a rounding each.
-    """
+def _equilibrate(scaled: Array, b: Array) -> Array:
+    """Bring rows and columns to size 1, in place, by powers of two; return those of the columns."""
     size = len(b)
-    column_scale, y, residual = np.empty(size), np.empty(size), np.empty(size)
-    order = np.empty(size, np.int64)
+    column_scale = np.empty(size)
     # Columns first: masses may span many decades.
     for k in range(size):
-        largest = 0.0
-        for i in range(size):
-            largest = max(largest, abs(scaled[i, k]))
-        scale = power_of_two(largest)
+        scale = power_of_two(_largest(scaled[:, k]))
         for i in range(size):
             scaled[i, k] *= scale
         column_scale[k] = scale
     for i in range(size):
-        largest = 0.0
-        for k in range(size):
-            largest = max(largest, abs(scaled[i, k]))
-        scale = power_of_two(largest)
+        scale = power_of_two(_largest(scaled[i]))
         for k in range(size):
             scaled[i, k] *= scale
         b[i] *= scale
-        residual[i], order[i], x[i] = b[i], i, 0.0
-    factors, errors = scaled.copy(), np.abs(scaled) * _ROUNDING
+    return column_scale
+
+
+@part
+def _factorise(factors: Array, order: NDArray[np.int64]) -> bool:
+    """Eliminate with partial pivoting, in place; False where no pivot is left.
+
+    A pivot that its own rounding could have made of zero is none: running error analysis
+    (Wilkinson 1963), to the first order, of entries that are known to a rounding each.
+    """
+    size, errors = len(order), np.abs(factors) * _ROUNDING
     for k in range(size):
         best = k
         for i in range(k + 1, size):
@@ -75,7 +72,7 @@ def solve_refined(scaled: Array, b: Array, x: Array) -> int:
                 best = i
         pivot = factors[best, k]
         if abs(pivot) <= errors[best, k] or not math.isfinite(pivot):
-            return SINGULAR
+            return False
         if best != k:
             for c in range(size):
                 factors[k, c], factors[best, c] = factors[best, c], factors[k, c]
@@ -91,17 +88,39 @@ def solve_refined(scaled: Array, b: Array, x: Array) -> int:
                     factors[i, c] -= product
                     errors[i, c] += abs(factor) * errors[k, c] + unsure * abs(factors[k, c])
                     errors[i, c] += _ROUNDING * abs(product)
+    return True
+
+
+@part
+def _substitute(factors: Array, order: NDArray[np.int64], right: Array, y: Array) -> None:
+    """Solve with the factors, forwards and backwards."""
+    size = len(order)
+    for i in range(size):
+        total = right[order[i]]
+        for c in range(i):
+            total -= factors[i, c] * y[c]
+        y[i] = total
+    for i in range(size - 1, -1, -1):
+        total = y[i]
+        for c in range(i + 1, size):
+            total -= factors[i, c] * y[c]
+        y[i] = total / factors[i, i]
+
+
+@part
+def solve_refined(scaled: Array, b: Array, x: Array) -> int:
+    """Solve ``scaled x = b`` with partial pivoting and two refinements.
+
+    Matrix and right side are equilibrated in place, by powers of two (exact).
+    """
+    size = len(b)
+    column_scale = _equilibrate(scaled, b)
+    factors, y, residual, order = scaled.copy(), np.empty(size), b.copy(), np.arange(size)
+    x[:] = 0.0
+    if not _factorise(factors, order):
+        return SINGULAR
     for _ in range(3):
-        for i in range(size):
-            total = residual[order[i]]
-            for c in range(i):
-                total -= factors[i, c] * y[c]
-            y[i] = total
-        for i in range(size - 1, -1, -1):
-            total = y[i]
-            for c in range(i + 1, size):
-                total -= factors[i, c] * y[c]
-            y[i] = total / factors[i, i]
+        _substitute(factors, order, residual, y)
         for i in range(size):
             x[i] += y[i]
         for i in range(size):

@@ -71,8 +71,6 @@ class SceneStepper:
         self._numbers = SceneNumbers(mechanics, parameters, stops)
         self._mechanics, self._parameters, self._regions = mechanics, symbols, regions
         self._tapes = SteppedTapes(mechanics, symbols)
-        forces = [row.force for row in mechanics.joint_rows]
-        forces += [symbol for pair in mechanics.forces.values() for symbol in pair]
         names = mechanics.names
         self._stepping = Stepping(
             scene.name,
@@ -85,7 +83,13 @@ class SceneStepper:
             np.array([name.endswith(".angle") for name in names]),
             compile_tape(
                 [margin.expression for margin in stops.values()],
-                variables=(*mechanics.q, *mechanics.v, *mechanics.a, *forces, *mechanics.controls),
+                variables=(
+                    *mechanics.q,
+                    *mechanics.v,
+                    *mechanics.a,
+                    *mechanics.unknown_forces,
+                    *mechanics.controls,
+                ),
                 parameters=symbols,
                 time=mechanics.time,
             ),
