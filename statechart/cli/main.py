@@ -119,6 +119,7 @@ def _say(message: str, code: int) -> int:
     return code
 
 
+# A grammar reads best in one piece, in the order in which --help shows it.
 def _parser() -> argparse.ArgumentParser:
     import argparse
 

@@ -6,8 +6,12 @@ import html
 import textwrap
 from collections.abc import Container, Iterable, Sequence
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
+
+if TYPE_CHECKING:
+    import graphviz
 
 # DejaVu Sans comes with matplotlib, so it is there for png and pdf on a machine without fonts;
 # Verdana has its metrics, so the text of an svg fits where a browser has only that.
@@ -36,34 +40,8 @@ def dot(diagram: Diagram) -> str:
     str
         Source of one directed graph, for the layout engine ``dot``.
     """
-    import graphviz
-
     states, groups = identifiers(diagram)
-    pairs = {(link.source, link.target) for link in diagram.links if link.source != link.target}
-    graph = graphviz.Digraph(
-        graph_attr={
-            "label": _title(diagram),
-            "labelloc": "t",
-            "fontname": _FONT,
-            "fontcolor": _INK,
-            "rankdir": "LR" if len(pairs) > _CROWDED * len(diagram.nodes) else "TB",
-            "nodesep": "0.2",
-            "ranksep": "0.5",
-            # Else dot ranks a group by itself, puts its partners beside it, and the labels of the
-            # flat edges between them on top of one another.
-            "newrank": "true",
-            "pad": "0.25",
-            "bgcolor": "white",
-        },
-        node_attr={
-            "shape": "box",
-            "style": "rounded,filled",
-            "fontname": _FONT,
-            "fontsize": "12",
-            "margin": "0.18,0.09",
-        },
-        edge_attr={"fontname": _FONT, "fontsize": "9", "arrowsize": "0.7"},
-    )
+    graph = _sheet(diagram)
     for group, nodes in diagram.groups.items():
         # A frame round a single state would repeat what its label says.
         if group is None or len(nodes) == 1:
@@ -96,6 +74,37 @@ def dot(diagram: Diagram) -> str:
     for (source, target), links in groupby(ordered, key=lambda link: (link.source, link.target)):
         graph.edge(states[source], states[target], **_arrow(tuple(links), refused))
     return str(graph.source)
+
+
+def _sheet(diagram: Diagram) -> graphviz.Digraph:
+    """Return a graph with nothing on it but its title."""
+    import graphviz
+
+    pairs = {(link.source, link.target) for link in diagram.links if link.source != link.target}
+    return graphviz.Digraph(
+        graph_attr={
+            "label": _title(diagram),
+            "labelloc": "t",
+            "fontname": _FONT,
+            "fontcolor": _INK,
+            "rankdir": "LR" if len(pairs) > _CROWDED * len(diagram.nodes) else "TB",
+            "nodesep": "0.2",
+            "ranksep": "0.5",
+            # Else dot ranks a group by itself, puts its partners beside it, and the labels of the
+            # flat edges between them on top of one another.
+            "newrank": "true",
+            "pad": "0.25",
+            "bgcolor": "white",
+        },
+        node_attr={
+            "shape": "box",
+            "style": "rounded,filled",
+            "fontname": _FONT,
+            "fontsize": "12",
+            "margin": "0.18,0.09",
+        },
+        edge_attr={"fontname": _FONT, "fontsize": "9", "arrowsize": "0.7"},
+    )
 
 
 def _title(diagram: Diagram) -> str:

@@ -69,26 +69,12 @@ def report(
     done = Pieces(strict=True) if pieces is None else pieces
     found_outputs: dict[str, Any] = done.attempt("outputs", lambda: outputs(observer, trace), {})
     found_margins: dict[str, float] = {}
-    explained: Sequence[dict[str, float]] = ()
     # Of many events it takes long to say why they were what they were.
     if done.hurried:
         done.leave("margins")
     else:
         found_margins = done.attempt("margins", lambda: margins(observer, trace), {})
-    if explain and not done.hurried:
-        explained = done.attempt(
-            "margins of events", lambda: observer.margins(trace, trace.jumps), []
-        )
-
-    def made(short: bool) -> list[dict[str, Any]]:
-        found: Sequence[tuple[Any, Any, Any]]
-        found = list(zip_longest(trace.jumps, conditions, explained))
-        if short:
-            done.leave("considered")
-            found = done.some("events", found, len(trace.variables))
-        return [_event(trace, *of, hurried=short) for of in found]
-
-    events: list[dict[str, Any]] = done.keep("events", made, [])
+    events = _events(observer, trace, conditions, done, explain=explain)
     without = left_out(automaton, trace)
     without += [{"what": what, "why": why} for what, why in done.failed.items()]
     result = {
@@ -126,6 +112,33 @@ def report(
     }
     safe: dict[str, Any] = json_safe(result)
     return safe | {"events": events}
+
+
+def _events(
+    observer: Observer,
+    trace: Trace,
+    conditions: Sequence[float | None],
+    pieces: Pieces,
+    *,
+    explain: bool,
+) -> list[dict[str, Any]]:
+    """Return every jump as an object; some of them where the time presses."""
+    explained: Sequence[dict[str, float]] = ()
+    if explain and not pieces.hurried:
+        explained = pieces.attempt(
+            "margins of events", lambda: observer.margins(trace, trace.jumps), []
+        )
+
+    def made(short: bool) -> list[dict[str, Any]]:
+        found: Sequence[tuple[Any, Any, Any]]
+        found = list(zip_longest(trace.jumps, conditions, explained))
+        if short:
+            pieces.leave("considered")
+            found = pieces.some("events", found, len(trace.variables))
+        return [_event(trace, *of, hurried=short) for of in found]
+
+    kept: list[dict[str, Any]] = pieces.keep("events", made, [])
+    return kept
 
 
 def margins(observer: Observer, trace: Trace) -> dict[str, float]:

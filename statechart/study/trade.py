@@ -12,7 +12,7 @@ from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
 from statechart.study.bench import Bench
 from statechart.study.file import load, save
-from statechart.study.record import Study, fingerprint
+from statechart.study.record import Point, Study, fingerprint
 
 # Tolerances of every method, as powers of ten: from where it begins to be of use to where it only
 # takes long.
@@ -105,8 +105,8 @@ def trade(
     end = runner.end(until=until)
     runner.start()
     bench = Bench(runner.model, runner.automaton, end, repeats, clock)
-    known = None if folder is None else load(folder)
     mark = fingerprint(runner.model)
+    known = None if folder is None else load(folder)
     if known is not None and (known.fingerprint, known.until) != (mark, end):
         raise DeclarationError(
             f"{folder} holds the study of another model, or of {known.model!r} as it was before it "
@@ -117,49 +117,86 @@ def trade(
     reference, study = bench.reference(mark)
     if settings is None:
         settings = plan(runner.automaton, reference.trace.t_end)
-    points = {} if known is None else {p.setting: p for p in known.points if p.setting in settings}
-    left_out = {} if known is None else dict(known.left_out)
     study = study.model_copy(update={"planned": len(settings)})
-
-    def kept() -> Study:
-        done = tuple(points[s] for s in settings if s in points)
-        found = study.model_copy(update={"points": done, "left_out": dict(left_out)})
-        if folder is not None:
-            save(folder, found)
-        return found
-
-    slow = {
-        p.setting.family: f"{p.setting.label} took {p.seconds:.3g} s already"
-        for p in points.values()
-        if p.seconds > _TOO_LONG
-    }
-    for place, setting in enumerate(settings):
-        if setting in points or setting.label in left_out:
-            continue
-        if setting.family in slow:
-            left_out[setting.label] = slow[setting.family]
-            continue
-        if setting.step is not None and setting.step <= study.step:
-            left_out[setting.label] = f"no coarser than the check, {study.check}"
+    made = _Trade(study, settings, folder, progress, known)
+    for setting in settings:
+        if made.skips(setting):
             continue
         try:
             point = bench.measure(setting, reference)
         except KeyboardInterrupt:
             break
         except StatechartError as error:
-            left_out[setting.label] = str(error)
-            progress(f"{setting.label} ({place + 1} of {len(settings)}): left out, {error}")
-            kept()
-            continue
-        points[setting] = point
-        if point.seconds > _TOO_LONG:
-            slow[setting.family] = f"{setting.label} took {point.seconds:.3g} s already"
-        kept()
-        found = study.error(point)
-        progress(
-            f"{setting.label} ({place + 1} of {len(settings)}): "
-            + ("no error to tell" if found is None else f"error {found:.2g}")
+            made.leave(setting, str(error))
+        else:
+            made.take(point)
+    return made.kept()
+
+
+class _Trade:
+    """A study under way: its points so far, and what is left out of it."""
+
+    def __init__(
+        self,
+        study: Study,
+        settings: Sequence[Setting],
+        folder: Path | str | None,
+        progress: Callable[[str], None],
+        known: Study | None,
+    ) -> None:
+        self._study, self._settings = study, settings
+        self._folder, self._progress = folder, progress
+        points = () if known is None else known.points
+        self._points = {point.setting: point for point in points if point.setting in settings}
+        self._left_out = {} if known is None else dict(known.left_out)
+        self._slow: dict[str, str] = {}
+        for point in self._points.values():
+            self._time(point)
+
+    def skips(self, setting: Setting) -> bool:
+        """Whether a setting is done, or left out; note it where it is left out from now on."""
+        if setting in self._points or setting.label in self._left_out:
+            return True
+        why = self._slow.get(setting.family)
+        if why is None and setting.step is not None and setting.step <= self._study.step:
+            why = f"no coarser than the check, {self._study.check}"
+        if why is None:
+            return False
+        self._left_out[setting.label] = why
+        return True
+
+    def leave(self, setting: Setting, why: str) -> None:
+        """Leave out a setting that cannot be run."""
+        self._left_out[setting.label] = why
+        self._say(setting, f"left out, {why}")
+        self.kept()
+
+    def take(self, point: Point) -> None:
+        """Take what was measured at a setting."""
+        self._points[point.setting] = point
+        self._time(point)
+        self.kept()
+        found = self._study.error(point)
+        self._say(
+            point.setting,
+            ("no error to tell" if found is None else f"error {found:.2g}")
             + ("" if point.same_modes else ", other modes")
-            + f", {point.seconds:.3g} s"
+            + f", {point.seconds:.3g} s",
         )
-    return kept()
+
+    def kept(self) -> Study:
+        """Return the study as far as it has come, written to its folder."""
+        done = tuple(self._points[s] for s in self._settings if s in self._points)
+        found = self._study.model_copy(update={"points": done, "left_out": dict(self._left_out)})
+        if self._folder is not None:
+            save(self._folder, found)
+        return found
+
+    def _time(self, point: Point) -> None:
+        if point.seconds > _TOO_LONG:
+            why = f"{point.setting.label} took {point.seconds:.3g} s already"
+            self._slow[point.setting.family] = why
+
+    def _say(self, setting: Setting, words: str) -> None:
+        place = self._settings.index(setting) + 1
+        self._progress(f"{setting.label} ({place} of {len(self._settings)}): {words}")
