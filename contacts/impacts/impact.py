@@ -58,6 +58,48 @@ class _Piece:
     tangential: float
 
 
+@dataclass(eq=False)
+class _Reached:
+    """How far an impact has come along its path.
+
+    Attributes
+    ----------
+    velocity : (n,) array
+        Rates of the coordinates; those of the gap and along the surface are `u_n` and `u_t`.
+    normal, tangential : float
+        Impulse so far.
+    work : float
+        Of the normal impulse, in compression or, after it, in restitution.
+    compressed, stored : float
+        Normal impulse and work that compression took; 0 until it ends.
+    """
+
+    velocity: Array
+    u_n: float
+    u_t: float
+    normal: float = 0.0
+    tangential: float = 0.0
+    work: float = 0.0
+    compressed: float = 0.0
+    stored: float = 0.0
+    compressing: bool = True
+
+    def push(self, piece: _Piece, length: float) -> None:
+        """Add an impulse along a piece; the contact's own velocities are left to the caller."""
+        self.velocity += piece.velocity * length
+        self.normal += piece.normal * length
+        self.tangential += piece.tangential * length
+
+    def turn(self) -> None:
+        """End compression."""
+        self.compressing, self.compressed = False, self.normal
+        self.stored, self.work = -self.work, 0.0
+
+    def ended(self, *path: str) -> Impact:
+        """Return the impact that ends here."""
+        return Impact(self.velocity, self.normal, self.tangential, path)
+
+
 def impact(
     snapshot: Snapshot,
     contact: PerContact,
@@ -88,64 +130,73 @@ def impact(
         If the path does not end (possible only on the Painleve boundary), or a led joint pushes
         the point on where friction wedges it.
     """
-    velocity = snapshot.velocity.copy()
-    u_n, u_t = contact.gap_rate, contact.slip
-    approach = u_n
-    normal = tangential = work = compressed = compression_work = 0.0
-    compressing = True
+    at = _Reached(snapshot.velocity.copy(), contact.gap_rate, contact.slip)
     path: list[str] = []
     for _ in range(_LONGEST_PATH):
-        piece = _piece(snapshot, contact, law, u_t)
+        piece = _piece(snapshot, contact, law, at.u_t)
         if piece is None:
-            # What has one way to move only stops with both velocities zero at once; friction may
-            # then keep it from going back.
-            terms = np.abs(contact.jacobian[0]) @ (np.abs(velocity) + np.abs(snapshot.velocity))
-            if u_n < -_ROUNDING * terms:
-                raise NoConsistentMode(
-                    f"{law.name}: its impact wedges the point: slip has stopped, friction lets it "
-                    f"slip on neither way, and it is led on into its surface at {-u_n:.3g}"
-                )
-            return Impact(velocity, normal, tangential, (*path, "wedge"))
+            _check_wedge(snapshot, contact, law, at)
+            return at.ended(*path, "wedge")
         if not path or path[-1] != piece.name:
             path.append(piece.name)
-        to_stop = -u_t / piece.u_t if u_t * piece.u_t < 0.0 else math.inf
-        if braking and u_t != 0.0:
+        to_stop = -at.u_t / piece.u_t if at.u_t * piece.u_t < 0.0 else math.inf
+        if braking and at.u_t != 0.0:
             to_end = math.inf
-        elif compressing:
-            to_end = max(-u_n / piece.u_n, 0.0) if piece.u_n > 0.0 else math.inf
-        elif law.impact in ("newton", MOREAU):
-            to_end = (-restitution * approach - u_n) / piece.u_n if piece.u_n > 0 else math.inf
-        elif law.impact == "poisson":
-            left = (1.0 + restitution) * compressed - normal
-            to_end = left / piece.normal if piece.normal > 0.0 else 0.0
+        elif at.compressing:
+            to_end = max(-at.u_n / piece.u_n, 0.0) if piece.u_n > 0.0 else math.inf
         else:
-            to_end = _energetic(piece, u_n, restitution**2 * compression_work - work)
+            to_end = _restored(law, restitution, piece, at, contact.gap_rate)
         length = min(to_stop, to_end)
         if not math.isfinite(length):
             break
-        work += piece.normal * length * (u_n + 0.5 * piece.u_n * length)
-        velocity += piece.velocity * length
-        normal += piece.normal * length
-        tangential += piece.tangential * length
-        u_n = 0.0 if compressing and to_end <= to_stop else u_n + piece.u_n * length
-        u_t = 0.0 if to_stop <= to_end else u_t + piece.u_t * length
+        at.work += piece.normal * length * (at.u_n + 0.5 * piece.u_n * length)
+        at.push(piece, length)
+        at.u_n = 0.0 if at.compressing and to_end <= to_stop else at.u_n + piece.u_n * length
+        at.u_t = 0.0 if to_stop <= to_end else at.u_t + piece.u_t * length
         if to_end <= to_stop:
-            if not compressing or restitution == 0.0:
+            if not at.compressing or restitution == 0.0:
                 # Pieces that cancel leave their own rounding in what the law prescribes.
                 row = contact.jacobian[0]
-                missing = u_n - (contact.gap_rate + row @ (velocity - snapshot.velocity))
-                terms = np.abs(row) @ (np.abs(velocity) + np.abs(snapshot.velocity))
-                if abs(missing) > _ROUNDING * terms:
-                    more = piece.u_n * missing
-                    velocity += piece.velocity * more
-                    normal += piece.normal * more
-                    tangential += piece.tangential * more
-                return Impact(velocity, normal, tangential, tuple(path))
-            compressing, compressed, compression_work, work = False, normal, -work, 0.0
+                missing = at.u_n - (contact.gap_rate + row @ (at.velocity - snapshot.velocity))
+                if abs(missing) > _rounding(snapshot, contact, at):
+                    at.push(piece, piece.u_n * missing)
+                return at.ended(*path)
+            at.turn()
     raise NoConsistentMode(
-        f"{law.name}: the impact's path does not end (approach {-u_n:.3g}, slip {u_t:.3g}); "
+        f"{law.name}: the impact's path does not end (approach {-at.u_n:.3g}, slip {at.u_t:.3g}); "
         f"it went {', '.join(path)}"
     )
+
+
+def _rounding(snapshot: Snapshot, contact: PerContact, at: _Reached) -> float:
+    """Return how well the rate of the gap is known."""
+    terms = np.abs(contact.jacobian[0]) @ (np.abs(at.velocity) + np.abs(snapshot.velocity))
+    return float(_ROUNDING * terms)
+
+
+def _check_wedge(snapshot: Snapshot, contact: PerContact, law: ContactLaw, at: _Reached) -> None:
+    """Refuse a point that friction wedges and that is led on into its surface.
+
+    What has one way to move only stops with both velocities zero at once; friction may then keep
+    it from going back.
+    """
+    if at.u_n < -_rounding(snapshot, contact, at):
+        raise NoConsistentMode(
+            f"{law.name}: its impact wedges the point: slip has stopped, friction lets it "
+            f"slip on neither way, and it is led on into its surface at {-at.u_n:.3g}"
+        )
+
+
+def _restored(
+    law: ContactLaw, restitution: float, piece: _Piece, at: _Reached, approach: float
+) -> float:
+    """Return how far along a piece restitution ends, by the law of the contact."""
+    if law.impact in ("newton", MOREAU):
+        return (-restitution * approach - at.u_n) / piece.u_n if piece.u_n > 0 else math.inf
+    if law.impact == "poisson":
+        left = (1.0 + restitution) * at.compressed - at.normal
+        return left / piece.normal if piece.normal > 0.0 else 0.0
+    return _energetic(piece, at.u_n, restitution**2 * at.stored - at.work)
 
 
 def _energetic(piece: _Piece, u_n: float, left: float) -> float:
