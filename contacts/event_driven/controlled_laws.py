@@ -20,7 +20,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.laws import SceneLaws
-from contacts.modes.candidates import Candidate, candidates
+from contacts.modes.candidates import Candidate, Case, candidates
 from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
@@ -169,9 +169,8 @@ class ControlledLaws:
         snapshot = self._at(own).snapshot(setup, state, clock.high)
         modes = shown_mode(flow.flow[: self._count])
         closed = [mode not in OPEN for mode in modes]
-        solved = candidates(
-            snapshot, setup.contacts, [(mode,) for mode in modes], closed, closed, setup.scales
-        )[0]
+        case = Case(snapshot, setup.contacts, closed, closed, setup.scales)
+        solved = candidates(case, [(mode,) for mode in modes])[0]
         found = None
         if isinstance(solved, Candidate):
             accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)

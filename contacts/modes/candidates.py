@@ -50,6 +50,31 @@ _SAME_MOTION = 1e-9
 _EXACT = 1e-13
 
 
+class Case(NamedTuple):
+    """A state whose mode is asked for.
+
+    Attributes
+    ----------
+    snapshot : Snapshot
+        Its numbers.
+    laws : sequence of ContactLaw
+        One per contact.
+    closed, still : sequence of bool
+        Whether the contact's gap is closed; whether its slip is zero.
+    scales : Scales
+        For judging inequalities.
+    tie : float
+        Violations up to this (relative) count as boundary cases, not as violations.
+    """
+
+    snapshot: Snapshot
+    laws: Sequence[ContactLaw]
+    closed: Sequence[bool]
+    still: Sequence[bool]
+    scales: Scales
+    tie: float = 0.0
+
+
 Undetermined = tuple[tuple[str, ...], str]
 """States per contact, and why they determine no motion."""
 
@@ -154,15 +179,7 @@ def consistent(tried: Sequence[Candidate | Undetermined], tie: float) -> list[Ca
     return [c for c in tried if isinstance(c, Candidate) and c.violation <= tie]
 
 
-def candidates(
-    snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
-    options: Sequence[Sequence[str]],
-    closed: Sequence[bool],
-    still: Sequence[bool],
-    scales: Scales,
-    tie: float = 0.0,
-) -> Sequence[Candidate | Undetermined]:
+def candidates(case: Case, options: Sequence[Sequence[str]]) -> Sequence[Candidate | Undetermined]:
     """Solve every combination of `options` (states per contact).
 
     Where contacts can stand in for each other, a combination is judged by whether some forces in
@@ -171,37 +188,23 @@ def candidates(
 
     Parameters
     ----------
-    snapshot : Snapshot
-        The state's numbers.
-    laws : sequence of ContactLaw
-        One per contact.
+    case : Case
+        The state.
     options : sequence of sequence of str
         States to try per contact; contacts that are not closed have ("free",).
-    closed, still : sequence of bool
-        Whether the contact's gap is closed; whether its slip is zero.
-    scales : Scales
-        For judging inequalities.
-    tie : float
-        See `choose`.
 
     Returns
     -------
     sequence
         A `Candidate`, or (states, reason) where the combination determines no motion.
     """
-    return _solved(snapshot, laws, *_combinations(tuple(options)), closed, still, scales, tie)
+    return _solved(case, *_combinations(tuple(options)))
 
 
 def _solved(
-    snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
-    combinations: Sequence[tuple[str, ...]],
-    codes: NDArray[np.int64],
-    closed: Sequence[bool],
-    still: Sequence[bool],
-    scales: Scales,
-    tie: float,
+    case: Case, combinations: Sequence[tuple[str, ...]], codes: NDArray[np.int64]
 ) -> Sequence[Candidate | Undetermined]:
+    snapshot, laws, closed, still, scales, tie = case
     edges = cones(tuple(laws))
     count, contacts = codes.shape
     status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
@@ -229,20 +232,19 @@ def _solved(
         return solved
     found = [*solved]
     redundant = np.flatnonzero(status == REDUNDANT).tolist()
-    _explain(snapshot, edges, codes, found, redundant, scales, tie)
+    _explain(case, edges, codes, found, redundant)
     return found
 
 
 def _explain(
-    snapshot: Snapshot,
+    case: Case,
     edges: Array,
     codes: NDArray[np.int64],
     found: list[Candidate | Undetermined],
     redundant: Sequence[int],
-    scales: Scales,
-    tie: float,
 ) -> None:
     """Replace candidates judged by their motion alone, by whether forces explain it."""
+    snapshot, scales, tie = case.snapshot, case.scales, case.tie
     inward = 0.25 * max(tie, _EXACT) * scales.force
     moving: list[tuple[int, Candidate]] = []
     for k in redundant:
@@ -312,21 +314,14 @@ def openness(candidate: Candidate) -> tuple[int, int, str]:
     )
 
 
-def by_lemke(
-    snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
-    options: Sequence[Sequence[str]],
-    closed: Sequence[bool],
-    still: Sequence[bool],
-    scales: Scales,
-    tie: float,
-) -> Sequence[Candidate | Undetermined]:
+def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> Sequence[Candidate | Undetermined]:
     """Solve the modes that Lemke's algorithm ends in (see `candidates`).
 
     The complementarity problem is in the contacts' accelerations and forces (Stewart and Trinkle's
     form; where there is slip, the force is along the edge that opposes it). It serves to find the
     modes only; they are solved and judged as any others. None: it found no solution.
     """
+    snapshot, laws, closed, still, scales, tie = case
     group = [i for i, shut in enumerate(closed) if shut]
     edges = np.array([(laws[i].cone_n, laws[i].cone_t) for i in group])
     slides = np.array([0.0 if still[i] else np.sign(snapshot.contacts[i].slip) for i in group])
@@ -359,7 +354,7 @@ def by_lemke(
                 states[i] = "slide+" if along > 0.0 else "slide-"
         if _listed(states, options):
             found.append(tuple(states))
-    tried = _only(snapshot, laws, found, closed, still, scales, tie)
+    tried = _only(case, found)
     # Where slip is about to start, the algorithm cannot tell it from none: the accelerations can.
     closer_ones = []
     for candidate in tried:
@@ -377,25 +372,17 @@ def by_lemke(
                 states[i] = "pin" if pinned else sliding
             if tuple(states) not in found and _listed(states, options):
                 closer_ones.append(tuple(states))
-    return [*tried, *_only(snapshot, laws, closer_ones, closed, still, scales, tie)]
+    return [*tried, *_only(case, closer_ones)]
 
 
 def _listed(states: Sequence[str], options: Sequence[Sequence[str]]) -> bool:
     return all(state in several for state, several in zip(states, options, strict=True))
 
 
-def _only(
-    snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
-    modes: Sequence[tuple[str, ...]],
-    closed: Sequence[bool],
-    still: Sequence[bool],
-    scales: Scales,
-    tie: float,
-) -> Sequence[Candidate | Undetermined]:
+def _only(case: Case, modes: Sequence[tuple[str, ...]]) -> Sequence[Candidate | Undetermined]:
     """Solve the modes given."""
     combinations = tuple(dict.fromkeys(modes))
     if not combinations:
         return []
     codes = np.array([[CODES[state] for state in states] for states in combinations])
-    return _solved(snapshot, laws, combinations, codes, closed, still, scales, tie)
+    return _solved(case, combinations, codes)

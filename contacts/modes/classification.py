@@ -19,6 +19,7 @@ from contacts.modes.candidates import (
     OPEN_LOAD,
     SINGULAR,
     Candidate,
+    Case,
     Undetermined,
     by_lemke,
     candidates,
@@ -129,15 +130,16 @@ def choose(
     """
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, still)]
+    case = Case(snapshot, laws, closed, still, scales, tie)
     tried: Sequence[Candidate | Undetermined] = ()
     count, agreeing = sum(closed), []
     many = count > _ENUMERATED
     if many:
-        tried = by_lemke(snapshot, laws, options, closed, still, scales, tie)
+        tried = by_lemke(case, options)
         agreeing = consistent(tried, tie)
     if not agreeing and count <= _ENUMERATED_LAST:
         many = False
-        tried = candidates(snapshot, laws, options, closed, still, scales, tie)
+        tried = candidates(case, options)
         agreeing = consistent(tried, tie)
     if not agreeing:
         refused = _verdicts(laws, tried, None, tie)
@@ -149,33 +151,7 @@ def choose(
             *_advice(laws, closed, tried),
         )
         raise NoConsistentMode("; ".join(filter(None, words)), considered=refused)
-    taken, others = agreeing[0], []
-    if len(agreeing) > 1:
-        taken = min(agreeing, key=lambda c: (c.violation > _NEARLY * tie, openness(c)))
-        # On the edge of its inequalities (a massless body that needs no force) it is no rival.
-        sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
-        others = [c for c in sure if c is not taken and not same_motion(c, taken, scales)]
-    warning = ""
-    if others:
-        labels = ", ".join(_label(laws, c) for c in [taken, *others])
-        opened = [
-            c
-            for c in [taken, *others]
-            if any(
-                state == "free" and touching
-                for state, touching in zip(c.states, closed, strict=True)
-            )
-        ]
-        if not opened:
-            raise AmbiguousMode(f"several modes agree with the state and move it apart: {labels}")
-        # Painleve's indeterminate case: contact could also hold, at a force without cause, and a
-        # mode agrees without it whatever else lifts off.
-        bearing = [_bearing(c) for c in opened]
-        free = [
-            c for c, own in zip(opened, bearing, strict=True) if not any(b < own for b in bearing)
-        ]
-        taken = min(free, key=openness)
-        warning = f"indeterminate: {labels} all agree with the state; {_label(laws, taken)} taken"
+    taken, warning = _rivals(agreeing, case)
     # What a mode left open closes besides must not move away.
     if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken)} taken"
@@ -184,6 +160,42 @@ def choose(
         notes += _indeterminate(laws, taken.share)
     considered = Considered(partial(_verdicts, laws, tried, taken, tie))
     return Choice(taken, considered, warning, notes)
+
+
+def _rivals(agreeing: Sequence[Candidate], case: Case) -> tuple[Candidate, str]:
+    """Return the one taken of the candidates that agree with the state, and why not another.
+
+    Raises
+    ------
+    AmbiguousMode
+        Where they move it apart, and all keep every contact closed.
+    """
+    _, laws, closed, _, scales, tie = case
+    taken = agreeing[0]
+    if len(agreeing) == 1:
+        return taken, ""
+    taken = min(agreeing, key=lambda c: (c.violation > _NEARLY * tie, openness(c)))
+    # On the edge of its inequalities (a massless body that needs no force) it is no rival.
+    sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
+    others = [c for c in sure if c is not taken and not same_motion(c, taken, scales)]
+    if not others:
+        return taken, ""
+    labels = ", ".join(_label(laws, c) for c in [taken, *others])
+    opened = [
+        c
+        for c in [taken, *others]
+        if any(
+            state == "free" and touching for state, touching in zip(c.states, closed, strict=True)
+        )
+    ]
+    if not opened:
+        raise AmbiguousMode(f"several modes agree with the state and move it apart: {labels}")
+    # Painleve's indeterminate case: contact could also hold, at a force without cause, and a
+    # mode agrees without it whatever else lifts off.
+    bearing = [_bearing(c) for c in opened]
+    free = [c for c, own in zip(opened, bearing, strict=True) if not any(b < own for b in bearing)]
+    taken = min(free, key=openness)
+    return taken, f"indeterminate: {labels} all agree with the state; {_label(laws, taken)} taken"
 
 
 def _advice(

@@ -83,28 +83,19 @@ def _judge_forces(
 
 
 @part
-def _assemble(
-    mass: Array,
-    right: Array,
+def _write_rows(
     rows: Array,
-    constants: Array,
     columns: Array,
     first: NDArray[np.int64],
     bearing: NDArray[np.int64],
     matrix: Array,
-    b: Array,
 ) -> None:
-    """Write the saddle point of the leading rows and columns, by their orders."""
-    n, size = len(right), len(b)
-    for i in range(n):
-        b[i] = right[i]
-        for k in range(n):
-            matrix[i, k] = mass[i, k]
-        for k in range(n, size):
+    """Write the leading rows and columns of a saddle point, by their orders, beside the mass."""
+    n = rows.shape[1]
+    for k in range(n, len(matrix)):
+        for i in range(n):
             matrix[i, k] = -columns[bearing[k - n], i]
             matrix[k, i] = rows[first[k - n], i]
-    for k in range(n, size):
-        b[k] = constants[first[k - n]]
 
 
 @part
@@ -206,7 +197,11 @@ def solve_modes(
                 first, bearing = row_order, order
         size = n + rank
         matrix, b, x = np.zeros((size, size)), np.empty(size), np.empty(size)
-        _assemble(mass, right, rows, constants, columns, first, bearing, matrix, b)
+        matrix[:n, :n] = mass
+        _write_rows(rows, columns, first, bearing, matrix)
+        b[:n] = right
+        for i in range(rank):
+            b[n + i] = constants[first[i]]
         status[k] = solve_refined(matrix, b, x)
         if status[k] != SOLVED:
             continue

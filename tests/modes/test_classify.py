@@ -11,7 +11,7 @@ from runs import automaton, golden, number
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.laws import SceneLaws
-from contacts.modes.candidates import Candidate, candidates
+from contacts.modes.candidates import Candidate, Case, candidates
 from contacts.modes.classification import choose
 from statechart.errors import NoConsistentMode
 
@@ -33,7 +33,7 @@ def rod(phi: float, omega: float, speed: float, mu: float, inertia: float) -> tu
 
 
 def consistent(snapshot: Snapshot, setup: SceneSetup, options: tuple, still: bool) -> dict:
-    tried = candidates(snapshot, setup.contacts, [options], [True], [still], setup.scales)
+    tried = candidates(Case(snapshot, setup.contacts, [True], [still], setup.scales), [options])
     return {c.states[0]: c for c in tried if isinstance(c, Candidate) and c.violation <= 0.0}
 
 
@@ -60,7 +60,7 @@ def test_sliding_exactly_the_reference_modes_are_consistent(case: dict) -> None:
     found = consistent(snapshot, setup, ("free", slide), False)
     names = {"slide": slide, "lift_off": "free"}
     assert set(found) == {names[mode] for mode in case["consistent"]}
-    tried = candidates(snapshot, setup.contacts, [(slide,)], [True], [False], setup.scales)
+    tried = candidates(Case(snapshot, setup.contacts, [True], [False], setup.scales), [(slide,)])
     assert isinstance(tried[0], Candidate)
     assert tried[0].forces[0, 0] == pytest.approx(float(case["V_slide"]), rel=1e-9)
     if case["classification"] == "inconsistent":

@@ -16,7 +16,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.laws import SceneLaws
 from contacts.kind import automaton
-from contacts.modes.candidates import Candidate, by_lemke, candidates
+from contacts.modes.candidates import Candidate, Case, by_lemke, candidates
 from contacts.modes.classification import choose
 from contacts.scene.modes import Free, Slide
 from contacts.scene.parts import Body, Contact, Force, Joint, Point, Surface
@@ -223,7 +223,7 @@ def test_above_four_contacts_the_mode_found_is_that_of_enumeration(seed: int) ->
         ALL if rest else ("free", "slide+" if contact.slip > 0 else "slide-")
         for rest, contact in zip(still, snapshot.contacts, strict=True)
     ]
-    tried = candidates(snapshot, setup.contacts, options, closed, still, setup.scales, 5e-13)
+    tried = candidates(Case(snapshot, setup.contacts, closed, still, setup.scales, 5e-13), options)
     consistent = [c for c in tried if isinstance(c, Candidate) and c.violation <= 5e-13]
     assert consistent
     for one in consistent:
@@ -237,7 +237,7 @@ def test_lemke_says_so_where_it_finds_no_mode() -> None:
     snapshot, setup = numbers(standing([-1.0, -0.5, 0.0, 0.5, 1.0]))
     options = [("slide+",)] * 5  # at rest on a level floor nothing slides
     true = [True] * 5
-    tried = by_lemke(snapshot, setup.contacts, options, true, true, setup.scales, 0.0)
+    tried = by_lemke(Case(snapshot, setup.contacts, true, true, setup.scales), options)
     assert not [c for c in tried if isinstance(c, Candidate) and c.violation <= 0.0]
 
 
