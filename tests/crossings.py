@@ -6,6 +6,7 @@ from numpy.typing import ArrayLike
 
 from statechart.automaton.dense_output import checked_arc
 from statechart.engines.event_location import BOXES, Search, search
+from statechart.engines.path import Path
 from statechart.formulas.tape import Tape, contiguous
 
 
@@ -24,4 +25,6 @@ def first_crossing(
     tolerances = contiguous(tolerances)
     if tolerances.shape != tape.outputs.shape:
         raise ValueError(f"the tolerances have shape {tolerances.shape}, not {tape.outputs.shape}")
-    return search(tape, tolerances, times, coeffs, parameters, float(start), 0, len(coeffs), budget)
+    path = Path()
+    path.times, path.coefficients, path.count = times, coeffs, len(coeffs)
+    return search(tape, tolerances, path, parameters, float(start), 0, len(coeffs), budget)

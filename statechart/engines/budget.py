@@ -9,7 +9,8 @@ from collections.abc import Callable
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engines.engine import Begin, Engine, FlowWatch, Path, Steps
+from statechart.engines.engine import Begin, Engine, FlowWatch, Steps
+from statechart.engines.path import Path
 from statechart.errors import OutOfBudget
 
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from statechart.engines.path import Path
 from statechart.formulas.tape import Tape
 from statechart.kernels.search import BUDGET, CROSSING, GRAZE, NON_FINITE, NONE
 from statechart.kernels.search import search as kernel
@@ -97,8 +98,7 @@ class Search(NamedTuple):
 def search(
     tape: Tape,
     tolerances: NDArray[np.float64],
-    times: NDArray[np.float64],
-    coeffs: NDArray[np.float64],
+    path: Path,
     parameters: NDArray[np.float64],
     start: float,
     first: int,
@@ -127,8 +127,8 @@ def search(
         Program of the margins.
     tolerances : (n_out,) array
         How far below zero each margin may go, >= 0, in the margin's unit.
-    times : (n_steps + 1,), coeffs : (n_steps, n_variables, degree + 1)
-        Local times of the steps' ends, and their polynomials.
+    path : Path
+        The steps.
     parameters : (n_parameters,) array
     start : float
         Absolute time of the local time 0.
@@ -143,8 +143,8 @@ def search(
             tape.reads,
             tape.n_fixed,
             tolerances,
-            times,
-            coeffs,
+            path.times,
+            path.coefficients,
             parameters,
             start,
             first,

@@ -20,9 +20,10 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.documents.setting import LONG_DOUBLE
-from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch, Path, Steps
+from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch, Steps
 from statechart.engines.event_location import BOXES, Verdict, as_search
 from statechart.engines.heyoka_step import Step
+from statechart.engines.path import Path
 from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
 from statechart.formulas.tape import Tape, compile_tape

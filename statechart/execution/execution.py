@@ -11,8 +11,9 @@ from statechart import interrupts
 from statechart.automaton.dense_output import summands
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
 from statechart.automaton.trace import Arc, Clock, Jump, Key, Outcome, Trace, between, check_size
-from statechart.engines.engine import FlowWatch, Path
+from statechart.engines.engine import FlowWatch
 from statechart.engines.event_location import Crossing
+from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.flow import Advance

@@ -10,8 +10,9 @@ import numpy as np
 
 from statechart import interrupts
 from statechart.arrays import Array
-from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch, Path
+from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch
 from statechart.engines.event_location import Crossing, Search, Verdict, search
+from statechart.engines.path import Path
 from statechart.errors import NonFinite, SimulationError, StepFailure, TooLong, Undecided
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.series import size_at
@@ -153,8 +154,7 @@ class Advance:
             found = search(
                 watch.guards,
                 watch.tolerances,
-                path.times,
-                path.coefficients,
+                path,
                 watch.parameters,
                 watch.start,
                 self._kept,
@@ -258,8 +258,7 @@ def _blind(
     left = search(
         within,
         np.full(len(within.outputs), watch.constraints.room),
-        path.times,
-        path.coefficients,
+        path,
         watch.parameters,
         watch.start,
         first,

@@ -8,7 +8,8 @@ from functools import partial
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Key, Outcome, Trace
-from statechart.engines.engine import Engine, Path
+from statechart.engines.engine import Engine
+from statechart.engines.path import Path
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.execution import Execution
 from statechart.execution.outcome import error_of

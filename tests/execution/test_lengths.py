@@ -9,7 +9,7 @@ import pytest
 from statechart.automaton import trace
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
-from statechart.engines import engine
+from statechart.engines import path
 from statechart.errors import DeclarationError
 from statechart.execution import flow as advance
 from statechart.running.runner import Runner, run
@@ -36,7 +36,7 @@ stop: {time: 2}
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (trace, engine):
+    for module in (trace, path):
         monkeypatch.setattr(module, "LARGEST", 2**20)
 
 
@@ -99,7 +99,7 @@ def test_a_trace_that_grows_too_large_ends_the_run(
 
 @pytest.mark.parametrize("name", ["taylor", "scipy"])
 def test_so_does_one_mode_of_too_many_steps(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "LARGEST", 2**15)
+    monkeypatch.setattr(path, "LARGEST", 2**15)
     made = run(read_text(CHART.format(x="cos(w*time)")), engine=name, until=1e7, throw=False).trace
     assert made.outcome is Outcome.TOO_LONG
     assert 0.0 < made.t_end < 1e7

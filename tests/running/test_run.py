@@ -15,7 +15,7 @@ from statechart.charts.chart import Chart
 from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.choice import choose
-from statechart.engines.engine import Path as Steps
+from statechart.engines.path import Path as Steps
 from statechart.errors import DeclarationError, SimulationError, StepFailure, Unsupported
 from statechart.loading.load import load
 from statechart.observation.difference import difference
