@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise, zip_longest
+from typing import NoReturn
 
 import numpy as np
 
@@ -175,10 +176,11 @@ def _compare(
     floor[1:] = sum(
         t.tolerances.get(kind, 0.0) for t, of in zip(traces, kinds, strict=True) for kind in of
     )
-    for i, (mine, its) in enumerate(zip(first.events, second.events, strict=False)):
-        error = bare + mine.rounded
-        if mine.what != its.what:
-            _within_tolerance(loosened, other, mine, _place(i, mine))
+    for i, (mine, its) in enumerate(zip_longest(first.events, second.events)):
+        if mine and its:
+            error = bare + mine.rounded
+        if not (mine and its and mine.what == its.what):
+            _within_tolerance(loosened, other, i, mine or its)
             _part(first, second, near, i, error, (reference, other))
         shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
         allowed = _allowed(mine, [s.events[i].numbers for s in shaken], first, error, floor)
@@ -188,14 +190,8 @@ def _compare(
         # What is found a little later has moved on until then.
         allowed += abs(mine.t - its.t) * mine.rates
         if mine.hit != its.hit:
-            _taken_as_one(first, second, i)
-            _slow(mine, its, first, i)
+            _hit_otherwise(first, second, i)
         _close(mine.numbers, its.numbers, allowed, first, reference, _place(i, mine))
-    if len(first.events) != len(second.events):
-        shortest = min(len(first.events), len(second.events))
-        longer = max(first.events, second.events, key=len)[shortest]
-        _within_tolerance(loosened, other, longer, _place(shortest, longer))
-        _part(first, second, near, shortest, error, (reference, other))
     if any(len(story.events) != len(first.events) for story in near):
         raise Undecidable(f"the end: a change of {NUDGE:g} takes another course")
     if first.mode != second.mode:
@@ -207,16 +203,12 @@ def _compare(
 
 def identical(reference: Trace, other: Trace, reading: Reading) -> bool:
     """Whether two runs have the same events and the same end to the last bit."""
-    first, second = _story(reference, Reading()), _story(other, reading)
-    return (
-        first.mode == second.mode
-        and bool((first.end == second.end).all())
-        and len(first.events) == len(second.events)
-        and all(
-            mine.what == its.what and bool((mine.numbers == its.numbers).all())
-            for mine, its in zip(first.events, second.events, strict=True)
-        )
-    )
+
+    def told(story: _Story) -> object:
+        events = [(event.what, event.numbers.tolist()) for event in story.events]
+        return story.mode, story.end.tolist(), events
+
+    return told(_story(reference, Reading())) == told(_story(other, reading))
 
 
 def _error(trace: Trace) -> float:
@@ -333,8 +325,12 @@ def _close(
         )
 
 
-def _taken_as_one(first: _Story, second: _Story, i: int) -> None:
-    """Event `i` hits other contacts in one run: impacts within the tolerance of a gap are one."""
+def _hit_otherwise(first: _Story, second: _Story, i: int) -> None:
+    """Event `i` hits other contacts in one run: raise `Undecidable` where rounding decides which.
+
+    Impacts within the tolerance of a gap are one; of contacts that move together any may be hit
+    first where that is slow.
+    """
     instant = NUDGE * float(first.end[0])
     for story in (first, second):
         for one, two in pairwise(story.events[i : i + 2]):
@@ -343,21 +339,18 @@ def _taken_as_one(first: _Story, second: _Story, i: int) -> None:
                     f"{_place(i, one)}: impacts closer than {instant:.1e} in time are one in one "
                     "of the runs"
                 )
-
-
-def _slow(mine: _Event, its: _Event, story: _Story, i: int) -> None:
-    """Event `i` hits other contacts in one run, but so slowly that rounding decides which."""
-    n = len(story.end) // 2
-    small = _SLOW * story.sizes[n + 1 :]
-    if all((np.abs(e.numbers[n + 1 :] - e.numbers[1 : n + 1]) <= small).all() for e in (mine, its)):
+    n = len(first.end) // 2
+    small = _SLOW * first.sizes[n + 1 :]
+    both = [story.events[i].numbers for story in (first, second)]
+    if all((np.abs(at[n + 1 :] - at[1 : n + 1]) <= small).all() for at in both):
         raise Undecidable(
-            f"{_place(i, mine)}: an impact so slow that rounding decides which of the contacts "
-            "that move together are hit first"
+            f"{_place(i, first.events[i])}: an impact so slow that rounding decides which of the "
+            "contacts that move together are hit first"
         )
 
 
 def _within_tolerance(
-    loosened: Callable[[], Trace] | None, other: Trace, event: _Event, place: str
+    loosened: Callable[[], Trace] | None, other: Trace, i: int, event: _Event
 ) -> None:
     """Raise `Undecidable` where the runs part at `event` because their tolerances differ."""
     if loosened is None:
@@ -367,7 +360,7 @@ def _within_tolerance(
     courses = [[one.what for one in s.events[: count + 1]] for s in (first, second)]
     if courses[0] == courses[1] and courses[0][count:] != [event.what]:
         raise Undecidable(
-            f"{place}: at the tolerances of the other engine it takes that engine's course"
+            f"{_place(i, event)}: at the other engine's tolerances it takes that one's course"
         )
 
 
@@ -378,7 +371,7 @@ def _part(
     i: int,
     error: float,
     traces: tuple[Trace, Trace],
-) -> None:
+) -> NoReturn:
     """Event `i` differs: raise what that means."""
     own, others = first.events[i : i + 1], second.events[i : i + 1]
     place = _place(i, (own or others)[0])
