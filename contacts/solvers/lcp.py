@@ -13,13 +13,11 @@ from __future__ import annotations
 import enum
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from contacts.solvers.lemke import (
     FOUND,
-    RAY,
     SPENT,
     enumerate_bases,
     lemke,
@@ -35,7 +33,6 @@ _RESIDUAL = 1e-9
 _NOISES = 100.0
 _ENUMERATED = 16
 _ENUMERATED_LAST = 12
-_PROXIMAL_STEPS, _SETTLED = 12, 1e-9
 
 
 class LcpStatus(enum.Enum):
@@ -66,18 +63,16 @@ class LcpSolution:
     residual: float
 
 
-def solve_lcp(
-    matrix: Array, vector: Array, *, method: Literal["auto", "lemke", "enumeration"] = "auto"
-) -> LcpSolution:
+def solve_lcp(matrix: Array, vector: Array) -> LcpSolution:
     """Solve ``0 <= z``, ``w = M z + q >= 0``, ``z w = 0``.
+
+    Where Lemke's algorithm finds nothing and n is small, all 2^n sets of positive unknowns are
+    visited.
 
     Parameters
     ----------
     matrix : (n, n) array
     vector : (n,) array
-    method : {"auto", "lemke", "enumeration"}
-        Enumeration visits all 2^n sets of positive unknowns; ``auto`` comes to it last, and only
-        where n is small.
 
     Returns
     -------
@@ -87,11 +82,9 @@ def solve_lcp(
     Raises
     ------
     ValueError
-        For shapes that do not fit, numbers that are not finite, or n too large to enumerate.
+        For shapes that do not fit, and numbers that are not finite.
     """
     matrix, vector = _checked(matrix, vector)
-    if method == "enumeration":
-        return _enumerated(matrix, vector)
     best: LcpSolution | None = None
     outcomes = []
     for outcome, basis in _attempts(matrix, vector):
@@ -103,10 +96,10 @@ def solve_lcp(
             return found
         if best is None or found.residual < best.residual:
             best = found
-    if method == "auto" and len(vector) <= _ENUMERATED_LAST:
-        found = _enumerated(matrix, vector)
-        if found.status is LcpStatus.SOLVED:
-            return found
+    if len(vector) <= _ENUMERATED_LAST:
+        every = enumerate_lcp(matrix, vector)
+        if every:
+            return min(every, key=lambda solution: solution.residual)
     if best is not None:
         return best
     status = LcpStatus.ITERATIONS if SPENT in outcomes else LcpStatus.RAY
@@ -156,15 +149,6 @@ def _checked(matrix: Array, vector: Array) -> tuple[Array, Array]:
     return matrix, vector
 
 
-def _enumerated(matrix: Array, vector: Array) -> LcpSolution:
-    found = enumerate_lcp(matrix, vector)
-    if found:
-        return min(found, key=lambda solution: solution.residual)
-    zero = np.zeros(len(vector))
-    residual = row_residual(matrix, vector, zero)
-    return LcpSolution(zero, LcpStatus.RAY, residual)
-
-
 def _judge(matrix: Array, vector: Array, basis: Bools) -> LcpSolution:
     """Solve for the basic unknowns from the data, and judge what comes out."""
     z = _determined(matrix, vector, basis)
@@ -208,24 +192,6 @@ def _attempts(matrix: Array, vector: Array) -> Iterator[tuple[int, Bools]]:
         for cover in (np.ones(size), spread, np.abs(q) + 2.0**-10):
             outcome, _, basis = lemke(scaled, q, cover, limit)
             yield outcome, basis
-        yield _proximal(scaled, q, limit)
-
-
-def _proximal(matrix: Array, vector: Array, limit: int) -> tuple[int, Bools]:
-    """Solve with delta (z - z_before) added to w, until it adds nothing."""
-    size = len(vector)
-    delta = 2.0**-16
-    regular = matrix + delta * np.eye(size)
-    z = np.zeros(size)
-    for _ in range(_PROXIMAL_STEPS):
-        outcome, new, basis = lemke(regular, vector - delta * z, np.ones(size), limit)
-        if outcome != FOUND:
-            return outcome, basis
-        if np.abs(new - z).max() <= _SETTLED * np.abs(new).max():
-            return FOUND, basis
-        z = new
-    # Where there is no solution, z grows for ever.
-    return RAY, basis
 
 
 def _symmetric_scales(matrix: Array) -> Array:
