@@ -28,6 +28,7 @@ point at the field concerned; `statechart.documents.validation.validate` turns i
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -177,10 +178,15 @@ class SimulationError(StatechartError):
     Attributes
     ----------
     outcome : str
-        The name of the run's outcome that this error stands for; empty for none in particular.
+        The name of the run's outcome that this error stands for, which is its own in capitals;
+        empty for none in particular.
     """
 
     outcome: ClassVar[str] = ""
+
+    def __init_subclass__(cls) -> None:
+        if SimulationError in cls.__bases__:
+            cls.outcome = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", cls.__name__).upper()
 
     def __init__(self, message: str, trace: object | None = None) -> None:
         super().__init__(message)
@@ -199,8 +205,6 @@ class NoConsistentMode(SimulationError):
         Mode -> why it does not.
     """
 
-    outcome = "NO_CONSISTENT_MODE"
-
     def __init__(
         self,
         message: str,
@@ -214,70 +218,46 @@ class NoConsistentMode(SimulationError):
 class AmbiguousMode(SimulationError):
     """Several modes with different motions explain the state."""
 
-    outcome = "AMBIGUOUS_MODE"
-
 
 class EventLoop(SimulationError):
     """Jumps without end at one instant."""
-
-    outcome = "EVENT_LOOP"
 
 
 class SingularMode(SimulationError):
     """The equations of a mode do not determine the motion."""
 
-    outcome = "SINGULAR_MODE"
-
 
 class Zeno(SimulationError):
     """Jumps accumulate, and nothing declared says what follows."""
-
-    outcome = "ZENO"
 
 
 class StepFailure(SimulationError):
     """The integrator cannot meet its tolerance."""
 
-    outcome = "STEP_FAILURE"
-
 
 class NonFinite(SimulationError):
     """The state became infinite or undefined."""
-
-    outcome = "NON_FINITE"
 
 
 class OutOfBudget(SimulationError):
     """The time allowed for a run was over before its end."""
 
-    outcome = "OUT_OF_BUDGET"
-
 
 class Undecided(SimulationError):
     """A guard could be neither found nor excluded within the search's budget."""
-
-    outcome = "UNDECIDED"
 
 
 class StepTooLarge(SimulationError):
     """A fixed time step does not see the model."""
 
-    outcome = "STEP_TOO_LARGE"
-
 
 class UnsolvedImpulses(SimulationError):
     """The impulses of a time step could not be found."""
-
-    outcome = "UNSOLVED_IMPULSES"
 
 
 class TooLong(SimulationError):
     """The rest of a run takes more steps or memory than there is."""
 
-    outcome = "TOO_LONG"
-
 
 class Unsupported(SimulationError):
     """The model has what the engine lacks."""
-
-    outcome = "UNSUPPORTED"
