@@ -170,7 +170,7 @@ class ControlledLaws:
         modes = shown_mode(flow.flow[: self._count])
         closed = [mode not in OPEN for mode in modes]
         case = Case(snapshot, setup.contacts, closed, closed, setup.scales)
-        solved = candidates(case, [(mode,) for mode in modes])[0]
+        (solved,) = candidates(case, [(mode,) for mode in modes])
         found = None
         if isinstance(solved, Candidate):
             accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)

@@ -6,10 +6,10 @@ explain its motion (`contacts.modes.load_sharing`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import product
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,7 +119,7 @@ class Candidate(NamedTuple):
         return f"{contact}: " + _WORDS[which].format(number)
 
 
-class _Solved(Sequence["Candidate | Undetermined"]):
+class _Solved(Iterable["Candidate | Undetermined"]):
     """Combinations as the kernel has solved them, made into objects when first asked for."""
 
     def __init__(
@@ -139,20 +139,10 @@ class _Solved(Sequence["Candidate | Undetermined"]):
         self._only, self._tie = only, tie
         self._made: dict[int, Candidate | Undetermined] = {}
 
-    def __len__(self) -> int:
-        return len(self._outcomes)
+    def __iter__(self) -> Iterator[Candidate | Undetermined]:
+        return map(self._at, range(len(self._outcomes)))
 
-    @overload
-    def __getitem__(self, k: int) -> Candidate | Undetermined: ...
-
-    @overload
-    def __getitem__(self, k: slice) -> Sequence[Candidate | Undetermined]: ...
-
-    def __getitem__(
-        self, k: int | slice
-    ) -> Candidate | Undetermined | Sequence[Candidate | Undetermined]:
-        if isinstance(k, slice):
-            return [*self][k]
+    def _at(self, k: int) -> Candidate | Undetermined:
         made = self._made.get(k)
         if made is None:
             made = self._made[k] = self._make(k)
@@ -168,18 +158,18 @@ class _Solved(Sequence["Candidate | Undetermined"]):
 
     def consistent(self, tie: float) -> list[Candidate]:
         """Return what breaks no inequality by more than `tie`."""
-        tried = [self[self._only]] if tie == self._tie and self._only >= 0 else self
+        tried = [self._at(self._only)] if tie == self._tie and self._only >= 0 else self
         return [c for c in tried if isinstance(c, Candidate) and c.violation <= tie]
 
 
-def consistent(tried: Sequence[Candidate | Undetermined], tie: float) -> list[Candidate]:
+def consistent(tried: Iterable[Candidate | Undetermined], tie: float) -> list[Candidate]:
     """Return the candidates that break no inequality by more than `tie`."""
     if isinstance(tried, _Solved):
         return tried.consistent(tie)
     return [c for c in tried if isinstance(c, Candidate) and c.violation <= tie]
 
 
-def candidates(case: Case, options: Sequence[Sequence[str]]) -> Sequence[Candidate | Undetermined]:
+def candidates(case: Case, options: Sequence[Sequence[str]]) -> Iterable[Candidate | Undetermined]:
     """Solve every combination of `options` (states per contact).
 
     Where contacts can stand in for each other, a combination is judged by whether some forces in
@@ -195,15 +185,15 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> Sequence[Candida
 
     Returns
     -------
-    sequence
-        A `Candidate`, or (states, reason) where the combination determines no motion.
+    iterable
+        Each a `Candidate`, or (states, reason) where the combination determines no motion.
     """
     return _solved(case, *_combinations(tuple(options)))
 
 
 def _solved(
     case: Case, combinations: Sequence[tuple[str, ...]], codes: NDArray[np.int64]
-) -> Sequence[Candidate | Undetermined]:
+) -> Iterable[Candidate | Undetermined]:
     snapshot, laws, closed, still, scales, tie = case
     edges = cones(tuple(laws))
     count, contacts = codes.shape
@@ -314,14 +304,14 @@ def openness(candidate: Candidate) -> tuple[int, int, str]:
     )
 
 
-def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> Sequence[Candidate | Undetermined]:
+def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> Iterable[Candidate | Undetermined]:
     """Solve the modes that Lemke's algorithm ends in (see `candidates`).
 
     The complementarity problem is in the contacts' accelerations and forces (Stewart and Trinkle's
     form; where there is slip, the force is along the edge that opposes it). It serves to find the
     modes only; they are solved and judged as any others. None: it found no solution.
     """
-    snapshot, laws, closed, still, scales, tie = case
+    snapshot, laws, closed, still, scales, _ = case
     group = [i for i, shut in enumerate(closed) if shut]
     edges = np.array([(laws[i].cone_n, laws[i].cone_t) for i in group])
     slides = np.array([0.0 if still[i] else np.sign(snapshot.contacts[i].slip) for i in group])
@@ -352,36 +342,9 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> Sequence[Candidate
                 states[i] = "slide"
             else:
                 states[i] = "slide+" if along > 0.0 else "slide-"
-        if _listed(states, options):
+        if all(state in several for state, several in zip(states, options, strict=True)):
             found.append(tuple(states))
-    tried = _only(case, found)
-    # Where slip is about to start, the algorithm cannot tell it from none: the accelerations can.
-    closer_ones = []
-    for candidate in tried:
-        if isinstance(candidate, Candidate) and candidate.violation <= tie:
-            after = snapshot.biases + snapshot.jacobians @ candidate.accelerations
-            size = max(scales.acceleration, float(np.abs(after).max()))
-            states = [several[0] if len(several) == 1 else "free" for several in options]
-            for i in group:
-                normal, along = after[i].tolist()
-                if normal > _SAME_MOTION * size:
-                    continue
-                pinned = still[i] and abs(along) <= _EXACT * size and "pin" in options[i]
-                slip = along if still[i] else snapshot.contacts[i].slip
-                sliding = "slide" if "slide" in options[i] else "slide+" if slip > 0.0 else "slide-"
-                states[i] = "pin" if pinned else sliding
-            if tuple(states) not in found and _listed(states, options):
-                closer_ones.append(tuple(states))
-    return [*tried, *_only(case, closer_ones)]
-
-
-def _listed(states: Sequence[str], options: Sequence[Sequence[str]]) -> bool:
-    return all(state in several for state, several in zip(states, options, strict=True))
-
-
-def _only(case: Case, modes: Sequence[tuple[str, ...]]) -> Sequence[Candidate | Undetermined]:
-    """Solve the modes given."""
-    combinations = tuple(dict.fromkeys(modes))
+    combinations = tuple(dict.fromkeys(found))
     if not combinations:
         return []
     codes = np.array([[CODES[state] for state in states] for states in combinations])

@@ -8,7 +8,7 @@ several), and judged by its own inequalities; above, Lemke's algorithm finds one
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
@@ -77,7 +77,7 @@ class Considered(Mapping[str, str]):
 
 def _verdicts(
     laws: Sequence[ContactLaw],
-    tried: Sequence[Candidate | Undetermined],
+    tried: Iterable[Candidate | Undetermined],
     taken: Candidate | None,
     tie: float,
 ) -> dict[str, str]:
@@ -131,7 +131,7 @@ def choose(
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, still)]
     case = Case(snapshot, laws, closed, still, scales, tie)
-    tried: Sequence[Candidate | Undetermined] = ()
+    tried: Iterable[Candidate | Undetermined] = ()
     count, agreeing = sum(closed), []
     many = count > _ENUMERATED
     if many:
@@ -199,7 +199,7 @@ def _rivals(agreeing: Sequence[Candidate], case: Case) -> tuple[Candidate, str]:
 
 
 def _advice(
-    laws: Sequence[ContactLaw], closed: Sequence[bool], tried: Sequence[Candidate | Undetermined]
+    laws: Sequence[ContactLaw], closed: Sequence[bool], tried: Iterable[Candidate | Undetermined]
 ) -> Iterator[str]:
     """Yield what in the declaration keeps a state from having a mode, and what to do."""
     rough = [

@@ -60,9 +60,9 @@ def test_sliding_exactly_the_reference_modes_are_consistent(case: dict) -> None:
     found = consistent(snapshot, setup, ("free", slide), False)
     names = {"slide": slide, "lift_off": "free"}
     assert set(found) == {names[mode] for mode in case["consistent"]}
-    tried = candidates(Case(snapshot, setup.contacts, [True], [False], setup.scales), [(slide,)])
-    assert isinstance(tried[0], Candidate)
-    assert tried[0].forces[0, 0] == pytest.approx(float(case["V_slide"]), rel=1e-9)
+    (tried,) = candidates(Case(snapshot, setup.contacts, [True], [False], setup.scales), [(slide,)])
+    assert isinstance(tried, Candidate)
+    assert tried.forces[0, 0] == pytest.approx(float(case["V_slide"]), rel=1e-9)
     if case["classification"] == "inconsistent":
         with pytest.raises(NoConsistentMode, match="tip:free"):
             choose(snapshot, setup.contacts, [True], setup.scales, 0.0, 1e-12)
