@@ -12,10 +12,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.collisions.detection import FOUND, against_surface, between, place
-from contacts.collisions.islands import compliance, island_of, push, swept, velocity
+from contacts.collisions.islands import (
+    Touching,
+    compliance,
+    island_of,
+    push,
+    swept,
+    swept_steady,
+    velocity,
+)
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS, solve_impacts, steady_impulses
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import (
@@ -72,40 +79,6 @@ class BodyNumbers(NamedTuple):
     surfaces: Array
     pairs: Ints
     materials: Array
-
-
-@kernel
-def _swept_steady(
-    members: Ints,
-    bodies: Ints,
-    rows: Array,
-    inverse: Array,
-    cones: Array,
-    wanted: Array,
-    before: Array,
-    free: Array,
-    rebounds: NDArray[np.bool_],
-    loose: Array,
-    pushes: Array,
-    sliding: NDArray[np.bool_],
-    guesses: NDArray[np.bool_],
-    hit: NDArray[np.bool_],
-    steady: Array,
-) -> None:
-    """Write what is force of the impulses of a swept island: see `steady_impulses`."""
-    for i in members:
-        steady[i, 0], steady[i, 1] = pushes[i, 0], pushes[i, 1]
-    if not hit[members].any():
-        return
-    others = members[~hit[members]]
-    alone = np.zeros_like(pushes)
-    if len(others) and not swept(
-        others, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose, alone,
-        sliding.copy(), guesses.copy(),
-    ):  # fmt: skip
-        alone[others] = pushes[others]
-    for i in members:
-        steady[i, 0], steady[i, 1] = alone[i, 0], alone[i, 1]
 
 
 @kernel
@@ -277,6 +250,7 @@ def step_bodies(
             owners[i] = island_of(parents, bodies[i, 0])
         rates = loose.copy()
         rebounds = hit[:m] & (elastic[:m] > 0.0)
+        touching = Touching(bodies, rows, inverse, cones, wanted, before, free, rebounds, loose)
         for island in range(b_count):
             members = np.nonzero(owners == island)[0]
             size = len(members)
@@ -290,14 +264,8 @@ def step_bodies(
             soften = softened and k == 0
             if soften:
                 wanted[members, 0] = np.maximum(wanted[members, 0], 0.0)
-            if size > _DENSE and swept(
-                members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
-                pushes, sliding, guesses,
-            ):  # fmt: skip
-                _swept_steady(
-                    members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
-                    pushes, sliding, guesses, hit, steady,
-                )  # fmt: skip
+            if size > _DENSE and swept(members, touching, pushes, sliding, guesses):
+                swept_steady(members, touching, pushes, sliding, guesses, hit, steady)
                 continue
             delassus = np.zeros((2 * size, 2 * size))
             unforced = np.empty((size, 2))
@@ -322,15 +290,9 @@ def step_bodies(
             )  # fmt: skip
             if not good:
                 # All but degenerate: the sweeps need no basis.
-                if not swept(
-                    members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
-                    pushes, sliding, guesses,
-                ):  # fmt: skip
+                if not swept(members, touching, pushes, sliding, guesses):
                     return k, HARD, delassus, least, ours
-                _swept_steady(
-                    members, bodies, rows, inverse, cones, wanted, before, free, rebounds, loose,
-                    pushes, sliding, guesses, hit, steady,
-                )  # fmt: skip
+                swept_steady(members, touching, pushes, sliding, guesses, hit, steady)
                 continue
             forces, _ = steady_impulses(delassus, least, ours, z, chosen, hit[members])
             for a in range(size):

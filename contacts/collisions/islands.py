@@ -7,6 +7,7 @@ Jean's contact dynamics).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,34 @@ _SWEEPS = 2000
 # Largest change of a velocity in a sweep that ends it, relative to the velocities; and in the last
 # sweep, where contacts are so nearly redundant that they go on exchanging impulses.
 _SWEPT, _SWEPT_LAST = 1e-9, 1e-6
+
+
+class Touching(NamedTuple):
+    """The contacts of a step, and the bodies that they move.
+
+    Attributes
+    ----------
+    bodies : (m, 2), rows : (m, 2, 6)
+        Which bodies touch, -1 for a surface; velocities of the contact, normal and tangential, per
+        unit rates of the two.
+    inverse : (b, 3)
+        See `body_step.BodyNumbers`.
+    cones, wanted, before, free : (m, 2)
+        See `contacts.solvers.contact_lcp_kernels.solve_impacts`.
+    rebounds : (m,) array of bool
+    loose : (b, 3)
+        Rates without impulses.
+    """
+
+    bodies: Ints
+    rows: Array
+    inverse: Array
+    cones: Array
+    wanted: Array
+    before: Array
+    free: Array
+    rebounds: NDArray[np.bool_]
+    loose: Array
 
 
 @kernel
@@ -70,17 +99,10 @@ def compliance(bodies: Ints, rows: Array, inverse: Array, i: int, d: int, j: int
 
 
 @kernel
-def _sweep(
-    members: Ints,
-    bodies: Ints,
-    rows: Array,
-    inverse: Array,
-    cones: Array,
-    wanted: Array,
-    rates: Array,
-    impulses: Array,
-) -> bool:
-    """Sweep until nothing changes; `rates` and `impulses` are changed in place."""
+def _sweep(members: Ints, touching: Touching, wanted: Array, impulses: Array) -> bool:
+    """Sweep until nothing changes; `impulses` are changed in place."""
+    bodies, rows, inverse, cones, _, _, _, _, loose = touching
+    rates = loose.copy()
     size = len(members)
     own = np.empty((size, 3))
     for a in range(size):
@@ -126,23 +148,10 @@ def _sweep(
             largest = max(largest, wn * pn)
         if change <= _SWEPT * largest:
             break
-    return change <= _SWEPT_LAST * largest and _holds(
-        members, bodies, rows, cones, wanted, rates, impulses, _SWEPT_LAST * largest
-    )
-
-
-@kernel
-def _holds(
-    members: Ints,
-    bodies: Ints,
-    rows: Array,
-    cones: Array,
-    wanted: Array,
-    rates: Array,
-    impulses: Array,
-    allowed: float,
-) -> bool:
-    """Whether impulses that no longer change solve the problem, to a velocity `allowed`."""
+    # Whether impulses that no longer change solve the problem, to a velocity `allowed`.
+    allowed = _SWEPT_LAST * largest
+    if change > allowed:
+        return False
     for i in members:
         normal = velocity(bodies, rows, rates, i, 0) + wanted[i, 0]
         slip = velocity(bodies, rows, rates, i, 1) + wanted[i, 1]
@@ -156,11 +165,10 @@ def _holds(
 
 
 @kernel
-def _moved(
-    members: Ints, bodies: Ints, rows: Array, inverse: Array, impulses: Array, still: Array
-) -> Array:
-    """Return how impulses change the velocities (m, 2) of the contacts; `still` is all zero."""
-    rates, moved = still.copy(), np.empty((len(members), 2))
+def _moved(members: Ints, touching: Touching, impulses: Array) -> Array:
+    """Return how impulses change the velocities (m, 2) of the contacts."""
+    bodies, rows, inverse = touching.bodies, touching.rows, touching.inverse
+    rates, moved = np.zeros_like(touching.loose), np.empty((len(members), 2))
     for i in members:
         for d in range(2):
             push(bodies, rows, inverse, rates, i, d, impulses[i, d])
@@ -173,52 +181,42 @@ def _moved(
 @kernel
 def swept(
     members: Ints,
-    bodies: Ints,
-    rows: Array,
-    inverse: Array,
-    cones: Array,
-    wanted: Array,
-    before: Array,
-    free: Array,
-    rebounds: NDArray[np.bool_],
-    loose: Array,
+    touching: Touching,
     pushes: Array,
     sliding: NDArray[np.bool_],
     guesses: NDArray[np.bool_],
 ) -> bool:
     """Solve an island by sweeps from the impulses of the step before.
 
-    Restitution that would add energy is reduced, as `step_kernels.solve_impacts` does.
+    Restitution that would add energy is reduced, as `solve_impacts` does.
 
     Parameters
     ----------
     members : (m,) array of int
         The island's contacts.
-    bodies, rows, inverse, cones, wanted, before, free, rebounds
-        Of all contacts, and of bodies; see `body_step.step_bodies`.
-    loose : (b, 3)
-        Rates without impulses.
+    touching : Touching
+        All contacts.
     pushes, sliding, guesses
         Changed in place.
     """
+    cones, wanted, rebounds = touching.cones, touching.wanted, touching.rebounds
     part = pushes.copy()
-    if not _sweep(members, bodies, rows, inverse, cones, wanted, loose.copy(), part):
+    if not _sweep(members, touching, wanted, part):
         return False
     if rebounds[members].any():
         soft, plastic = wanted.copy(), pushes.copy()
         for i in members:
             if rebounds[i]:
                 soft[i, 0] = 0.0
-        if not _sweep(members, bodies, rows, inverse, cones, soft, loose.copy(), plastic):
+        if not _sweep(members, touching, soft, plastic):
             return False
-        still = np.zeros_like(loose)
         chosen, _ = capped(
-            before[members],
-            free[members],
+            touching.before[members],
+            touching.free[members],
             plastic[members],
             part[members],
-            _moved(members, bodies, rows, inverse, plastic, still),
-            _moved(members, bodies, rows, inverse, part, still),
+            _moved(members, touching, plastic),
+            _moved(members, touching, part),
         )
         part[members] = chosen
     for i in members:
@@ -228,3 +226,24 @@ def swept(
         for u in range(UNKNOWNS):
             guesses[i, u] = False
     return True
+
+
+@kernel
+def swept_steady(
+    members: Ints,
+    touching: Touching,
+    pushes: Array,
+    sliding: NDArray[np.bool_],
+    guesses: NDArray[np.bool_],
+    hit: NDArray[np.bool_],
+    steady: Array,
+) -> None:
+    """Write what is force of the impulses of a swept island: see `steady_impulses`."""
+    alone = pushes
+    if hit[members].any():
+        others = members[~hit[members]]
+        alone = np.zeros_like(pushes)
+        if len(others) and not swept(others, touching, alone, sliding.copy(), guesses.copy()):
+            alone[others] = pushes[others]
+    for i in members:
+        steady[i, 0], steady[i, 1] = alone[i, 0], alone[i, 1]
