@@ -23,6 +23,15 @@ OPEN = ("free", OFF)
 """States without force."""
 
 
+SLIDING = ("slide", "slide+", "slide-")
+"""Slip without friction, along the tangent, and against it."""
+
+
+def declared_state(state: str) -> str:
+    """Return a state as a contact lists it: `slide` whatever its direction."""
+    return "slide" if state in SLIDING else state
+
+
 STATES = {
     FREE: "free",
     PIN: "pin",

@@ -13,20 +13,21 @@ from contacts.scene.controls import Controller, Transition
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.regions import Edge, Margin, Region, State
+from statechart.automaton.trace import Role
 from statechart.charts.firing import Guard, GuardWatch, Listening, guards
 
 
 def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:
     """Return the region of a controller."""
 
-    def build(state: str) -> State:
+    def build(role: Role) -> State:
         known = mechanics.observables
         return State(
             margins=tuple(
                 Margin(guard.margin, guard.relation.margin(known))
-                for guard in guards(0, name, declared.transitions, state)
+                for guard in guards(0, name, declared.transitions, role.state)
             ),
-            values=mechanics.sets(name, state),
+            values=mechanics.sets(name, role.state),
         )
 
     # The first state is where a region starts.

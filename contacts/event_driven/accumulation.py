@@ -20,7 +20,7 @@ from contacts.modes.classification import Choice
 from contacts.scene.parts import Resolution
 from contacts.states import OPEN
 from statechart.arrays import Array
-from statechart.automaton.laws import Flow, shown_mode
+from statechart.automaton.laws import Flow, moving_mode
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, SingularMode
 
@@ -79,7 +79,7 @@ def closed_at_once(
     snapshot = hidden(at(state), flow.mode)
     rates = [c.gap_rate for c, part in zip(snapshot.contacts, took_part, strict=True) if part]
     height = max(rates) * period / (4.0 * setup.tolerances["gap"])
-    before = shown_mode(flow.flow)
+    before = moving_mode(flow.roles)
     shut = [part or now not in OPEN for part, now in zip(took_part, before, strict=True)]
     key = tuple(
         "slide" if closed and now in OPEN else now for now, closed in zip(before, shut, strict=True)

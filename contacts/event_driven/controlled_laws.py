@@ -26,9 +26,9 @@ from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.laws import CAPTURED, Flow, Instant, Setup, shown_mode
+from statechart.automaton.laws import Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Clock, Jump, Key
+from statechart.automaton.trace import Clock, Jump, Key, Roles
 from statechart.charts.firing import Guard, considered
 
 
@@ -129,9 +129,9 @@ class ControlledLaws:
         jump, following = made
         return jump, self._joined(setup, clock, following, own, jump.after, flow.pending)
 
-    def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
-        """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
-        return self._contacts.constraints(setup, flow[: self._count], start, anchor)
+    def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
+        """Return what keeps the closed contacts of `roles` closed, and pinned points in place."""
+        return self._contacts.constraints(setup, roles[: self._count], start, anchor)
 
     def feasibility(
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float
@@ -167,14 +167,14 @@ class ControlledLaws:
         if (guarded.rows(setup, clock.high, state)[:, 0] > tolerances).all():
             return {}
         snapshot = self._at(own).snapshot(setup, state, clock.high)
-        modes = shown_mode(flow.flow[: self._count])
+        modes = moving_mode(flow.roles[: self._count])
         closed = [mode not in OPEN for mode in modes]
         case = Case(snapshot, setup.contacts, closed, closed, setup.scales)
         (solved,) = candidates(case, [(mode,) for mode in modes])
         found = None
         if isinstance(solved, Candidate):
             accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
-            captured = np.array([state.startswith(CAPTURED) for state in flow.flow[: self._count]])
+            captured = np.array([role.captured for role in flow.roles[: self._count]])
             forces = np.where(captured[:, None], 0.0, solved.forces)
             found = np.concatenate([accelerations, forces.ravel(), joints])
         rows = guarded.rows(setup, clock.high, state, found)
@@ -182,7 +182,7 @@ class ControlledLaws:
 
         def later(guard: Guard) -> float:
             return self._courses.sign(
-                setup, flow.flow, guard.margin, state, setup.scales.sizes, clock.high, relative
+                setup, flow.roles, guard.margin, state, setup.scales.sizes, clock.high, relative
             )
 
         return guarded.watch.due(rows, flow.tolerances, fired, relative, later)
@@ -196,7 +196,7 @@ class ControlledLaws:
 
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow as the contacts' laws know it."""
-        return flow._replace(mode=flow.mode[: self._count], flow=flow.flow[: self._count])
+        return flow._replace(mode=flow.mode[: self._count], roles=flow.roles[: self._count])
 
     def _joined(
         self,
@@ -214,7 +214,7 @@ class ControlledLaws:
         tolerances = guarded.watch.tolerances(rows, precision(setup))
         return flow._replace(
             mode=(*flow.mode, *states),
-            flow=(*flow.flow, *states),
+            roles=(*flow.roles, *roles_in(states)),
             settled=False,
             tolerances={**setup.bands, **tolerances},
             pending=pending or {},

@@ -21,8 +21,8 @@ from contacts.modes.classification import Considered
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
-from statechart.automaton.laws import CAPTURED, Flow, Instant, shown_mode
-from statechart.automaton.trace import Jump, Key
+from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
+from statechart.automaton.trace import Jump, Key, Roles
 
 
 class Rules(NamedTuple):
@@ -88,7 +88,7 @@ class _Entered(NamedTuple):
     """The mode that follows: as shown, as it moves, and what there is to say of it."""
 
     target: Key
-    moving: Key
+    roles: Roles
     state: Array
     settled: bool
     considered: Mapping[str, str] = MappingProxyType({})
@@ -99,7 +99,7 @@ class _Entered(NamedTuple):
 def flow_in(
     setup: SceneSetup,
     mode: Key,
-    flow: Key | None = None,
+    roles: Roles | None = None,
     rest: float | None = None,
     warning: str = "",
     settled: bool = True,
@@ -107,15 +107,17 @@ def flow_in(
 ) -> Flow:
     """Return the flow in a mode; `rest` is how long the bounces last that it stands for."""
     remaining = math.inf if rest is None else rest
-    moving = shown_flow(mode, flow or mode)
+    moving = shown_roles(mode, roles or roles_in(mode))
     return Flow(mode, moving, remaining, warning, settled, notes, tolerances=setup.bands)
 
 
-def shown_flow(mode: Key, flow: Key) -> Key:
-    """Return a flow with the contacts marked whose bounces are skipped: they are shown as free."""
+def shown_roles(mode: Key, roles: Roles) -> Roles:
+    """Return roles with the contacts captured whose bounces are skipped: they are shown as free."""
     return tuple(
-        CAPTURED + moves if shown in OPEN and moves not in OPEN else moves
-        for shown, moves in zip(mode, flow, strict=True)
+        [
+            role._replace(captured=True) if shown in OPEN and role.state not in OPEN else role
+            for shown, role in zip(mode, roles, strict=True)
+        ]
     )
 
 
@@ -174,11 +176,11 @@ def impact_jump(
     )
     told = ("" if jam is None else str(jam), struck.result.warning, *entered.warnings)
     warning = "; ".join(filter(None, told))
-    flow = flow_in(setup, target, entered.moving, rest, warning, entered.settled, entered.notes)
+    flow = flow_in(setup, target, entered.roles, rest, warning, entered.settled, entered.notes)
     # Where a long flight's rounding has left a gap below its tolerance, it opens from there.
     below = {
         f"{law.name}.gap": -2.0 * contact.gap
-        for law, contact, now in zip(laws, contacts, shown_mode(entered.moving), strict=True)
+        for law, contact, now in zip(laws, contacts, moving_mode(entered.roles), strict=True)
         if now == "free" and contact.gap < -setup.tolerances["gap"]
     }
     if below:
@@ -221,17 +223,17 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     check_listed(setup, following, touching)
     if not any(touching):
         flying = tuple(OFF if name == OFF else "free" for name in here.at.flow.mode)
-        return _Entered(flying, flying, struck.state, settled)
+        return _Entered(flying, roles_in(flying), struck.state, settled)
     choice = decide(setup, following, touching, rules.paradox)
-    moving = choice.sliding if isinstance(choice, Jam) else choice.taken.flow
-    shown = shown_mode(moving)
-    state = landed(shown, following, struck.state, setup.tolerances)
+    roles = roles_in(choice.sliding) if isinstance(choice, Jam) else choice.taken.roles
+    moving = moving_mode(roles)
+    state = landed(moving, following, struck.state, setup.tolerances)
     # Where bounces are skipped the contact is still free, and moves as if closed.
-    target = tuple("free" if i in struck.rests else name for i, name in enumerate(shown))
+    target = tuple("free" if i in struck.rests else name for i, name in enumerate(moving))
     if isinstance(choice, Jam):
-        return _Entered(target, moving, state, settled=False)
+        return _Entered(target, roles, state, settled=False)
     said = choice.considered, (choice.warning,), choice.notes
-    return _Entered(target, moving, state, settled, *said)
+    return _Entered(target, roles, state, settled, *said)
 
 
 def _closed_first(
@@ -248,4 +250,4 @@ def _closed_first(
     )
     if ended == entered.target:
         return entered
-    return entered._replace(target=ended, moving=ended, settled=False)
+    return entered._replace(target=ended, roles=roles_in(ended), settled=False)

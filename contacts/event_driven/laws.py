@@ -22,7 +22,7 @@ from contacts.event_driven.impact_jump import (
     Rules,
     flow_in,
     impact_jump,
-    shown_flow,
+    shown_roles,
 )
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
@@ -38,11 +38,12 @@ from statechart.automaton.laws import (
     Flow,
     Instant,
     Setup,
-    shown_mode,
+    moving_mode,
+    roles_in,
     uncaptured,
 )
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Clock, Jump, Key
+from statechart.automaton.trace import Clock, Jump, Key, Role, Roles
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.formulas.parameters import Parameters
 
@@ -127,7 +128,7 @@ class SceneLaws:
         choice = decide(setup, snapshot, touching, self._paradox)
         if isinstance(choice, Jam):
             starts = listed(choice.sliding, setup.contacts, snapshot.contacts, 2.0 * slow)
-            return flow_in(setup, starts, choice.sliding, settled=False), state
+            return flow_in(setup, starts, roles_in(choice.sliding), settled=False), state
         check_declared(self._modes, self._names, choice, snapshot, touching, failing)
         taken = choice.taken
         settled = not any(
@@ -135,15 +136,15 @@ class SceneLaws:
         )
         starts = listed(taken.states, setup.contacts, snapshot.contacts, 2.0 * slow)
         return flow_in(
-            setup, starts, taken.flow, None, choice.warning, settled, choice.notes
+            setup, starts, taken.roles, None, choice.warning, settled, choice.notes
         ), state
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.modes.classification`."""
         setup, clock, _, flow, state, fired = at
         assert isinstance(setup, SceneSetup)
-        if self._plain and flow.mode == flow.flow and fired != (UNBOUNDED,):
-            mode = fast_mode(setup, self._tape, state, clock.high, flow.flow)
+        if self._plain and flow.roles == roles_in(flow.mode) and fired != (UNBOUNDED,):
+            mode = fast_mode(setup, self._tape, state, clock.high, flow.mode)
             if mode is not None:
                 return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
@@ -182,7 +183,7 @@ class SceneLaws:
         Between steps a dense output leaves them by its own error: a contact that the flow kept
         closed is judged as closed.
         """
-        flow, moving = at.flow, shown_mode(at.flow.flow)
+        flow, moving = at.flow, moving_mode(at.flow.roles)
         state = landed(moving, snapshot, at.state, setup.tolerances)
         slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
         rested = self._rested(flow, moving, snapshot, at.fired, 2.0 * slow)
@@ -201,7 +202,7 @@ class SceneLaws:
             sizes = setup.scales.sizes[: len(here.at.state) // 2]
             # Where contacts share a load their constraints are dependent, and rightly so.
             why = dead_point(snapshot, setup.contacts, moving, sizes)
-            if why and moving == uncaptured(here.at.flow.flow):
+            if why and roles_in(moving) == uncaptured(here.at.flow.roles):
                 raise SingularMode(why)
             return None
         if self._paradox == "stop":
@@ -219,9 +220,9 @@ class SceneLaws:
         target = choice.taken.states
         skipping = moving != flow.mode
         if target == moving and not (skipping and fired == ("zeno",)):
-            goes_on = shown_flow(flow.mode, choice.taken.flow)
-            if goes_on != flow.flow:
-                return None, flow._replace(flow=goes_on, settled=True)
+            goes_on = shown_roles(flow.mode, choice.taken.roles)
+            if goes_on != flow.roles:
+                return None, flow._replace(roles=goes_on, settled=True)
             if state is at.state or not fired or flow.settled:
                 return None
             # What fell off the constraints has not fallen on them.
@@ -236,7 +237,7 @@ class SceneLaws:
             energy=(snapshot.energy, left.energy),
         )
         return jump, flow_in(
-            setup, target, choice.taken.flow, warning=choice.warning, notes=choice.notes
+            setup, target, choice.taken.roles, warning=choice.warning, notes=choice.notes
         )
 
     def _rested(
@@ -326,22 +327,22 @@ class SceneLaws:
             return None
         energy = None if jump.energy is None else (jump.energy[0], found.energy)
         # A bar that rattles over a crest takes off from it: there is nothing to wait for.
-        wait = None if found.choice.taken.flow == flow.mode else rest
+        wait = None if found.choice.taken.roles == roles_in(flow.mode) else rest
         following = flow_in(
             setup,
             flow.mode,
-            found.choice.taken.flow,
+            found.choice.taken.roles,
             wait,
             found.warning,
             notes=found.choice.notes,
         )
         return dataclasses.replace(jump, after=found.state, energy=energy, skipped=rest), following
 
-    def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
-        """Return what keeps the closed contacts of `flow` closed, and pinned points in place."""
+    def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
+        """Return what keeps the closed contacts of `roles` closed, and pinned points in place."""
         assert isinstance(setup, SceneSetup)
         return self._projection.constraints(
-            shown_mode(flow), start, anchor, setup.values, setup.tolerances, setup.scales
+            moving_mode(roles), start, anchor, setup.values, setup.tolerances, setup.scales
         )
 
     def feasibility(
@@ -371,9 +372,9 @@ class SceneLaws:
     ) -> tuple[Jump, Flow]:
         """Take contacts off or back; what the others do then is asked next."""
         flow = at.flow
-        mode, moving = list(flow.mode), list(flow.flow)
+        mode, roles = list(flow.mode), list(flow.roles)
         for place, target in switched.items():
-            mode[place] = moving[place] = target
+            mode[place], roles[place] = target, Role(target)
         place = next(iter(switched))
         name, goes = self._names[place], mode[place] == OFF
         reason = "its conditions hold, and its gap is open"
@@ -393,5 +394,5 @@ class SceneLaws:
             },
             energy=(snapshot.energy, snapshot.energy),
         )
-        following = flow._replace(mode=tuple(mode), flow=tuple(moving), warning="", settled=False)
+        following = flow._replace(mode=tuple(mode), roles=tuple(roles), warning="", settled=False)
         return jump, following

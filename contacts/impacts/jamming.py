@@ -18,7 +18,7 @@ from contacts.impacts.impact import impact
 from contacts.impacts.impulses import Impulses, collisions
 from contacts.impacts.simultaneous import Impacts, groups
 from contacts.modes.painleve import paradoxes
-from contacts.states import OFF
+from contacts.states import OFF, SLIDING
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode
 
@@ -56,7 +56,7 @@ class Jam:
 
 def closed_state(law: ContactLaw, contact: PerContact, still_below: float) -> str:
     """Return the state in which an impact without rebound leaves a contact."""
-    sliding = [name for name in law.states if name.startswith("slide")]
+    sliding = [name for name in law.states if name in SLIDING]
     if not sliding and "pin" not in law.states:
         return "free"
     if "pin" in law.states and (abs(contact.slip) <= still_below or not sliding):

@@ -24,6 +24,8 @@ from contacts.solvers.mode_solver import AGAINST, INTO, OUTSIDE, PULLS, solve_mo
 from contacts.solvers.saddle_point import CONTRADICTORY, REDUNDANT, SOLVED, UNDETERMINED
 from contacts.states import CODES, FREE, PIN
 from statechart.arrays import Array
+from statechart.automaton.laws import roles_in
+from statechart.automaton.trace import Roles
 
 _WORDS = {
     INTO: "it would accelerate at {:.3g} into the surface",
@@ -106,9 +108,9 @@ class Candidate(NamedTuple):
     share: Share | None = None
 
     @property
-    def flow(self) -> tuple[str, ...]:
+    def roles(self) -> Roles:
         """The states, and how the forces are shared: what a flow's equations follow from."""
-        return self.states if self.share is None else self.share.flow(self.states)
+        return roles_in(self.states) if self.share is None else self.share.roles(self.states)
 
     @property
     def reason(self) -> str:

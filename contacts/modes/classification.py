@@ -27,8 +27,9 @@ from contacts.modes.candidates import (
     openness,
     same_motion,
 )
-from contacts.modes.load_sharing import OWN, Share
-from contacts.states import OFF, OPEN
+from contacts.modes.load_sharing import Share
+from contacts.scene.modes import OWN
+from contacts.states import OFF, OPEN, SLIDING, declared_state
 from statechart.errors import AmbiguousMode, NoConsistentMode
 
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.
@@ -205,7 +206,7 @@ def _advice(
     rough = [
         law.name
         for law, shut in zip(laws, closed, strict=True)
-        if shut and "pin" in law.states and not any(s.startswith("slide") for s in law.states)
+        if shut and "pin" in law.states and not any(s in SLIDING for s in law.states)
     ]
     if rough:
         yield (
@@ -215,7 +216,7 @@ def _advice(
         )
     unlisted = False
     for law, shut in zip(laws, closed, strict=True):
-        kinds = {state.rstrip("+-") for state in law.states}
+        kinds = {declared_state(state) for state in law.states}
         wanted = ("free", "slide", "pin") if law.cone_t > 0.0 else ("free", "slide")
         lacks = [kind for kind in wanted if kind not in kinds]
         if shut and lacks and law.name not in rough:

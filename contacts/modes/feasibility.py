@@ -22,6 +22,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
+from contacts.states import declared_state
 from statechart.arrays import Array
 
 Condition = tuple[int, int, int]
@@ -135,7 +136,7 @@ def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], st
     """
     groups: dict[tuple[str, ...], list[ModeVerdict]] = {}
     for mode in judged:
-        groups.setdefault(tuple(s.rstrip("+-") for s in mode.states), []).append(mode)
+        groups.setdefault(tuple(map(declared_state, mode.states)), []).append(mode)
     return {
         key: "" if any(mode.feasible for mode in group) else _reason(group)
         for key, group in groups.items()

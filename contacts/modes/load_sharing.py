@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.dynamics.snapshot import Snapshot
+from contacts.scene.modes import OWN, Bearing
 from contacts.solvers.redundancy import mode_columns, unseen
 from contacts.solvers.saddle_point import independent
 from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
 from contacts.states import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array
+from statechart.automaton.trace import Role, Roles
 
-OWN = "own"
-"""The zone of a contact that does not share its load."""
 _ZONES = {INSIDE: "inside", UPPER: "upper", LOWER: "lower", APEX: "apex"}
 _LETTERS = {FREE: "", PIN: "nt"}
 _SLIDING = {PIN: 0.0, SLIDE_PLUS: 1.0, SLIDE_MINUS: -1.0}
@@ -45,7 +45,7 @@ class Share:
         Per contact; OWN where the motion determines its force.
     rows : tuple of str
         Which of the contact's constraints ("nt", "n", "t", "") are among the independent ones.
-    bearing : tuple of str
+    carriers : tuple of str
         Which of the contact's forces, along normal and tangent ("n", "t") or along its edge
         ("e"), are enough to move the bodies like that.
     coordinates, joints : tuple of int
@@ -57,25 +57,25 @@ class Share:
     forces: Array
     zones: tuple[str, ...]
     rows: tuple[str, ...]
-    bearing: tuple[str, ...]
+    carriers: tuple[str, ...]
     coordinates: tuple[int, ...]
     joints: tuple[int, ...]
     violation: float
 
-    def flow(self, states: Sequence[str]) -> tuple[str, ...]:
-        """Return `states` with what of their equations to use, for `shared` to read."""
+    def roles(self, states: Sequence[str]) -> Roles:
+        """Return the roles of contacts in `states`, with what of their equations to use."""
         whole = {"pin": "nt", "free": "", OFF: ""}
-        coordinates = ",".join(map(str, self.coordinates))
         first = next(k for k, zone in enumerate(self.zones) if zone != OWN)
         result = []
-        parts = zip(states, self.zones, self.rows, self.bearing, strict=True)
-        for k, (state, zone, rows, bearing) in enumerate(parts):
+        parts = zip(states, self.zones, self.rows, self.carriers, strict=True)
+        for k, (state, zone, rows, carriers) in enumerate(parts):
+            bearing = None
             if zone != OWN:
-                joints = ",".join(map(str, self.joints)) if k == first else ""
-                state = f"{state}|{zone}|{rows}|{bearing}|{coordinates}|{joints}"
+                joints = self.joints if k == first else ()
+                bearing = Bearing(zone, rows, carriers, self.coordinates, joints)
             elif rows != whole.get(state, "n"):
-                state = f"{state}|{zone}|{rows}|||"
-            result.append(state)
+                bearing = Bearing(zone, rows)
+            result.append(Role(state, share=bearing))
         return tuple(result)
 
 
@@ -122,7 +122,7 @@ def share(
         violation = max(violation, _outside(code[k], cones[k], forces[k]))
     kept = set(order[:count].tolist())
     letters = [letter for mode in code.tolist() for letter in _LETTERS.get(mode, "e")]
-    bearing = tuple(
+    carriers = tuple(
         "".join(letters[i] for i in np.nonzero(owners == k)[0].tolist() if i in kept)
         for k in range(len(code))
     )
@@ -138,7 +138,7 @@ def share(
         given,
         tuple(zones),
         rows,
-        bearing,
+        carriers,
         tuple(coordinates.tolist()),
         tuple(joints.tolist()),
         violation,

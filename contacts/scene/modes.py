@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import sympy as sp
 from pydantic import Field
@@ -105,26 +105,48 @@ def off(contact: ContactSymbols, gates: tuple[Margin, ...]) -> State:
     return State((contact.V, contact.H), (Margin(f"{contact.name}.{OFF}", -back),))
 
 
-def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, part: str) -> State:
-    """Return the state of a contact that shares its load (see `contacts.modes.load_sharing`).
+class Bearing(NamedTuple):
+    """What of a contact's equations to use where contacts share their load.
 
-    Parameters
+    Attributes
     ----------
-    part : str
-        ``zone|rows|bearing|coordinates|joints``: where the contact is on its cone, which of its
-        constraints the others do not imply, which of its forces may carry the load in the
-        equations of motion, the coordinates whose displacements determine the forces, and the
-        rows of the joints that these displacements keep (named once in a mode).
+    zone : str
+        Where it is on its cone: `inside`, `upper`, `lower`, `apex`; `OWN` where the motion
+        determines its force.
+    rows : str
+        Which of its constraints, along normal and tangent ("n", "t"), the others do not imply.
+    carriers : str
+        Which of its forces, along normal and tangent or along its edge ("e"), may carry the load
+        in the equations of motion.
+    coordinates : tuple of int
+        Those whose displacements determine the forces.
+    joints : tuple of int
+        The rows of joints that these displacements keep; named once in a mode.
     """
+
+    zone: str
+    rows: str
+    carriers: str = ""
+    coordinates: tuple[int, ...] = ()
+    joints: tuple[int, ...] = ()
+
+
+OWN = "own"
+"""The zone of a contact that does not share its load."""
+
+
+def shared(
+    mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, bearing: Bearing
+) -> State:
+    """Return the state of a contact that shares its load (see `contacts.modes.load_sharing`)."""
     own = mode.state(contact, direction)
-    zone, rows, bearing, coordinates, joints = part.split("|")
+    zone, places = bearing.zone, bearing.coordinates
     constraints = {"n": contact.normal_acceleration, "t": contact.tangential_acceleration}
-    kept = tuple(constraints[row] for row in rows)
-    if zone == "own":
+    kept = tuple(constraints[row] for row in bearing.rows)
+    if zone == OWN:
         rest = (e for e in own.equations if e not in constraints.values())
         return State((*kept, *rest), own.margins)
     name, n, t = contact.name, contact.cone_n, contact.cone_t
-    places = [int(place) for place in coordinates.split(",")]
     y = {place: sp.Symbol(f"y{place}", real=True) for place in places}
     w, u = (sp.Add(*(row[i] * y[i] for i in places)) for row in contact.jacobian)
     pinned = isinstance(mode, Pin)
@@ -153,7 +175,7 @@ def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, pa
             away = across if zone == "upper" else -across
             margins += (Margin(f"{name}.on edge", away, "force"),)
     # In the equations of motion: by its normal and tangential force, or along the edge.
-    carriers = {f: sp.Symbol(f"{f}_{contact.V}", real=True) for f in bearing}
+    carriers = {f: sp.Symbol(f"{f}_{contact.V}", real=True) for f in bearing.carriers}
     edge = carriers.get("e", sp.S.Zero)
     by = (carriers.get("n", n * edge), carriers.get("t", t * edge))
     left = (bears[0] - by[0], bears[1] - by[1])
@@ -162,7 +184,7 @@ def shared(mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, pa
         for i in places
     }
     carried: dict[sp.Symbol, sp.Expr] = {contact.V: by[0], contact.H: by[1]}
-    for joint in (int(joint) for joint in joints.split(",") if joint):
+    for joint in bearing.joints:
         # What the joint bears where the contacts share, and where the carriers bear it all.
         force, row = contact.joint_forces[joint], contact.joints[joint]
         reaction = sp.Symbol(f"x{joint}", real=True)

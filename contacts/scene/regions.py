@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import sympy as sp
 
-from contacts.scene.modes import ContactSymbols, Free, Pin, Slide, off, shared
+from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off, shared
 from contacts.scene.parts import Contact
 from contacts.states import OFF, OPEN
 from statechart.automaton.regions import Edge, Margin, Region, State
+from statechart.automaton.trace import Role
 
 # Longer conditions would drown the diagram: every state has an edge with them.
 BODY_STATES = ("free", "slide", "pin")
@@ -77,14 +78,13 @@ def region(
     """
     modes = {mode.mode: mode for mode in contact.modes}
 
-    def build(state: str) -> State:
-        if state == OFF:
+    def build(role: Role) -> State:
+        if role.state == OFF:
             return off(symbols(), gates())
-        name, _, part = state.partition("|")
-        mode: Free | Slide | Pin = modes[name.rstrip("+-")]  # type: ignore[index]
-        direction = _DIRECTIONS.get(name, 0)
-        if part:
-            built = shared(mode, symbols(), direction, part)
+        mode: Free | Slide | Pin = modes[groups.get(role.state, role.state)]  # type: ignore[index]
+        direction = _DIRECTIONS.get(role.state, 0)
+        if isinstance(role.share, Bearing):
+            built = shared(mode, symbols(), direction, role.share)
         else:
             built = mode.state(symbols(), direction)
         return replace(built, margins=(*built.margins, *gates())) if gate else built

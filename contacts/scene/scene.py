@@ -19,6 +19,7 @@ from contacts.scene.other_laws import replaced
 from contacts.scene.parts import Path, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.scene.shapes import INDEX
+from contacts.states import declared_state
 from statechart.charts.transitions import check_listening
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText, check_names
@@ -142,7 +143,7 @@ class Scene(SceneFields):
         for name, mode in self.modes.items():
             self._member("contact", name, self.contacts, "modes", name)
             known = self.contacts[name].kinds | ({"off"} if self.gate(name) else set())
-            if mode.rstrip("+-") not in known:
+            if declared_state(mode) not in known:
                 raise DeclarationProblem(
                     f"contact {name!r} does not list the mode {mode!r}",
                     advice="its modes: " + ", ".join(sorted(known)),
@@ -253,7 +254,7 @@ class Scene(SceneFields):
         names |= {"energy", *self.controls}
         gates = {c: self.gate(c) for c in self.contacts}
         found = {
-            c: {s for state in states(x, gate=gates[c]) for s in (state, state.rstrip("+-"))}
+            c: {s for state in states(x, gate=gates[c]) for s in (state, declared_state(state))}
             for c, x in self.contacts.items()
         } | {name: set(region.states) for name, region in self.regions.items()}
         causes = {

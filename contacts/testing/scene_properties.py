@@ -20,7 +20,7 @@ from contacts.testing.assertions import _ROUNDING, assert_in_cone, largest_of, n
 from contacts.testing.symmetry import mirrored, rescaled
 from contacts.testing.violations import cone_edges
 from statechart.arrays import Array
-from statechart.automaton.laws import uncaptured
+from statechart.automaton.laws import moving_mode
 from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.testing.agreement import Reading, assert_same, identical
 from statechart.testing.properties import Property, dense
@@ -297,7 +297,7 @@ def _forces(scene: Scene, subject: Subject, trace: Trace) -> Iterator[tuple[Arc,
 
 def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
     """Yield every contact with its mode."""
-    return zip(scene.contacts, uncaptured(arc.flow), strict=False)  # controllers follow
+    return zip(scene.contacts, moving_mode(arc.roles), strict=False)  # controllers follow
 
 
 def _rounding(trace: Trace, arc: Arc, tau: Array) -> float:

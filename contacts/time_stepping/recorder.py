@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import Chunk
 from statechart.arrays import Array, Ints
+from statechart.automaton.laws import roles_in
 from statechart.automaton.trace import Arc, Clock, Jump, Key
 
 TERMS = 3
@@ -210,7 +211,7 @@ class Recorder:
         self.arcs.append(
             Arc(
                 self.key,
-                self.key,
+                roles_in(self.key),
                 self._began,
                 len(self.jumps),
                 np.concatenate(ends),

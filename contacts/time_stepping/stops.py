@@ -99,4 +99,4 @@ def _cut(arc: Arc, end: float) -> Arc:
     times, coefficients = arc.times.copy(), arc.coefficients.copy()
     times[-1] = end
     coefficients[-1] *= s ** np.arange(coefficients.shape[2])
-    return Arc(arc.mode, arc.flow, arc.start, arc.j, times, coefficients, arc.solved)
+    return Arc(arc.mode, arc.roles, arc.start, arc.j, times, coefficients, arc.solved)

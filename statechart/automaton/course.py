@@ -11,7 +11,7 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Mode
-from statechart.automaton.trace import Key
+from statechart.automaton.trace import Roles
 from statechart.formulas.linear import Singular
 from statechart.formulas.series import Series, expand
 from statechart.formulas.tape import Tape, compile_tape
@@ -41,7 +41,7 @@ class Courses:
     def sign(
         self,
         setup: Setup,
-        flow: Key,
+        roles: Roles,
         margin: str,
         state: Array,
         sizes: Array,
@@ -54,7 +54,7 @@ class Courses:
         ----------
         setup : Setup
             The numbers of the run.
-        flow : Key
+        roles : Roles
             The mode whose equations apply.
         margin : str
             Name of one of its margins.
@@ -72,7 +72,7 @@ class Courses:
         """
         assert setup.modes is not None
         try:
-            mode = setup.modes(flow)
+            mode = setup.modes(roles)
         except Singular:
             return math.nan
         moving, timed, tape = self._tape(mode, margin)

@@ -1,4 +1,4 @@
-"""Dense output of an arc: sampled, integrated, its least values, its summands."""
+"""Dense output of an arc: sampled, integrated, its least values."""
 
 from __future__ import annotations
 
@@ -132,18 +132,3 @@ def checked_arc(
             f"not (n_steps + 1,) and (n_steps, {tape.n_variables}, degree + 1)"
         )
     return times, coeffs, parameters
-
-
-def summands(times: NDArray[np.float64], coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what each variable was summed from as an arc ended, its rounded time among them."""
-    last, long = coefficients[-1], len(coefficients)
-    # A last step shorter than the time can tell has no rate; the one before it has.
-    while long and times[long] == times[long - 1]:
-        long -= 1
-    if not long:
-        return last
-    terms = np.empty((len(last), last.shape[1] + 1))
-    terms[:, :-1] = last
-    rates = coefficients[long - 1] @ np.arange(last.shape[1])
-    terms[:, -1] = rates / (times[long] - times[long - 1]) * times[-1]
-    return terms

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Clock, Jump, Key
+from statechart.automaton.trace import Clock, Jump, Key, Role, Roles
 
 if TYPE_CHECKING:
     from statechart.automaton.constraints import Constraints
@@ -25,32 +25,29 @@ if TYPE_CHECKING:
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 HELD = ""
-"""In the key of a flow: a region whose state contributes nothing, so that what it moves rests."""
+"""In a role: the state of a region that contributes nothing, so that what it moves rests."""
 
 UNBOUNDED = "unbounded"
 """What ends a flow that cannot be continued, though no margin fell; the laws may know what follows
 (a force that has grown without bound)."""
 
 
-CAPTURED = "~"
-"""In the key of a flow, before a state: the region is shown in another meanwhile, and for everybody
-else its forces are what they are in that: zero."""
+@lru_cache(maxsize=1024)
+def roles_in(mode: Key) -> Roles:
+    """Return the roles of regions whose equations are those of their states."""
+    return tuple([Role(state) for state in mode])
 
 
 @lru_cache(maxsize=1024)
-def uncaptured(flow: Key) -> Key:
-    """Return the flow that moves the state as `flow` does, with nothing hidden from others."""
-    return tuple(state.removeprefix(CAPTURED) for state in flow)
+def uncaptured(roles: Roles) -> Roles:
+    """Return the roles that move the state as `roles` do, with nothing hidden from others."""
+    return tuple([role._replace(captured=False) for role in roles])
 
 
 @lru_cache(maxsize=1024)
-def shown_mode(flow: Key) -> Key:
-    """Return the mode of a flow: its states without what chooses among equivalent equations.
-
-    Where a mode's equations leave quantities open that do not change the motion, a flow says after
-    the state's name, separated by ``|``, what determines them (``pin|inside|nt|nt|0,1,2|``).
-    """
-    return tuple(state.partition("|")[0] for state in uncaptured(flow))
+def moving_mode(roles: Roles) -> Key:
+    """Return the states whose equations apply."""
+    return tuple([role.state for role in roles])
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +74,7 @@ class Setup:
     horizon : float
         A long time for the first flow, in the model's own scales: how far to look ahead at first.
     modes : callable or None
-        Key of a flow -> its mode, solved for the parameters of the run; set by the executor.
+        Roles of a flow -> its mode, solved for the parameters of the run; set by the executor.
     """
 
     values: NDArray[np.float64]
@@ -88,7 +85,7 @@ class Setup:
     warnings: tuple[str, ...] = ()
     sizes: NDArray[np.float64] | None = None
     horizon: float = float("inf")
-    modes: Callable[[Key], Mode] | None = None
+    modes: Callable[[Roles], Mode] | None = None
 
     @cached_property
     def zeros(self) -> frozenset[int]:
@@ -103,8 +100,8 @@ class Flow(NamedTuple):
     ----------
     mode : Key
         The mode shown.
-    flow : Key
-        The mode whose equations apply; `HELD` in the place of a region that is held.
+    roles : Roles
+        Whose equations apply; `HELD` is the state of a region that is held.
     remaining : float
         Time until the laws are asked again even if no margin falls (a Zeno sequence's
         accumulation); inf otherwise.
@@ -131,7 +128,7 @@ class Flow(NamedTuple):
     """
 
     mode: Key
-    flow: Key
+    roles: Roles
     remaining: float = float("inf")
     warning: str = ""
     settled: bool = False
@@ -232,7 +229,7 @@ class Laws(Protocol):
         ...
 
     def constraints(
-        self, setup: Setup, flow: Key, start: float, anchor: NDArray[np.float64]
+        self, setup: Setup, roles: Roles, start: float, anchor: NDArray[np.float64]
     ) -> Constraints:
         """Return what the states of a flow satisfy.
 

@@ -8,21 +8,21 @@ from dataclasses import replace
 import sympy as sp
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import CAPTURED, uncaptured
+from statechart.automaton.laws import uncaptured
 from statechart.automaton.regions import Loads, Margin, Mode
-from statechart.automaton.trace import Key
+from statechart.automaton.trace import Roles
 from statechart.formulas.linear import Definition, solve_linear
 
 
-def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> Mode:
-    """Solve the equations of `key`.
+def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) -> Mode:
+    """Solve the equations of `roles`.
 
     Parameters
     ----------
     automaton : Automaton
         Where the regions are composed.
-    key : Key
-        One state per region.
+    roles : Roles
+        One per region.
     zeros : frozenset of Symbol
         Parameters that are exactly zero in the run; they are removed before solving, so that a
         quotient such as 0 (I_G) over 0 (the cosine of a fallen stick) never arises.
@@ -32,10 +32,10 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
     Singular
         If the equations leave an unknown free whatever the numbers are.
     """
-    bare = uncaptured(key)
-    if bare != key:
-        return captured(automaton, build_mode(automaton, bare, zeros), key)
-    states = [region.build(state) for region, state in zip(automaton.regions, key, strict=True)]
+    bare = uncaptured(roles)
+    if bare != roles:
+        return captured(automaton, build_mode(automaton, bare, zeros), roles)
+    states = [region.build(role) for region, role in zip(automaton.regions, roles, strict=True)]
     substitution: dict[sp.Symbol, sp.Expr] = dict.fromkeys(zeros, sp.S.Zero)
     values = {control: value for state in states for control, value in state.values.items()}
     controls = []
@@ -64,7 +64,6 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
         own = [unknown] if by is None else [c for c in carriers if by.has(c)]
         unknowns |= dict.fromkeys(own)
     return Mode(
-        key,
         (
             *controls,
             *solve_linear(equations, tuple(unknowns), len(automaton.equations)),
@@ -75,25 +74,22 @@ def build_mode(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> M
     )
 
 
-def captured(automaton: Automaton, mode: Mode, key: Key) -> Mode:
-    """Return `mode` as `key` shows it: with the forces of regions that are captured hidden.
+def captured(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:
+    """Return `mode` as `roles` show it: with the forces of regions that are captured hidden.
 
     They hold these regions in place, so that their own margins see them.
     """
-    pairs = list(zip(automaton.regions, key, strict=True))
+    pairs = list(zip(automaton.regions, roles, strict=True))
     hidden: dict[sp.Symbol, sp.Expr] = {
-        force: sp.S.Zero
-        for region, state in pairs
-        if state.startswith(CAPTURED)
-        for force in region.forces
+        force: sp.S.Zero for region, role in pairs if role.captured for force in region.forces
     }
     margins: list[Margin] = []
-    for region, state in pairs:
-        own = region.build(state.removeprefix(CAPTURED)).margins
+    for region, role in pairs:
+        own = region.build(role).margins
         found = mode.margins[len(margins) : len(margins) + len(own)]
-        margins += found if state.startswith(CAPTURED) else _without(found, hidden)
+        margins += found if role.captured else _without(found, hidden)
     margins += _without(mode.margins[len(margins) :], hidden)
-    return replace(mode, key=key, margins=tuple(margins), hidden=hidden)
+    return replace(mode, margins=tuple(margins), hidden=hidden)
 
 
 def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> Iterable[Margin]:

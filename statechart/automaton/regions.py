@@ -8,7 +8,7 @@ from typing import Literal
 
 import sympy as sp
 
-from statechart.automaton.trace import Key
+from statechart.automaton.trace import Role
 from statechart.formulas.linear import Definition
 
 MarginKind = Literal["plain", "gap", "speed", "force"]
@@ -61,7 +61,7 @@ class Loads:
 
 @dataclass(frozen=True)
 class State:
-    """What one state of a region contributes to a mode.
+    """What a region contributes to a mode.
 
     Attributes
     ----------
@@ -119,18 +119,18 @@ class Region:
     states : tuple of str
         Names of its states.
     build : callable
-        Name -> State.
+        Role -> State.
     edges : tuple of Edge
         The region's own statechart.
     groups : mapping
         State -> the state as its declaration names it, where that differs (slide+ -> slide).
     forces : tuple of Symbol
-        Unknowns that are zero for others while the region is captured (see `CAPTURED`).
+        Unknowns that are zero for others while the region is captured (see `Role`).
     """
 
     name: str
     states: tuple[str, ...]
-    build: Callable[[str], State]
+    build: Callable[[Role], State]
     edges: tuple[Edge, ...]
     groups: Mapping[str, str] = field(default_factory=dict)
     forces: tuple[sp.Symbol, ...] = ()
@@ -146,8 +146,6 @@ class Mode:
 
     Attributes
     ----------
-    key : Key
-        State of every region.
     definitions : tuple of (Symbol, Expr)
         Straight-line program for the controls and the unknowns.
     rates : tuple of Expr
@@ -158,7 +156,6 @@ class Mode:
         What forces are for those who look at the mode, where they are not what moves the state.
     """
 
-    key: Key
     definitions: tuple[Definition, ...]
     rates: tuple[sp.Expr, ...]
     margins: tuple[Margin, ...]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
@@ -95,6 +95,30 @@ def check_size(size: int, jumps: int, time: float) -> None:
         )
 
 
+class Role(NamedTuple):
+    """How a region takes part in a flow.
+
+    Attributes
+    ----------
+    state : str
+        Whose equations apply.
+    captured : bool
+        True where the region is shown in another state meanwhile: for everybody else its forces
+        are what they are in that, zero.
+    share : hashable or None
+        What determines the quantities that the mode's equations leave open, where these do not
+        change the motion; for the region that builds the state to read.
+    """
+
+    state: str
+    captured: bool = False
+    share: Hashable | None = None
+
+
+Roles = tuple[Role, ...]
+"""The role of every region: what the equations of a flow follow from."""
+
+
 @dataclass(frozen=True, eq=False)
 class Arc:
     """One flow between two jumps: a polynomial in time for every variable and step.
@@ -103,10 +127,10 @@ class Arc:
     ----------
     mode : Key
         The mode that the trace shows.
-    flow : Key
-        The mode whose equations moved the state. It differs from `mode` while the rest of a Zeno
-        sequence is skipped: a contact still is `free`, and moves as if closed; in the place of a
-        region that holds its variables meanwhile stands `statechart.automaton.laws.HELD`.
+    roles : Roles
+        Whose equations moved the state. Their states differ from `mode` while the rest of a Zeno
+        sequence is skipped: a contact still is `free`, and moves as if closed; that of a region
+        that holds its variables meanwhile is `statechart.automaton.laws.HELD`.
     start : Clock
         When the arc starts.
     j : int
@@ -121,7 +145,7 @@ class Arc:
     """
 
     mode: Key
-    flow: Key
+    roles: Roles
     start: Clock
     j: int
     times: NDArray[np.float64]
@@ -294,8 +318,8 @@ class Trace:
             return dict(self.undetermined)
         found: dict[Key, tuple[str, ...]] = {}
         for arc in self.arcs:
-            open_ones = zip(self.regions, arc.flow or (), strict=False)
-            names = tuple(name for name, state in open_ones if "|" in state)
+            open_ones = zip(self.regions, arc.roles, strict=False)
+            names = tuple(name for name, role in open_ones if role.share is not None)
             if names:
                 found[arc.mode] = names
         return found

@@ -20,9 +20,9 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.course import Courses
-from statechart.automaton.laws import HELD, Flow, Instant, Setup
+from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.regions import Edge, Margin, Region, State
-from statechart.automaton.trace import Clock, Jump, Key, between
+from statechart.automaton.trace import Clock, Jump, Role, Roles, between
 from statechart.charts.chart import Chart, Transition
 from statechart.charts.chart import Region as DeclaredRegion
 from statechart.charts.firing import Guard, GuardWatch, Listening, considered, guards, size_of
@@ -106,10 +106,10 @@ class _Symbols:
 
 
 def _region(name: str, declared: DeclaredRegion, symbols: _Symbols) -> Region:
-    def build(state: str) -> State:
-        if state == HELD:
+    def build(role: Role) -> State:
+        if role.state == HELD:
             return State()
-        content = declared.states[state]
+        content = declared.states[role.state]
         return State(
             tuple(
                 symbols.rates[variable] - parse(flow).to_sympy(symbols.known)
@@ -117,7 +117,7 @@ def _region(name: str, declared: DeclaredRegion, symbols: _Symbols) -> Region:
             ),
             tuple(
                 Margin(guard.margin, guard.relation.margin(symbols.known))
-                for guard in guards(0, name, declared.transitions, state)
+                for guard in guards(0, name, declared.transitions, role.state)
             ),
             tuple(
                 Margin(f"{name}.{label}", -parse_relation(text).margin(symbols.known))
@@ -159,7 +159,7 @@ class ChartLaws:
         self._chart = chart
         self._symbols = symbols
         self._regions = tuple(chart.regions)
-        self._watches: dict[Key, GuardWatch] = {}
+        self._watches: dict[Roles, GuardWatch] = {}
         self._updates: dict[tuple[int, int], Tape] = {}
         self._courses = Courses(
             tuple(symbols.variables.values()),
@@ -190,7 +190,7 @@ class ChartLaws:
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the initial states; guards that are true there fire at once."""
         key = tuple(region.initial for region in self._chart.regions.values())
-        flow = Flow(key, key, terms=setup.initial[:, None])
+        flow = Flow(key, roles_in(key), terms=setup.initial[:, None])
         return self._with_tolerances(setup, Clock(), flow, setup.initial), setup.initial
 
     def jump(self, at: Instant) -> tuple[Jump, Flow] | None:
@@ -202,12 +202,12 @@ class ChartLaws:
             place = self._regions.index(name)
             index = self._zeno[place][flow.mode[place]]
         else:
-            watch = self._watch(flow.flow)
+            watch = self._watch(flow.roles)
             sizes = _summed(flow, state)
 
             def later(guard: Guard) -> float:
                 return self._courses.sign(
-                    setup, flow.flow, guard.margin, state, sizes, clock.high, _ROUNDING
+                    setup, flow.roles, guard.margin, state, sizes, clock.high, _ROUNDING
                 )
 
             rows = watch.at(setup, state, sizes, clock.high)
@@ -232,8 +232,8 @@ class ChartLaws:
         held = {region: end for region, end in flow.held.items() if region != name}
         following = flow._replace(
             mode=target,
-            flow=tuple(
-                HELD if region in held else now
+            roles=tuple(
+                Role(HELD if region in held else now)
                 for region, now in zip(self._regions, target, strict=True)
             ),
             held=held,
@@ -265,11 +265,11 @@ class ChartLaws:
                 f"from '{jump.target[place]}'"
             )
         return replace(jump, skipped=rest), flow._replace(
-            flow=(*flow.flow[:place], HELD, *flow.flow[place + 1 :]),
+            roles=(*flow.roles[:place], Role(HELD), *flow.roles[place + 1 :]),
             held={**flow.held, jump.region: clock.later(rest)},
         )
 
-    def constraints(self, setup: Setup, flow: Key, start: float, anchor: Array) -> Constraints:
+    def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return nothing: a chart has no constraints."""
         return NO_CONSTRAINTS
 
@@ -279,28 +279,28 @@ class ChartLaws:
         """Return None: every mode of a chart is possible somewhere."""
 
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
-        watch = self._watch(flow.flow)
+        watch = self._watch(flow.roles)
         rows = watch.at(setup, state, _sizes(flow, state), clock.high)
         if np.isnan(rows[:, 0]).any():
             place = int(np.flatnonzero(np.isnan(rows[:, 0]))[0])
             raise NonFinite(f"the guard of {watch.guards[place].margin} has no value")
         return flow._replace(tolerances=watch.tolerances(rows, _ROUNDING))
 
-    def _watch(self, flow: Key) -> GuardWatch:
+    def _watch(self, roles: Roles) -> GuardWatch:
         """Return the guards of a mode; regions that are held have none."""
-        if flow not in self._watches:
+        if roles not in self._watches:
             known, variables = self._symbols.known, self._symbols.variables
             watched: list[Guard] = []
             rates: dict[sp.Symbol, sp.Expr] = {}
             for place, (state, (name, region)) in enumerate(
-                zip(flow, self._chart.regions.items(), strict=True)
+                zip(moving_mode(roles), self._chart.regions.items(), strict=True)
             ):
                 if state == HELD:
                     continue
                 for variable, text in region.states[state].flows.items():
                     rates[variables[variable]] = parse(text).to_sympy(known)
                 watched += guards(place, name, region.transitions, state)
-            self._watches[flow] = GuardWatch(
+            self._watches[roles] = GuardWatch(
                 watched,
                 known,
                 rates,
@@ -308,7 +308,7 @@ class ChartLaws:
                 parameters=tuple(self._symbols.parameters.symbols.values()),
                 time=self._symbols.time,
             )
-        return self._watches[flow]
+        return self._watches[roles]
 
     def _updated(
         self, setup: Setup, clock: Clock, place: int, index: int, state: Array, sizes: Array

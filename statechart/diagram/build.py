@@ -11,7 +11,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.product import graph, jumps, visited
 from statechart.automaton.regions import Margin, Region
-from statechart.automaton.trace import Key, Trace
+from statechart.automaton.trace import Key, Role, Trace
 from statechart.diagram.model import Diagram, Link, Node
 
 if TYPE_CHECKING:
@@ -200,7 +200,7 @@ def _node(automaton: Automaton, key: Key, data: Mapping[str, Any], initial: bool
 
 
 def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, ...]:
-    built = region.build(state)
+    built = region.build(Role(state))
     prefix = f"{region.name}."
     # A plain margin is the guard of a transition, which stands on its edge.
     conditions = [

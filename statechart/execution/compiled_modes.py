@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import sympy as sp
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import CAPTURED, HELD, shown_mode, uncaptured
+from statechart.automaton.laws import HELD, moving_mode, uncaptured
 from statechart.automaton.modes import build_mode, captured
 from statechart.automaton.regions import Mode
-from statechart.automaton.trace import Key
+from statechart.automaton.trace import Key, Roles
 from statechart.engines.engine import Engine
 from statechart.formulas.tape import Tape, compile_tape
 
@@ -58,23 +58,24 @@ class CompiledModes:
     def __init__(self, automaton: Automaton, engine: Engine) -> None:
         self.automaton = automaton
         self.engine = engine
-        self._modes: dict[tuple[Key, frozenset[int]], Mode] = {}
-        self._compiled: dict[tuple[Key, frozenset[int]], CompiledMode] = {}
+        self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
+        self._compiled: dict[tuple[Roles, frozenset[int]], CompiledMode] = {}
         self._built: set[Key] = set()
 
-    def compiled(self, key: Key, zeros: frozenset[int]) -> CompiledMode:
-        """Return the mode `key`, compiled for zero parameters at the places `zeros`."""
-        found = self._compiled.get((key, zeros))
+    def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
+        """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
+        found = self._compiled.get((roles, zeros))
         if found is None:
-            mode = self.mode(key, zeros)
+            mode = self.mode(roles, zeros)
             found = next((made for made in self._compiled.values() if made.mode is mode), None)
             if found is None:
-                bare = uncaptured(key)
-                stepper = None if bare == key else self.compiled(bare, zeros).stepper
+                bare = uncaptured(roles)
+                stepper = None if bare == roles else self.compiled(bare, zeros).stepper
                 found = self._compile(mode, stepper)
+                key = moving_mode(roles)
                 if HELD not in key:
-                    self._built.add(shown_mode(key))
-            self._compiled[key, zeros] = found
+                    self._built.add(key)
+            self._compiled[roles, zeros] = found
         return found
 
     def _compile(self, mode: Mode, stepper: object) -> CompiledMode:
@@ -92,30 +93,30 @@ class CompiledModes:
         stepper = stepper or self.engine.compile(automaton, mode)
         return CompiledMode(mode, guards, watched, names, stepper)
 
-    def mode(self, key: Key, zeros: frozenset[int]) -> Mode:
-        """Return the mode `key`, solved where the parameters at the places `zeros` are zero."""
-        found = self._modes.get((key, zeros))
+    def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
+        """Return the mode of `roles`, solved for zero parameters at the places `zeros`."""
+        found = self._modes.get((roles, zeros))
         if found is None:
             # Zeros that its equations do not mention call for no mode of its own.
-            mentioned = zeros & self._used(key)
-            found = self._modes.get((key, mentioned))
+            mentioned = zeros & self._used(roles)
+            found = self._modes.get((roles, mentioned))
             if found is None:
-                symbols, bare = self.automaton.parameters, uncaptured(key)
-                if bare != key:
-                    found = captured(self.automaton, self.mode(bare, zeros), key)
+                symbols, bare = self.automaton.parameters, uncaptured(roles)
+                if bare != roles:
+                    found = captured(self.automaton, self.mode(bare, zeros), roles)
                 else:
                     gone = frozenset(symbols[i] for i in mentioned)
-                    found = build_mode(self.automaton, key, gone)
-                self._modes[key, mentioned] = found
-            self._modes[key, zeros] = found
+                    found = build_mode(self.automaton, roles, gone)
+                self._modes[roles, mentioned] = found
+            self._modes[roles, zeros] = found
         return found
 
-    def _used(self, key: Key) -> frozenset[int]:
-        """Return the places of the parameters that the equations of `key` mention."""
+    def _used(self, roles: Roles) -> frozenset[int]:
+        """Return the places of the parameters that the equations of `roles` mention."""
         automaton = self.automaton
         parts = list(automaton.equations) + list(automaton.rates)
-        for region, name in zip(automaton.regions, key, strict=True):
-            state = region.build(name.removeprefix(CAPTURED))
+        for region, role in zip(automaton.regions, roles, strict=True):
+            state = region.build(role)
             parts += (*state.equations, *state.values.values())
         used: set[sp.Symbol] = set().union(*(part.free_symbols for part in parts))
         return frozenset(i for i, symbol in enumerate(automaton.parameters) if symbol in used)

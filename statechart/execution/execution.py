@@ -8,9 +8,18 @@ from itertools import chain
 import numpy as np
 
 from statechart import interrupts
-from statechart.automaton.dense_output import summands
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
-from statechart.automaton.trace import Arc, Clock, Jump, Key, Outcome, Trace, between, check_size
+from statechart.automaton.trace import (
+    Arc,
+    Clock,
+    Jump,
+    Key,
+    Outcome,
+    Roles,
+    Trace,
+    between,
+    check_size,
+)
 from statechart.engines.engine import FlowWatch
 from statechart.engines.event_location import Crossing
 from statechart.engines.path import Path
@@ -21,6 +30,7 @@ from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace
 from statechart.execution.outcome import Progress
 from statechart.execution.zeno import Accumulation
 from statechart.formulas.series import size_at
+from statechart.kernels.polynomials import summands
 
 # At such a rate a variable would have changed by this many times its size.
 _STEEP = 1e6
@@ -71,7 +81,7 @@ class Execution:
     boxes: int = 0
     steps: int = 0
     size: int = 0
-    entered: dict[Key, CompiledMode] = field(default_factory=dict)
+    entered: dict[Roles, CompiledMode] = field(default_factory=dict)
     grazed: bool = False
     failure: SimulationError | None = None
 
@@ -133,7 +143,7 @@ class Execution:
         duration = min(self.clock.until(self.until), remaining)
         if duration <= 0.0:
             return ("zeno",) if remaining <= 0.0 else ()
-        compiled = self._enter(flow.flow)
+        compiled = self._enter(flow.roles)
         reached = Advance(
             self.engine,
             compiled,
@@ -155,13 +165,13 @@ class Execution:
             return ("zeno",) if duration == remaining else ()
         return self._event(compiled, reached.crossing, reached.graze)
 
-    def _enter(self, key: Key) -> CompiledMode:
+    def _enter(self, roles: Roles) -> CompiledMode:
         """Return the mode that a flow is in, compiled."""
-        compiled = self.entered.get(key)
+        compiled = self.entered.get(roles)
         if compiled is None:
             with interrupts.let_through():
-                compiled = self.modes.compiled(key, self.setup.zeros)
-            self.entered[key] = compiled
+                compiled = self.modes.compiled(roles, self.setup.zeros)
+            self.entered[roles] = compiled
         return compiled
 
     def _watch(self, flow: Flow, compiled: CompiledMode) -> FlowWatch:
@@ -173,7 +183,7 @@ class Execution:
             for name, kind in compiled.watched
         ]
         laws = self.automaton.laws_of_events
-        constraints = laws.constraints(setup, flow.flow, start, self.state)
+        constraints = laws.constraints(setup, flow.roles, start, self.state)
         return FlowWatch(compiled.guards, np.array(allowed), constraints, setup.values, start)
 
     def _keep(self, flow: Flow, reached: Advance) -> None:
@@ -188,7 +198,7 @@ class Execution:
             times, coefficients = path.arc()
             elapsed, terms = times.item(-1), summands(times, coefficients)
             self.arcs.append(
-                Arc(flow.mode, flow.flow, self.clock, len(self.jumps), times, coefficients)
+                Arc(flow.mode, flow.roles, self.clock, len(self.jumps), times, coefficients)
             )
             self.size += times.nbytes + coefficients.nbytes
         self.clock = self.clock.later(elapsed)
@@ -198,7 +208,7 @@ class Execution:
             self.horizon = _AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
         remaining, special = flow.remaining - elapsed, flow.tolerances
-        self.flow = Flow(flow.mode, flow.flow, remaining, "", False, (), flow.held, special, terms)
+        self.flow = Flow(flow.mode, flow.roles, remaining, "", False, (), flow.held, special, terms)
 
     def _event(self, compiled: CompiledMode, crossing: Crossing, graze: bool) -> tuple[str, ...]:
         """Return what fired where a margin fell; a stop ends the run."""
@@ -236,7 +246,7 @@ class Execution:
         run is off.
         """
         assert self.flow is not None
-        compiled = self.entered.get(self.flow.flow)
+        compiled = self.entered.get(self.flow.roles)
         if compiled is None:
             return False
         guards, parameters, time = compiled.guards, self.setup.values, self.clock.high
@@ -276,7 +286,7 @@ class Execution:
                 break
             jump, following = made
             if jump is None:
-                if following.flow != self.flow.flow:
+                if following.roles != self.flow.roles:
                     moved = True
                     self._livelock.rearranged(self.clock, fired)
                 if following.start is not None:
@@ -335,7 +345,7 @@ class Execution:
         than the band of its kind. The laws may take a speed for none that is beyond its own.
         """
         assert self.flow is not None
-        compiled = self.entered[self.flow.flow]
+        compiled = self.entered[self.flow.roles]
         kind = dict(compiled.watched).get(margin)
         if kind is None or not (self.grazed or kind == "speed"):
             return False

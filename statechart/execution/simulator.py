@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.trace import Key, Outcome, Trace
+from statechart.automaton.trace import Outcome, Roles, Trace
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
@@ -77,9 +77,9 @@ class Simulator:
             raise error_of(trace)
         return trace
 
-    def compiled(self, key: Key, zeros: frozenset[int]) -> CompiledMode:
-        """Return the mode `key`, compiled for zero parameters at the places `zeros`."""
-        return self.modes.compiled(key, zeros)
+    def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
+        """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
+        return self.modes.compiled(roles, zeros)
 
     @property
     def modes_built(self) -> int:

@@ -140,3 +140,24 @@ def sample_states(coeffs: Array, times: Array, tau: Array) -> Array:
         for v in range(coeffs.shape[1]):
             result[j, v] = horner(coeffs, step, v, s)
     return result
+
+
+@kernel
+def summands(times: Array, coeffs: Array) -> Array:
+    """Return what each variable was summed from as an arc ended, its rounded time among them."""
+    last, n, terms = len(coeffs) - 1, coeffs.shape[1], coeffs.shape[2]
+    # A last step shorter than the time can tell has no rate; the one before it has.
+    long = last
+    while long >= 0 and times[long + 1] == times[long]:
+        long -= 1
+    if long < 0:
+        return coeffs[last].copy()
+    result = np.empty((n, terms + 1))
+    duration = times[long + 1] - times[long]
+    for v in range(n):
+        rate = 0.0
+        for k in range(terms):
+            result[v, k] = coeffs[last, v, k]
+            rate += k * coeffs[long, v, k]
+        result[v, terms] = rate / duration * times[last + 1]
+    return result

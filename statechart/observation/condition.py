@@ -72,9 +72,9 @@ def conditions(observer: Observer, trace: Trace) -> tuple[float | None, ...]:
 def _fired(observer: Observer, trace: Trace, arc: Arc | None, jump: Jump) -> Margin | None:
     """Return the margin whose fall ended `arc` in `jump`."""
     simulator = observer.simulator
-    if arc is None or arc.flow is None or not jump.fired or not isinstance(simulator, Simulator):
+    if arc is None or not jump.fired or not isinstance(simulator, Simulator):
         return None
-    margins = simulator.compiled(arc.flow, trace.zeros).mode.margins
+    margins = simulator.compiled(arc.roles, trace.zeros).mode.margins
     return next((margin for margin in margins if margin.name == jump.fired[0]), None)
 
 

@@ -19,9 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.dense_output import integrals
+from statechart.automaton.laws import roles_in
 from statechart.automaton.modes import build_mode
 from statechart.automaton.regions import Mode
-from statechart.automaton.trace import Arc, Jump, Key, Trace
+from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
@@ -68,7 +69,7 @@ class Observer:
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
         self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
         self._actives: dict[tuple[Key, tuple[_Where, ...], tuple[sp.Expr, ...]], _Active] = {}
-        self._passed: dict[tuple[Key, frozenset[int]], Mode | None] = {}
+        self._passed: dict[tuple[Roles, frozenset[int]], Mode | None] = {}
 
     @property
     def automaton(self) -> Automaton:
@@ -143,11 +144,11 @@ class Observer:
         else:  # nothing flowed: the run is its last state
             rows = 1 if times is None else np.size(times)
             jumps = len(trace.jumps)
-            flow = self._flow(trace, jumps, trace.final_mode, ends=False)
+            roles = self._roles(trace, jumps, trace.final_mode, ends=False)
             points = Points(
                 np.full(rows, trace.t_end),
                 np.tile(trace.final, (rows, 1)),
-                (flow,),
+                (roles,),
                 (rows,),
                 self._unknown_rows(trace, [(jumps, True)] * rows),
             )
@@ -164,16 +165,16 @@ class Observer:
 
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
-        flow = self._flow(trace, 0, trace.start_mode, ends=False)
+        roles = self._roles(trace, 0, trace.start_mode, ends=False)
         known = self._unknown_rows(trace, [(0, False)])
-        points = Points(np.zeros(1), trace.initial[None], (flow,), (1,), known)
+        points = Points(np.zeros(1), trace.initial[None], (roles,), (1,), known)
         return self._table(trace, self._all(formulas), points)[0]
 
     def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the end, after all jumps."""
-        flow = self._flow(trace, len(trace.jumps), trace.final_mode, ends=False)
+        roles = self._roles(trace, len(trace.jumps), trace.final_mode, ends=False)
         known = self._unknown_rows(trace, [(len(trace.jumps), True)])
-        points = Points(np.array([trace.t_end]), trace.final[None], (flow,), (1,), known)
+        points = Points(np.array([trace.t_end]), trace.final[None], (roles,), (1,), known)
         return self._table(trace, self._all(formulas), points)[0]
 
     def at(
@@ -208,9 +209,9 @@ class Observer:
                     -1, size
                 ),
                 [
-                    self._flow(trace, jump.j, jump.source, ends=True)
+                    self._roles(trace, jump.j, jump.source, ends=True)
                     if before
-                    else self._flow(trace, jump.j + 1, jump.target, ends=False)
+                    else self._roles(trace, jump.j + 1, jump.target, ends=False)
                     for jump in jumps
                 ],
                 range(1, len(jumps) + 1),
@@ -227,12 +228,12 @@ class Observer:
             return self._stepped_margins(trace, jumps)
         values, modes = trace.values, self._modes(trace)
         found: list[dict[str, float]] = [{} for _ in jumps]
-        flows: dict[Key, list[int]] = {}
+        flows: dict[Roles, list[int]] = {}
         for place, jump in enumerate(jumps):
-            flow = self._flow(trace, jump.j, jump.source, ends=True)
-            flows.setdefault(flow, []).append(place)
-        for flow, places in flows.items():
-            mode = modes(flow)
+            roles = self._roles(trace, jump.j, jump.source, ends=True)
+            flows.setdefault(roles, []).append(place)
+        for roles, places in flows.items():
+            mode = modes(roles)
             if mode is None or not mode.margins:
                 continue
             names = [margin.name for margin in mode.margins]
@@ -253,7 +254,7 @@ class Observer:
             sources.setdefault(jump.source, []).append(place)
         for source, places in sources.items():
             states = zip(self.automaton.regions, source, strict=True)
-            margins = [m for region, state in states for m in region.build(state).margins]
+            margins = [m for region, state in states for m in region.build(Role(state)).margins]
             rows = self.at(
                 trace, [m.expression for m in margins], [jumps[k] for k in places], before=True
             )
@@ -300,7 +301,7 @@ class Observer:
                 coefficients[:, len(trace.variables) :, 0] = np.nan_to_num(arc.solved)
             elif active.needed:
                 modes = modes or self._modes(trace)
-                mode = modes(arc.flow)
+                mode = modes(arc.roles)
             total[active.places] += integrals(
                 tape or self._tape(_seen(active.expressions, mode), mode),
                 arc.times,
@@ -349,19 +350,19 @@ class Observer:
         self._actives[key, where, expressions] = active
         return active
 
-    def _flow(self, trace: Trace, j: int, mode: Key, *, ends: bool) -> Key:
-        """Return the mode whose equations hold after `j` jumps, in the mode shown as `mode`.
+    def _roles(self, trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
+        """Return the roles whose equations hold after `j` jumps, in the mode shown as `mode`.
 
         `ends`: at the end of that time, else at its start.
         """
         arcs = trace.arcs
         place = bisect_right(arcs, j, key=_jumps) - 1 if ends else bisect_left(arcs, j, key=_jumps)
         if 0 <= place < len(arcs) and arcs[place].j == j and arcs[place].mode == mode:
-            return arcs[place].flow
+            return arcs[place].roles
         # A stop, for one, changes nothing: the arc before it goes on.
         if j > 0 and trace.jumps[j - 1].source == trace.jumps[j - 1].target == mode:
-            return self._flow(trace, j - 1, mode, ends=True)
-        return mode
+            return self._roles(trace, j - 1, mode, ends=True)
+        return roles_in(mode)
 
     def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
         """Return the values (m, f) of expressions, one call of a kernel per flow."""
@@ -372,14 +373,14 @@ class Observer:
             rows = np.hstack([points.states, points.unknowns])
             return self._tape(expressions, None, known=True).table(rows, values, points.times)
         result = np.full((len(points.times), len(expressions)), np.nan)
-        owners: dict[Key, list[NDArray[np.intp]]] = {}
+        owners: dict[Roles, list[NDArray[np.intp]]] = {}
         start = 0
-        for flow, end in zip(points.flows, points.ends, strict=True):
-            owners.setdefault(flow, []).append(np.arange(start, end))
+        for roles, end in zip(points.roles, points.ends, strict=True):
+            owners.setdefault(roles, []).append(np.arange(start, end))
             start = end
         modes = self._modes(trace)
-        for flow, parts in owners.items():
-            mode = modes(flow)
+        for roles, parts in owners.items():
+            mode = modes(roles)
             columns = [
                 i for i, e in enumerate(expressions) if mode is not None or not self._needed((e,))
             ]
@@ -439,24 +440,24 @@ class Observer:
             )
         return tape
 
-    def _modes(self, trace: Trace) -> Callable[[Key], Mode | None]:
-        """Return the look-up flow -> solved mode; None where its equations have no solution."""
-        flowed, zeros = {arc.flow for arc in trace.arcs}, trace.zeros
+    def _modes(self, trace: Trace) -> Callable[[Roles], Mode | None]:
+        """Return the look-up roles -> solved mode; None where its equations have no solution."""
+        flowed, zeros = {arc.roles for arc in trace.arcs}, trace.zeros
         simulator = self.simulator
         assert isinstance(simulator, Simulator)
 
-        def look_up(flow: Key) -> Mode | None:
-            if flow in flowed:
-                return simulator.compiled(flow, zeros).mode
+        def look_up(roles: Roles) -> Mode | None:
+            if roles in flowed:
+                return simulator.compiled(roles, zeros).mode
             # Passed through in no time: no integrator is compiled for it.
-            if (flow, zeros) not in self._passed:
+            if (roles, zeros) not in self._passed:
                 gone = frozenset(self.automaton.parameters[i] for i in zeros)
                 try:
-                    mode = build_mode(self.automaton, flow, gone)
+                    mode = build_mode(self.automaton, roles, gone)
                 except Singular:
                     mode = None
-                self._passed[flow, zeros] = mode
-            return self._passed[flow, zeros]
+                self._passed[roles, zeros] = mode
+            return self._passed[roles, zeros]
 
         return look_up
 

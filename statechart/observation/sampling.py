@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array
-from statechart.automaton.trace import Arc, Key, Trace
+from statechart.automaton.trace import Arc, Key, Roles, Trace
 
 Evaluate = Callable[[Sequence[Arc], Sequence[Array]], Array]
 """Values at local times of arcs, one array of times an arc; one value a time, in order."""
@@ -56,7 +56,7 @@ class Points:
 
     times: Array
     states: Array
-    flows: Sequence[Key]
+    roles: Sequence[Roles]
     ends: Sequence[int]
     unknowns: Array | None = None
 
@@ -122,7 +122,7 @@ def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
     return Points(
         np.concatenate([arc.start.high + (arc.start.low + tau) for arc, tau in pairs]),
         np.concatenate([arc.states(tau) for arc, tau in pairs]),
-        [arc.flow for arc in arcs],
+        [arc.roles for arc in arcs],
         np.cumsum([len(tau) for tau in local]).tolist(),
         np.concatenate(known) if known else None,
     )

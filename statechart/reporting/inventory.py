@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import HELD, shown_mode
+from statechart.automaton.laws import HELD, moving_mode
 from statechart.automaton.trace import Trace
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
@@ -32,13 +32,14 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
         }
     modes: dict[tuple[str, ...], dict[str, Any]] = {}
     for arc in trace.arcs:
-        if HELD in arc.flow or shown_mode(arc.flow) in modes:
+        key = moving_mode(arc.roles)
+        if HELD in key or key in modes:
             continue
-        mode = simulator.compiled(arc.flow, trace.zeros).mode
+        mode = simulator.compiled(arc.roles, trace.zeros).mode
         # Contacts that are open have forces that are zero: they are no unknowns.
         solved = [s for s, e in mode.definitions if s in automaton.unknowns and e != 0]
-        modes[shown_mode(arc.flow)] = {
-            "mode": dict(zip(trace.regions, shown_mode(arc.flow), strict=True)),
+        modes[key] = {
+            "mode": dict(zip(trace.regions, key, strict=True)),
             "unknowns": len(solved),
             "guards": {m.name: trace.evidence.get(m.name, "") for m in mode.margins},
         }

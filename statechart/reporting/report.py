@@ -154,7 +154,7 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
     assert isinstance(simulator, Simulator)
     least: dict[str, float] = {}
     for arc in trace.arcs:
-        compiled = simulator.compiled(arc.flow, trace.zeros)
+        compiled = simulator.compiled(arc.roles, trace.zeros)
         found = lowest(compiled.guards, arc.times, arc.coefficients, trace.values, arc.start.high)
         for margin, value in zip(compiled.mode.margins, found.tolist(), strict=True):
             before = least.get(margin.name, math.inf)

@@ -25,7 +25,7 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Mode
-from statechart.automaton.trace import Arc, Outcome, Trace
+from statechart.automaton.trace import Arc, Outcome, Role, Trace
 from statechart.testing.agreement import NUDGE, Undecidable, assert_same
 from statechart.testing.subject import Case, Subject
 
@@ -195,7 +195,7 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
         margins = [
             margin
             for region, state in zip(subject.automaton.regions, arc.mode, strict=True)
-            for margin in region.build(state).invariants
+            for margin in region.build(Role(state)).invariants
         ]
         if margins:
             _assert_margins(subject, trace, arc, tau, margins, mode)
@@ -283,7 +283,7 @@ def _each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
 def generic(subject: Subject) -> tuple[Property, ...]:
     """Return what holds for every automaton."""
     states = [(region, state) for region in subject.automaton.regions for state in region.states]
-    no_invariants = not any(region.build(state).invariants for region, state in states)
+    no_invariants = not any(region.build(Role(state)).invariants for region, state in states)
     alone = "; ".join(f"{name}: {reason}" for name, reason in subject.missing.items())
     stepped = ""
     if subject.step is not None:

@@ -117,7 +117,7 @@ class Subject:
         """Return the equations that moved an arc."""
         simulator = self.observers[trace.engine.split()[0]].simulator
         assert isinstance(simulator, Simulator)  # steps have no equations of modes
-        return simulator.compiled(arc.flow, trace.zeros).mode
+        return simulator.compiled(arc.roles, trace.zeros).mode
 
     def solved(self, trace: Trace, arc: Arc, tau: Array, expressions: Sequence[sp.Expr]) -> Array:
         """Evaluate expressions that may use unknowns at local times (m,) of an arc.

@@ -12,7 +12,7 @@ from scenes import compose, go, region, times
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD
-from statechart.automaton.trace import Outcome, Trace
+from statechart.automaton.trace import Outcome, Role, Trace
 from statechart.charts.chart import Chart
 from statechart.charts.laws import automaton
 from statechart.engines.engine import Engine
@@ -344,10 +344,10 @@ def test_invariants_are_margins_that_are_positive_while_they_hold() -> None:
     declared = region({"a": {"x": "1"}})
     declared["states"]["a"]["invariants"] = {"small": "x < 4"}
     chart = compose({"x": 1}, {"r": declared})
-    (margin,) = chart.regions[0].build("a").invariants
+    (margin,) = chart.regions[0].build(Role("a")).invariants
     assert margin.name == "r.small"
     assert sp.simplify(margin.expression - (4 - chart.variables[0])) == 0
-    assert not chart.regions[0].build(HELD).invariants
+    assert not chart.regions[0].build(Role(HELD)).invariants
 
 
 def test_margins_of_transitions_with_one_name_differ() -> None:
@@ -355,7 +355,7 @@ def test_margins_of_transitions_with_one_name_differ() -> None:
     chart = compose(
         {"x": 0}, {"r": region(states, go("a", "b", "x >= 2"), go("a", "c", "x <= -1"))}
     )
-    names = [margin.name for margin in chart.regions[0].build("a").margins]
+    names = [margin.name for margin in chart.regions[0].build(Role("a")).margins]
     assert names == ["r.go to b", "r.go to c"]
     assert run(chart, TAYLOR, 3.0).final_mode == ("b",)
 

@@ -60,7 +60,7 @@ def test_it_slips_when_the_push_exceeds_what_all_legs_together_can_hold(
     assert slip.t == pytest.approx(limit, rel=1e-10)
     # From then on the force in excess of friction grows from zero.
     assert trace.final[0] == pytest.approx(growth / 10 * 0.5**3 / 6, rel=1e-9)
-    flows = [arc.flow for arc in trace.arcs if arc.mode == PINNED]
+    flows = [arc.roles for arc in trace.arcs if arc.mode == PINNED]
     assert len(set(flows)) > 1
     for first, second in zip(trace.arcs, trace.arcs[1:], strict=False):
         assert second.start.high == pytest.approx(first.end.high, abs=1e-15)
