@@ -360,7 +360,7 @@ def _within_tolerance(
     courses = [[one.what for one in s.events[: count + 1]] for s in (first, second)]
     if courses[0] == courses[1] and courses[0][count:] != [event.what]:
         raise Undecidable(
-            f"{_place(i, event)}: at the other engine's tolerances it takes that one's course"
+            f"{_place(i, event)}: at the tolerances of the other engine it takes its course"
         )
 
 
