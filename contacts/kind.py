@@ -81,7 +81,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
             name,
             contact,
             partial(symbols, name),
-            partial(mechanics.gates, name),
+            partial(mechanics.conditions, name),
             jams=scene.jams(name),
             bounces=scene.bounces(name),
             gate=scene.gate(name),

@@ -48,10 +48,10 @@ class Conditions:
         states: Mapping[str, str] | None = None,
     ) -> None:
         self._names = tuple(mechanics.scene.contacts)
-        self._margins = [mechanics.gates(name) for name in self._names]
+        self._margins = [mechanics.conditions(name) for name in self._names]
         self.present = any(self._margins)
         self._tape = compile_tape(
-            [margin.expression for gates in self._margins for margin in gates],
+            [margin.expression for margins in self._margins for margin in margins],
             variables=(*mechanics.q, *mechanics.v),
             parameters=parameters,
             time=mechanics.time,
@@ -69,11 +69,11 @@ class Conditions:
             moved[i] += size
             change = change + np.abs(self._tape.at(moved, values, 0.0) - first)
         bands = np.where(np.isfinite(change), _BAND * change, 0.0).tolist()
-        names = [margin.name for gates in self._margins for margin in gates]
+        names = [margin.name for margins in self._margins for margin in margins]
         result = dict(zip(names, bands, strict=True))
-        for name, gates in zip(self._names, self._margins, strict=True):
-            if gates:
-                result[f"{name}.{OFF}"] = min(result[margin.name] for margin in gates)
+        for name, margins in zip(self._names, self._margins, strict=True):
+            if margins:
+                result[f"{name}.{OFF}"] = min(result[margin.name] for margin in margins)
         return result
 
     def failing(self, values: Array, state: Array, time: float) -> tuple[str, ...]:
@@ -132,7 +132,7 @@ class Conditions:
         if not self.present:
             return [[] for _ in self._names]
         numbers = iter(self._tape.at(state, values, time).tolist())
-        return [[(next(numbers), margin.name) for margin in gates] for gates in self._margins]
+        return [[(next(numbers), margin.name) for margin in margins] for margins in self._margins]
 
 
 def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:

@@ -10,6 +10,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from contacts.solvers.redundancy import connected
 from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array
 
@@ -101,17 +102,12 @@ class Motions:
 
 def blocks(pattern: NDArray[np.bool_]) -> tuple[Block, ...]:
     """Return the parts that joints link; `pattern` (m, n) is where the Jacobian has entries."""
-    count, size = pattern.shape
-    labels = list(range(size))
-    for row in pattern:
-        linked = {labels[k] for k in np.flatnonzero(row)}
-        if linked:
-            labels = [min(linked) if label in linked else label for label in labels]
+    labels = connected(pattern.T @ pattern)
     found = []
-    for label in dict.fromkeys(labels):
-        columns = tuple(k for k in range(size) if labels[k] == label)
-        rows = tuple(i for i in range(count) if pattern[i, list(columns)].any())
-        found.append(Block(rows, columns))
+    for label in np.unique(labels):
+        columns = np.flatnonzero(labels == label)
+        rows = np.flatnonzero(pattern[:, columns].any(axis=1))
+        found.append(Block(tuple(rows.tolist()), tuple(columns.tolist())))
     return tuple(found)
 
 

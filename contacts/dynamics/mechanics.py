@@ -72,7 +72,7 @@ class Mechanics(Geometry):
             *controls.values(),
         )
         self._contacts: dict[str, ContactGeometry] = {}
-        self._gates: dict[str, tuple[Margin, ...]] = {}
+        self._conditions: dict[str, tuple[Margin, ...]] = {}
 
     @cached_property
     def mass_matrix(self) -> sp.Matrix:
@@ -279,10 +279,10 @@ class Mechanics(Geometry):
                 total[i] += mass * (gx * sp.diff(x, q) + gy * sp.diff(y, q))
         return tuple(total)
 
-    def gates(self, name: str) -> tuple[Margin, ...]:
+    def conditions(self, name: str) -> tuple[Margin, ...]:
         """Return the conditions without which a contact is off; those of its edge last."""
         contact = self.scene.contacts[name]
-        if name not in self._gates:
+        if name not in self._conditions:
             known = self._known | {
                 f"{other}.{quantity}": getattr(self.contact(other).symbols, quantity)
                 for other in self.scene.contacts
@@ -301,8 +301,8 @@ class Mechanics(Geometry):
                 along = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
                 found.append(Margin(f"{name}: begin of its edge", along))
                 found.append(Margin(f"{name}: end of its edge", length - along))
-            self._gates[name] = tuple(found)
-        return self._gates[name]
+            self._conditions[name] = tuple(found)
+        return self._conditions[name]
 
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]

@@ -116,7 +116,7 @@ class Projection:
         def project(state: Array, time: float) -> Array:
             snapshot, joints = self._snapshots.whole(values, state, time)
             pins = self._snapshots.whole(values, anchor, start)[0] if pinned else None
-            projected = _brought(flow, snapshot, joints, state, pins, ())
+            projected = _brought(flow, snapshot, joints, state, held=pins)
             if joints is None:
                 return projected
             left = constraints.off(projected, values, time)
@@ -211,12 +211,7 @@ def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, 
 
 
 def on_constraints(
-    key: Key,
-    snapshot: Snapshot,
-    state: Array,
-    *,
-    held: Snapshot | None = None,
-    inside: Sequence[bool] = (),
+    key: Key, snapshot: Snapshot, state: Array, *, inside: Sequence[bool] = ()
 ) -> Array:
     """Bring position and velocity onto the constraints, nearest in the mass metric.
 
@@ -228,13 +223,11 @@ def on_constraints(
         Numbers at `state`.
     state : (2 n,) array
         To be projected.
-    held : Snapshot, optional
-        Where pinned points were when they were pinned.
     inside : sequence of bool
         Free contacts whose gap is to be closed too (a start just inside a surface).
     """
     joints = None if snapshot.held is None else snapshot.held.joints
-    return _brought(key, snapshot.whole, joints, state, held, inside)
+    return _brought(key, snapshot.whole, joints, state, inside=inside)
 
 
 def _brought(
@@ -242,9 +235,11 @@ def _brought(
     whole: Snapshot,
     joints: JointNumbers | None,
     state: Array,
-    held: Snapshot | None,
-    inside: Sequence[bool],
+    *,
+    held: Snapshot | None = None,
+    inside: Sequence[bool] = (),
 ) -> Array:
+    """See `on_constraints`; `held`: where pinned points were when they were pinned."""
     rows: list[Array] = []
     off: list[tuple[float, float]] = []
     if joints is not None:

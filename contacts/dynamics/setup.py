@@ -183,7 +183,7 @@ class SceneNumbers:
         self._parameters = parameters
         self._places = {name: i for i, name in enumerate(parameters.names)}
         self._scales = ScaleTape(mechanics, symbols)
-        self.gates = Conditions(mechanics, symbols)
+        self.conditions = Conditions(mechanics, symbols)
         self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
         self._stops = tuple(stops)
         forces = mechanics.unknown_forces
@@ -267,7 +267,7 @@ class SceneNumbers:
                     n: _ROUNDING * abs(v) if math.isfinite(v) else 0.0
                     for n, v in zip(self._stops, margins, strict=True)
                 },
-                **self.gates.bands(values, initial, scales.sizes),
+                **self.conditions.bands(values, initial, scales.sizes),
             },
         )
 

@@ -77,15 +77,15 @@ class SceneLaws:
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers
         self._tape = SnapshotTape(mechanics, symbols)
-        self._gates = self.numbers.gates
+        self._conditions = self.numbers.conditions
         # Without joints and conditions, an instant may be a usual one.
-        self._plain = not mechanics.joint_rows and not self._gates.present
+        self._plain = not mechanics.joint_rows and not self._conditions.present
         self._projection = Projection(mechanics, symbols, self._tape)
 
-    def under(self, tape: SnapshotTape, gates: Conditions) -> SceneLaws:
-        """Return the laws where forces are those of `tape`, and conditions those of `gates`."""
+    def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
+        """Return the laws with the forces of a tape, under other conditions."""
         laws = copy.copy(self)
-        laws._tape, laws._gates = tape, gates
+        laws._tape, laws._conditions = tape, conditions
         return laws
 
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
@@ -102,7 +102,7 @@ class SceneLaws:
                 return flow_in(setup, mode[0]), state
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
-        failing = self._gates.failing(setup.values, state, 0.0)
+        failing = self._conditions.failing(setup.values, state, 0.0)
         depth = max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"])
         off = tuple(
             OFF if why or (self._modes.get(name) == OFF and contact.gap < -depth) else "free"
@@ -148,7 +148,7 @@ class SceneLaws:
             if mode is not None:
                 return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
-        switched = self._gates.switched(
+        switched = self._conditions.switched(
             flow.mode,
             snapshot,
             setup.values,
@@ -350,7 +350,7 @@ class SceneLaws:
     ) -> Feasibility:
         """Judge every product mode by the velocities that it asks for."""
         assert isinstance(setup, SceneSetup)
-        failing = self._gates.failing(setup.values, state, time)
+        failing = self._conditions.failing(setup.values, state, time)
         return judged(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _impact(
@@ -379,10 +379,10 @@ class SceneLaws:
         name, goes = self._names[place], mode[place] == OFF
         reason = "its conditions hold, and its gap is open"
         if goes:
-            margins = [margin.name for margin in self._mechanics.gates(name)]
+            margins = [margin.name for margin in self._mechanics.conditions(name)]
             failing = [margin for margin in margins if margin in at.fired]
             now = at.setup.values, at.state, at.clock.high
-            failing = failing or [self._gates.failing(*now)[place]]
+            failing = failing or [self._conditions.failing(*now)[place]]
             reason = f"does not hold: {failing[0].removeprefix(f'{name}: ')}"
         jump = at.jump(
             name,

@@ -55,7 +55,7 @@ class SteppedTape:
             symbols = geometry.symbols
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t, geometry.bias_n]
             outputs += [geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip]
-            conditions = [margin.expression.xreplace(set_) for margin in mechanics.gates(name)]
+            conditions = [margin.expression.xreplace(set_) for margin in mechanics.conditions(name)]
             outputs.append(sp.Min(*conditions) if conditions else sp.S.One)
         rows = mechanics.joint_rows
         for row in rows:
