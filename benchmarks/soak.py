@@ -37,7 +37,8 @@ from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.setting import Setting
 from statechart.engines.choice import choose
 from statechart.execution.simulator import Simulator
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 Numbers = Mapping[str, float]
 Draw = Callable[[np.random.Generator], dict[str, float]]

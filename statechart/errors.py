@@ -28,8 +28,9 @@ point at the field concerned; `statechart.documents.validation.validate` turns i
 
 from __future__ import annotations
 
+import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -261,3 +262,20 @@ class TooLong(SimulationError):
 
 class Unsupported(SimulationError):
     """The model has what the engine lacks."""
+
+
+def close_matches(name: str, known: Iterable[str]) -> str:
+    """Return advice: the names in `known` that `name` may have meant, and all of them.
+
+    Parameters
+    ----------
+    name : str
+        What was written.
+    known : iterable of str
+        What could have been written.
+    """
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, n=3)
+    listed = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
+    meant = f"did you mean {' or '.join(repr(match) for match in close)}? " if close else ""
+    return f"{meant}known: {listed or 'none'}"

@@ -8,7 +8,8 @@ import sympy as sp
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 
 def examples(count: int) -> settings:

@@ -37,7 +37,7 @@ from statechart.errors import (
 )
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.parameters import Parameters
-from statechart.formulas.tape import compile_tape
+from statechart.formulas.writer import compile_tape
 
 _RELATIVE = 1e-9
 # Bodies may overlap at the start by this part of the scene.

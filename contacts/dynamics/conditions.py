@@ -17,7 +17,7 @@ from contacts.dynamics.snapshot import Snapshot
 from contacts.states import OFF
 from statechart.arrays import Array
 from statechart.automaton.trace import Key
-from statechart.formulas.tape import compile_tape
+from statechart.formulas.writer import compile_tape
 
 # A condition as near zero as this, of what the state's own sizes change it by, is on the edge.
 _BAND = 1e-13

@@ -18,7 +18,8 @@ from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, SingularMode
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 # A state is brought onto the constraints of the mode entered from this part of their tolerance on.
 _DRIFT = 0.05

@@ -15,7 +15,7 @@ from contacts.solvers.saddle_point import largest_sizes
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
-from statechart.formulas.tape import compile_tape
+from statechart.formulas.writer import compile_tape
 
 _EPS = float(np.finfo(float).eps)
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.

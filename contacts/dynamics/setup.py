@@ -25,7 +25,7 @@ from statechart.documents.fields import FormulaText
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
-from statechart.formulas.tape import compile_tape
+from statechart.formulas.writer import compile_tape
 
 _Reader = Callable[[Sequence[float]], ContactLaw]
 

@@ -15,7 +15,8 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
 from statechart.errors import SingularMode
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 # Of a contact, besides its Jacobian and biases: gap, its rate, slip, point, tangent.
 _SCALARS = 7

@@ -13,11 +13,9 @@ from contacts.scene.shapes import INDEX, Shape
 from statechart.documents.declaration import TIME
 from statechart.documents.document import Loc
 from statechart.documents.fields import FormulaText, check_names, problem
-from statechart.errors import DeclarationProblem, FormulaError
-from statechart.formulas.derived import check_derived
+from statechart.errors import DeclarationProblem, FormulaError, close_matches
+from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import parse
-from statechart.formulas.kinks import PIECES, check_smooth
-from statechart.formulas.syntax import close_matches
 
 
 def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:

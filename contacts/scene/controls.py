@@ -12,9 +12,8 @@ from pydantic import Field, model_validator
 
 from statechart.charts.transitions import BaseTransition, check_region
 from statechart.documents.fields import FormulaText, NameText, Part, check_names
-from statechart.errors import DeclarationProblem
+from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
-from statechart.formulas.syntax import close_matches
 
 
 class ControlState(Part):

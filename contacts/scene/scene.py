@@ -23,9 +23,8 @@ from contacts.states import declared_state
 from statechart.charts.transitions import check_listening
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText, check_names
-from statechart.errors import DeclarationProblem
+from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse, parse_relation
-from statechart.formulas.syntax import close_matches
 
 
 class Scene(SceneFields):

@@ -20,7 +20,7 @@ from contacts.scene.shapes import Shape
 from statechart.documents.declaration import TIME, Stop
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
-from statechart.formulas.syntax import names_in
+from statechart.formulas.tree import names_in
 from statechart.testing.agreement import Reading
 
 # Powers of two: scaling is exact, so that what differs is a number that does not scale.

@@ -25,7 +25,7 @@ from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Key, Trace
 from statechart.errors import SimulationError
 from statechart.formulas.parameters import Parameters
-from statechart.formulas.tape import compile_tape
+from statechart.formulas.writer import compile_tape
 
 # The modes at the start are those of a step this short, in the scene's own time.
 _TRIAL = 1e-6

@@ -19,7 +19,8 @@ from contacts.time_stepping.equations import CONTACT
 from contacts.time_stepping.scene_step import step_scene
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 _CODES = {state: code for code, state in STATES.items()}
 

@@ -9,7 +9,8 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 from statechart.kernels.constraints import off_by
 
 

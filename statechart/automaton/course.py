@@ -14,7 +14,8 @@ from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Roles
 from statechart.formulas.linear import Singular
 from statechart.formulas.series import Series, expand
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 # Derivatives up to this order are looked at; a margin that has none there stays where it is.
 _ORDERS = 12

@@ -18,11 +18,9 @@ from statechart.documents.fields import (
     check_names,
     problem,
 )
-from statechart.errors import DeclarationProblem, FormulaError
-from statechart.formulas.derived import check_derived
+from statechart.errors import DeclarationProblem, FormulaError, close_matches
+from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import parse, parse_relation
-from statechart.formulas.kinks import PIECES, check_smooth
-from statechart.formulas.syntax import close_matches
 
 
 class State(Part):

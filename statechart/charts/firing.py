@@ -31,7 +31,7 @@ from statechart.automaton.trace import Jump, Key
 from statechart.charts.transitions import BaseTransition
 from statechart.documents.outputs import Event
 from statechart.formulas.formula import Relation, parse_relation
-from statechart.formulas.tape import compile_tape
+from statechart.formulas.writer import compile_tape
 
 # Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts
 # at zero and rises from there with slope zero undecided.

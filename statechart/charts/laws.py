@@ -30,7 +30,8 @@ from statechart.documents.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.parameters import Parameters
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 # A value summed from terms is off by a few units in the last place of the largest of them.
 _ROUNDING = 64.0 * float(np.finfo(float).eps)

@@ -9,8 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from statechart.documents.fields import NameText, Part, RelationText
 from statechart.documents.outputs import Event, check_event, parse_events
-from statechart.errors import DeclarationProblem
-from statechart.formulas.syntax import close_matches
+from statechart.errors import DeclarationProblem, close_matches
 
 
 def _checked(text: str) -> str:

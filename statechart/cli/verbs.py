@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from statechart import interrupts
-from statechart.errors import DeclarationError, SimulationError, StatechartError
-from statechart.formulas.syntax import close_matches
+from statechart.errors import DeclarationError, SimulationError, StatechartError, close_matches
 from statechart.reporting.pieces import Pieces
 
 if TYPE_CHECKING:
@@ -294,7 +293,8 @@ def new(arguments: argparse.Namespace) -> int:
     """Write a scene to start from."""
     from statechart.documents.files import write_atomic
     from statechart.documents.yaml_reader import read_text
-    from statechart.formulas.syntax import NAME, RESERVED
+    from statechart.formulas.syntax import NAME
+    from statechart.formulas.tree import RESERVED
     from statechart.loading.kind import kind
     from statechart.loading.load import interpret
 

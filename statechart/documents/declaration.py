@@ -30,9 +30,9 @@ from statechart.documents.outputs import (
     check_member,
 )
 from statechart.documents.setting import Setting
-from statechart.errors import DeclarationProblem, FormulaError
-from statechart.formulas.formula import Constants, parse, parse_relation
-from statechart.formulas.syntax import close_matches
+from statechart.errors import DeclarationProblem, FormulaError, close_matches
+from statechart.formulas.constants import Constants
+from statechart.formulas.formula import parse, parse_relation
 
 TIME = "time"
 """What formulas call the time since the start."""

@@ -9,9 +9,10 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from statechart.errors import DeclarationProblem, FormulaError
-from statechart.formulas.derived import check_derived
+from statechart.formulas.derivatives import check_derived
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
-from statechart.formulas.syntax import NAME, RESERVED, Binary
+from statechart.formulas.syntax import NAME
+from statechart.formulas.tree import RESERVED, Binary
 
 
 def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Self
 from pydantic import AfterValidator, Discriminator, Field, StrictBool, Tag, model_validator
 
 from statechart.documents.fields import FormulaText, Part
-from statechart.errors import DeclarationProblem
-from statechart.formulas.syntax import close_matches
+from statechart.errors import DeclarationProblem, close_matches
 
 _EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*)", re.ASCII)
 

@@ -12,8 +12,7 @@ from pydantic import BaseModel, Tag, ValidationError
 
 from statechart.documents.document import Document
 from statechart.documents.yaml_reader import Model
-from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
-from statechart.formulas.syntax import close_matches
+from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails

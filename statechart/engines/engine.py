@@ -12,7 +12,8 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.regions import Mode
 from statechart.engines.event_location import Search
 from statechart.engines.path import Path
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 LONGEST_CHUNK = 64
 """Steps are made in chunks that grow by half, so that little is dropped behind an early event."""

@@ -26,7 +26,8 @@ from statechart.engines.heyoka_step import Step
 from statechart.engines.path import Path
 from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 from statechart.kernels.polynomials import append_steps
 
 # Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB.

@@ -12,7 +12,8 @@ from statechart.automaton.modes import build_mode, captured
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Key, Roles
 from statechart.engines.engine import Engine
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,11 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array
-from statechart.errors import DeclarationProblem
-from statechart.formulas.formula import Constants, Formula, order_parameters, parse
-from statechart.formulas.syntax import close_matches
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.errors import DeclarationProblem, close_matches
+from statechart.formulas.constants import Constants, order_parameters
+from statechart.formulas.formula import Formula, parse
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 _NO_VARIABLES = np.zeros(0)
 _TIME = sp.Symbol("time", real=True)

@@ -1,4 +1,4 @@
-"""The language of formulas: its syntax tree, its reader, its evaluation in floats.
+"""The language of formulas: its tokens and its reader.
 
 Reading never runs the text. Length, number of nodes, nesting and powers are bounded, so that a
 formula from an unknown file costs a bounded time. `statechart.formulas.formula` is the public side.
@@ -6,126 +6,32 @@ formula from an unknown file costs a bounded time. `statechart.formulas.formula`
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, NoReturn
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NoReturn
 
-from statechart.errors import FormulaError, Position
+from statechart.errors import close_matches
+from statechart.formulas.tree import (
+    CONSTANTS,
+    FUNCTIONS,
+    Binary,
+    Call,
+    Constant,
+    Name,
+    Node,
+    Number,
+    Source,
+    Unary,
+    evaluate,
+    is_constant,
+)
 
 MAX_LENGTH = 2000
 MAX_NODES = 500
 MAX_DEPTH = 60
 MAX_EXPONENT = 64
-
-
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A literal, finite."""
-
-    value: int | float
-    offset: int = field(default=0, compare=False)
-
-
-@dataclass(frozen=True, slots=True)
-class Constant:
-    """`pi` or `inf`."""
-
-    name: str
-    offset: int = field(default=0, compare=False)
-
-
-@dataclass(frozen=True, slots=True)
-class Name:
-    """A declared quantity, dotted or not."""
-
-    name: str
-    offset: int = field(default=0, compare=False)
-
-
-@dataclass(frozen=True, slots=True)
-class Unary:
-    """A sign, ``+`` or ``-``, and what it applies to."""
-
-    operator: str
-    operand: Node
-    offset: int = field(default=0, compare=False)
-
-
-@dataclass(frozen=True, slots=True)
-class Binary:
-    """One of ``+ - * / **`` between two operands."""
-
-    operator: str
-    left: Node
-    right: Node
-    offset: int = field(default=0, compare=False)
-
-
-@dataclass(frozen=True, slots=True)
-class Call:
-    """A function of `FUNCTIONS` and its arguments."""
-
-    function: str
-    arguments: tuple[Node, ...]
-    offset: int = field(default=0, compare=False)
-
-
-Node = Number | Constant | Name | Unary | Binary | Call
-
-
-@dataclass(frozen=True, slots=True)
-class Function:
-    """One function of the language: how many arguments, in floats, in SymPy."""
-
-    least: int
-    most: int | None
-    evaluate: Callable[..., float]
-    build: Callable[..., Any]
-
-
-def _sign(x: float) -> float:
-    return float((x > 0) - (x < 0))
-
-
-def _sympy(name: str) -> Callable[..., Any]:
-    """Return SymPy's constructor `name`, looked up when called: importing SymPy takes 0.4 s."""
-
-    def build(*arguments: Any) -> Any:
-        import sympy
-
-        return getattr(sympy, name)(*arguments)
-
-    return build
-
-
-def _hypot(x: Any, y: Any) -> Any:
-    import sympy
-
-    return sympy.sqrt(x**2 + y**2)
-
-
-_SAME_IN_MATH_AND_SYMPY = (
-    *("sqrt", "exp", "log", "sin", "cos", "tan"),
-    *("asin", "acos", "atan", "sinh", "cosh", "tanh"),
-)
-
-FUNCTIONS: Mapping[str, Function] = {
-    **{name: Function(1, 1, getattr(math, name), _sympy(name)) for name in _SAME_IN_MATH_AND_SYMPY},
-    "abs": Function(1, 1, abs, _sympy("Abs")),
-    "sign": Function(1, 1, _sign, _sympy("sign")),
-    "min": Function(2, None, min, _sympy("Min")),
-    "max": Function(2, None, max, _sympy("Max")),
-    "hypot": Function(2, 2, math.hypot, _hypot),
-    "atan2": Function(2, 2, math.atan2, _sympy("atan2")),
-}
-
-CONSTANTS: Mapping[str, float] = {"pi": math.pi, "inf": math.inf}
-
-RESERVED = frozenset(FUNCTIONS) | frozenset(CONSTANTS)
-"""Names that mean something in every formula and so cannot be declared."""
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 """One part of a name."""
@@ -148,46 +54,6 @@ class _Token:
     kind: str
     text: str
     offset: int
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """The text being read and where it stands, to point into it."""
-
-    text: str
-    position: Position | None
-
-    def fail(self, message: str, offset: int = 0, advice: str = "", name: str = "") -> NoReturn:
-        """Raise a `FormulaError` that points `offset` characters into the text."""
-        shown = self.text if len(self.text) <= 80 else self.text[:77] + "..."
-        place = self.position.shifted(offset) if self.position else None
-        raise FormulaError(
-            f"formula {shown!r}: {message}",
-            advice=advice,
-            source=place.source if place else "",
-            line=place.line if place else None,
-            column=place.column if place else None,
-            offset=offset,
-            name=name,
-            text=self.text,
-        )
-
-
-def close_matches(name: str, known: Iterable[str]) -> str:
-    """Return advice: the names in `known` that `name` may have meant, and all of them.
-
-    Parameters
-    ----------
-    name : str
-        What was written.
-    known : iterable of str
-        What could have been written.
-    """
-    names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=3)
-    listed = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
-    meant = f"did you mean {' or '.join(repr(match) for match in close)}? " if close else ""
-    return f"{meant}known: {listed or 'none'}"
 
 
 def _tokens(source: Source) -> Iterator[_Token]:
@@ -270,7 +136,7 @@ class Reader:
     def _binary(self, left: Node, right: Callable[[], Node]) -> Node:
         token = self.advance()
         node = Binary(token.text, left, right(), token.offset)
-        if node.operator == "**" and _is_constant(node.right):
+        if node.operator == "**" and is_constant(node.right):
             exponent = self._constant(node.right)
             if abs(exponent) > MAX_EXPONENT:
                 self.source.fail(
@@ -346,7 +212,7 @@ class Reader:
             self.source.fail(
                 "too many terms", node.offset, f"at most {MAX_NODES}; name parts as parameters"
             )
-        if not isinstance(node, Number | Constant | Name) and _is_constant(node):
+        if not isinstance(node, Number | Constant | Name) and is_constant(node):
             self._constant(node)
         return node
 
@@ -372,93 +238,3 @@ def _literal(text: str) -> int | float | None:
     if not math.isfinite(value := float(text)):
         return None
     return int(text) if text.isdigit() else value
-
-
-def children(node: Node) -> tuple[Node, ...]:
-    """Return what stands right below `node`, left to right."""
-    match node:
-        case Unary():
-            return (node.operand,)
-        case Binary():
-            return (node.left, node.right)
-        case Call():
-            return node.arguments
-    return ()
-
-
-def names_in(node: Node) -> Iterator[Name]:
-    """Yield every name in `node`, left to right."""
-    return (part for part in nodes(node) if isinstance(part, Name))
-
-
-def nodes(node: Node) -> Iterator[Node]:
-    """Yield `node` and all below it, left to right."""
-    pending = [node]
-    while pending:
-        node = pending.pop()
-        yield node
-        pending.extend(reversed(children(node)))
-
-
-def _is_constant(node: Node) -> bool:
-    return next(names_in(node), None) is None
-
-
-def evaluate(node: Node, values: Mapping[str, float], source: Source) -> float:
-    """Evaluate in IEEE floats; infinity is an ordinary value, everything undefined an error."""
-    match node:
-        case Number():
-            return float(node.value)
-        case Constant():
-            return CONSTANTS[node.name]
-        case Name():
-            if node.name not in values:
-                undeclared(node, values, source)
-            value = float(values[node.name])
-            if math.isnan(value):
-                source.fail(f"{node.name} is not a number", node.offset)
-            return value
-    arguments = [evaluate(child, values, source) for child in children(node)]
-    try:
-        result = _apply(node, arguments)
-    except ZeroDivisionError:
-        source.fail("division by zero", node.offset)
-    except OverflowError:
-        result = math.inf
-    except ValueError:
-        result = math.nan
-    if math.isnan(result):
-        shown = ", ".join(f"{argument:g}" for argument in arguments)
-        what = node.function if isinstance(node, Call) else repr(getattr(node, "operator", ""))
-        source.fail(f"{what} has no value at {shown}", node.offset)
-    if math.isinf(result) and all(map(math.isfinite, arguments)):
-        source.fail("the value is too large for a float", node.offset)
-    return result
-
-
-def _apply(node: Node, arguments: list[float]) -> float:
-    match node:
-        case Unary():
-            return -arguments[0] if node.operator == "-" else arguments[0]
-        case Call():
-            return FUNCTIONS[node.function].evaluate(*arguments)
-        case Binary():
-            left, right = arguments
-            match node.operator:
-                case "+":
-                    return left + right
-                case "-":
-                    return left - right
-                case "*":
-                    return left * right
-                case "/":
-                    return left / right
-            if left == 0 and right < 0:
-                raise ZeroDivisionError
-            return math.pow(left, right)
-    raise TypeError(node)
-
-
-def undeclared(node: Name, known: Iterable[str], source: Source) -> NoReturn:
-    """Raise the error for a name that is not in `known`."""
-    source.fail(f"unknown name {node.name!r}", node.offset, close_matches(node.name, known))

@@ -11,8 +11,7 @@ from pydantic import BaseModel
 from statechart.documents.document import Document
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read
-from statechart.errors import DeclarationError
-from statechart.formulas.syntax import close_matches
+from statechart.errors import DeclarationError, close_matches
 from statechart.loading.kind import kind, kinds
 from statechart.loading.offered import module
 

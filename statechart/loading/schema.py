@@ -7,8 +7,7 @@ from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
-from statechart.errors import DeclarationError
-from statechart.formulas.syntax import close_matches
+from statechart.errors import DeclarationError, close_matches
 from statechart.loading.kind import kind, kinds
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"

@@ -27,7 +27,8 @@ from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Singular
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 from statechart.observation.sampling import Points, Samples, along, at_times, extremes, subdivided
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"

@@ -21,10 +21,9 @@ from statechart.documents.yaml_reader import read
 from statechart.engines.budget import Allowance
 from statechart.engines.choice import choose
 from statechart.engines.request import planned
-from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
+from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
 from statechart.execution.outcome import error_of
 from statechart.formulas.formula import parse
-from statechart.formulas.syntax import close_matches
 from statechart.loading.kind import kind
 from statechart.loading.load import find, interpret
 from statechart.observation.observer import Observer

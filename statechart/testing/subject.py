@@ -21,7 +21,8 @@ from statechart.errors import DeclarationError, DeclarationProblem, SimulationEr
 from statechart.execution.perturbation import loosened
 from statechart.execution.simulator import Simulator
 from statechart.formulas.formula import parse
-from statechart.formulas.tape import Tape, compile_tape
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 from statechart.loading.kind import kind
 from statechart.observation.condition import conditions
 from statechart.observation.observer import Observer

@@ -9,7 +9,7 @@ import sympy as sp
 from crossings import first_crossing
 
 from statechart.engines.event_location import Verdict
-from statechart.formulas.tape import compile_tape
+from statechart.formulas.writer import compile_tape
 
 X, Y, T, A, K, PHASE, C, W = sp.symbols("x y t A k phase c w")
 HILLS = compile_tape(

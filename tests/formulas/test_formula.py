@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart.errors import DeclarationError, FormulaError, Position, StatechartError
-from statechart.formulas.formula import Constants, order_parameters, parse, parse_relation
-from statechart.formulas.syntax import FUNCTIONS
+from statechart.formulas.constants import Constants, order_parameters
+from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.tree import FUNCTIONS
 
 # The right-hand sides are Python's own arithmetic, an implementation independent of the reader.
 CASES = {

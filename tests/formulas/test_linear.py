@@ -13,7 +13,7 @@ from strategies import examples
 
 from statechart.errors import SingularMode
 from statechart.formulas.linear import Definition, solve_linear
-from statechart.formulas.tape import compile_tape
+from statechart.formulas.writer import compile_tape
 
 
 def values(

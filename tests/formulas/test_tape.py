@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from strategies import P, Q, T, X, Y, examples, expressions, tape_of
 
 from statechart.errors import StatechartError
-from statechart.formulas.tape import compile_tape
+from statechart.formulas.writer import compile_tape
 from statechart.kernels.search import search
 from statechart.kernels.tapes import OPCODES, tape_table, tape_values
 

@@ -12,7 +12,8 @@ from strategies import P, T, X, Y, examples, expressions, tape_of
 
 from statechart.automaton.dense_output import integrals, lowest, sample
 from statechart.engines.event_location import Verdict
-from statechart.formulas.tape import compile_tape, contiguous
+from statechart.formulas.tape import contiguous
+from statechart.formulas.writer import compile_tape
 from statechart.kernels.boxes import enclose, judge, prepare
 from statechart.kernels.intervals import wave
 from statechart.kernels.jets import run_jets

@@ -1,11 +1,58 @@
-"""How large a formula's derivatives become: what is short as text need not be when derived."""
+"""Where a formula has no derivative, or one too large to be built."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
 from statechart.errors import DeclarationProblem
-from statechart.formulas.syntax import Binary, Call, Name, Node, Unary, children
+from statechart.formulas.formula import parse
+from statechart.formulas.tree import Binary, Call, Name, Node, Unary, children, names_in, nodes
+
+_KINKED = ("abs", "sign", "min", "max")
+
+PIECES = (
+    "a step does not stop there, and a sign may switch for ever: declare a region with a state for "
+    "each smooth piece, and a transition whose guard is where it switches"
+)
+"""What to write instead of a kink in time or in the state."""
+
+
+def check_smooth(
+    text: str | int | float,
+    variables: Collection[str],
+    *,
+    loc: tuple[str | int, ...],
+    lacks: str,
+    advice: str,
+) -> None:
+    """Check that a formula has no kink in any of `variables`.
+
+    Parameters
+    ----------
+    text : str, int or float
+        The formula.
+    variables : collection of str
+        Names whose change would pass a kink.
+    loc : tuple
+        Where it stands.
+    lacks, advice : str
+        What the formula has not where it switches, and what to write instead.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first kink.
+    """
+    for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
+        switched = {name.name for name in names_in(call)}.intersection(variables)
+        if call.function in _KINKED and switched:
+            raise DeclarationProblem(
+                f"{call.function} of {', '.join(sorted(switched))} has no {lacks} where it "
+                "switches",
+                advice=advice,
+                loc=loc,
+            )
+
 
 MAX_DERIVED = 7_000
 """Operations of a formula's derivative; to build so many takes about two seconds."""

@@ -1,0 +1,296 @@
+"""From SymPy to tapes: every shared subexpression once, operations on constants folded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import sympy as sp
+
+from statechart.errors import StatechartError
+from statechart.formulas.tape import Tape
+from statechart.kernels.tapes import OPCODES, tape_values
+
+_UNARY: dict[type[sp.Basic], str] = {
+    sp.exp: "exp",
+    sp.log: "log",
+    sp.sin: "sin",
+    sp.cos: "cos",
+    sp.tan: "tan",
+    sp.asin: "asin",
+    sp.acos: "acos",
+    sp.atan: "atan",
+    sp.sinh: "sinh",
+    sp.cosh: "cosh",
+    sp.tanh: "tanh",
+    sp.Abs: "abs",
+    sp.sign: "sign",
+}
+# SymPy makes these of its own accord, tan(x + pi/2) for one.
+_RECIPROCAL: dict[type[sp.Basic], str] = {sp.cot: "tan", sp.sec: "cos", sp.csc: "sin"}
+_COMMUTATIVE = {OPCODES[name] for name in ("add", "mul", "min", "max", "hypot")}
+
+
+def compile_tape(
+    outputs: Sequence[sp.Expr],
+    *,
+    variables: Sequence[sp.Symbol],
+    parameters: Sequence[sp.Symbol],
+    time: sp.Symbol,
+    definitions: Sequence[tuple[sp.Symbol, sp.Expr]] = (),
+) -> Tape:
+    """Compile expressions to a tape.
+
+    Parameters
+    ----------
+    outputs : sequence of Expr
+        The expressions wanted.
+    variables, parameters : sequence of Symbol
+        What a state and the parameters consist of, in order.
+    time : Symbol
+        The absolute time.
+    definitions : sequence of (Symbol, Expr)
+        Named intermediate results, each in terms of earlier ones; only those that the outputs
+        need are compiled.
+
+    Returns
+    -------
+    Tape
+        The program.
+
+    Raises
+    ------
+    StatechartError
+        If an expression holds an unknown symbol, a function without an operation, or a constant
+        that is not a finite real number, or if two symbols are the same.
+    """
+    inputs = [*variables, time, *parameters]
+    names = [*inputs, *(symbol for symbol, _ in definitions)]
+    if len(set(names)) != len(names):
+        twice = sorted({str(s) for s in names if names.count(s) > 1})
+        raise StatechartError(f"symbols are given twice: {', '.join(twice)}; rename one of each")
+    needed: set[sp.Symbol] = set().union(*(sp.sympify(e).free_symbols for e in outputs))
+    for symbol, expression in reversed(definitions):
+        if symbol in needed:
+            needed |= expression.free_symbols
+    writer = _Writer(inputs, n_variables=len(variables))
+    for symbol, expression in definitions:
+        if symbol in needed:
+            writer.known[symbol] = writer.register(expression)
+    registers = [writer.register(sp.sympify(expression)) for expression in outputs]
+    return writer.finish(registers, len(variables), len(parameters))
+
+
+@dataclass
+class _Writer:
+    """Operations in the order found; a register is an input, a constant or an operation.
+
+    Registers are numbered inputs first, then ~0, ~1, ... for constants while their number grows;
+    operations follow as (op, left, right) keys. `finish` gives them their final numbers.
+    """
+
+    inputs: list[sp.Symbol]
+    n_variables: int
+    known: dict[sp.Basic, int] = field(default_factory=dict)
+    constants: list[float] = field(default_factory=list)
+    operations: list[tuple[int, int, int]] = field(default_factory=list)
+    places: dict[tuple[int, int, int], int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.known.update({symbol: k for k, symbol in enumerate(self.inputs)})
+
+    def register(self, node: sp.Expr) -> int:
+        """Return the register that holds an expression."""
+        if node not in self.known:
+            self.known[node] = self._write(node)
+        return self.known[node]
+
+    def _write(self, node: sp.Expr) -> int:
+        if node.is_Symbol:
+            raise StatechartError(
+                f"the symbol {node} is neither a variable, a parameter nor defined before its use"
+            )
+        if node.is_Number or node.is_NumberSymbol:
+            if isinstance(node, sp.Rational) and sp.Rational(float(node)) != node:
+                return self._emit("div", self._constant(node.p), self._constant(node.q))
+            return self._constant(node)
+        if node.is_Add:
+            return self._sum(node)
+        if node.is_Mul:
+            return self._product(node)
+        if node.is_Pow:
+            return self._power(node)
+        kind = type(node)
+        if kind in _UNARY:
+            return self._emit(_UNARY[kind], self.register(node.args[0]))
+        if kind in _RECIPROCAL:
+            below = self._emit(_RECIPROCAL[kind], self.register(node.args[0]))
+            return self._emit("div", self._constant(1.0), below)
+        if kind.__name__ in ("Min", "Max", "atan2", "hypot"):
+            return self._fold(kind.__name__.lower(), [self.register(a) for a in node.args])
+        raise StatechartError(
+            f"{kind.__name__} in {sp.sstr(node)[:80]} has no operation; "
+            f"there are {', '.join(OPCODES)}"
+        )
+
+    def _sum(self, node: sp.Expr) -> int:
+        plus: list[sp.Expr] = []
+        minus: list[sp.Expr] = []
+        for term in node.args:
+            (minus if term.could_extract_minus_sign() and _negative(term) else plus).append(term)
+        if not plus:
+            return self._emit("neg", self._fold("add", [self.register(-t) for t in minus]))
+        total = self._fold("add", [self.register(term) for term in plus])
+        return self._fold("sub", [total, *(self.register(-term) for term in minus)])
+
+    def _product(self, node: sp.Expr) -> int:
+        number, factors = node.as_coeff_mul()
+        factors = _powers_joined(factors)
+        above: list[int] = []
+        below: list[int] = []
+        for factor in factors:
+            if factor.is_Pow and factor.exp.is_Number and factor.exp.is_negative:
+                below.append(self.register(sp.Pow(factor.base, -factor.exp)))
+            else:
+                above.append(self.register(factor))
+        if isinstance(number, sp.Rational) and sp.Rational(float(number)) != number:
+            below.insert(0, self._constant(number.q))
+            number = sp.Integer(number.p)
+        negate = number == -1
+        if not (negate or number == 1) or not above:
+            above.insert(0, self._constant(abs(number) if negate else number))
+        result = self._fold("mul", above)
+        if below:
+            result = self._emit("div", result, self._fold("mul", below))
+        return self._emit("neg", result) if negate else result
+
+    def _power(self, node: sp.Expr) -> int:
+        base, exponent = node.base, node.exp
+        if base is sp.E:
+            return self._emit("exp", self.register(exponent))
+        if exponent.is_Number and exponent.is_negative:
+            return self._emit("div", self._constant(1.0), self.register(sp.Pow(base, -exponent)))
+        if isinstance(exponent, sp.Rational) and exponent.q in (1, 2) and exponent.p < 2**31:
+            if exponent.q == 1:
+                return self._integer_power(self.register(base), int(exponent))
+            sides = _sides(base)
+            if sides:
+                root = self._emit("hypot", self.register(sides[0]), self.register(sides[1]))
+            else:
+                root = self._emit("sqrt", self.register(base))
+            return self._integer_power(root, int(exponent.p))
+        return self._emit("pow", self.register(base), self.register(exponent))
+
+    def _integer_power(self, base: int, exponent: int) -> int:
+        if exponent == 1:
+            return base
+        return self._emit("square", base) if exponent == 2 else self._emit("powi", base, exponent)
+
+    def _fold(self, name: str, registers: list[int]) -> int:
+        result = registers[0]
+        for register in registers[1:]:
+            result = self._emit(name, result, register)
+        return result
+
+    def _constant(self, number: sp.Expr | float) -> int:
+        try:
+            value = float(number)
+        except (TypeError, OverflowError):
+            value = float("nan")
+        if not np.isfinite(value):
+            raise StatechartError(
+                f"the constant {sp.sstr(number)[:80]} is not a finite real number; "
+                "make it a parameter or remove it"
+            )
+        if value not in self.constants:
+            self.constants.append(value)
+        return ~self.constants.index(value)
+
+    def _emit(self, name: str, left: int, right: int = 0) -> int:
+        op = OPCODES[name]
+        if op in _COMMUTATIVE and right < left:
+            left, right = right, left
+        if left < 0 and (right < 0 or op > OPCODES["pow"]):
+            return self._constant(self._evaluate(op, left, right))
+        key = (op, left, right)
+        if key not in self.places:
+            self.places[key] = len(self.inputs) + len(self.operations)
+            self.operations.append(key)
+        return self.places[key]
+
+    def _evaluate(self, op: int, left: int, right: int) -> float:
+        """Fold an operation on constants, by the kernel that would run it."""
+        binary = op <= OPCODES["pow"]
+        constants = [self.constants[~left], self.constants[~right] if binary else 0.0]
+        code = np.array([[op, 1, 2 if binary else right]], dtype=np.int32)
+        nothing = np.empty(0)
+        outputs = np.array([3], dtype=np.int32)
+        result = np.empty(1)
+        tape_values(code, np.array(constants), outputs, nothing, nothing, 0.0, result)
+        return result.item()
+
+    def finish(self, outputs: list[int], n_variables: int, n_parameters: int) -> Tape:
+        """Give registers their numbers, operations on parameters and constants first."""
+        n_inputs = len(self.inputs)
+        fixed: dict[int, bool] = {k: k > n_variables for k in range(n_inputs)}
+        for place, (op, left, right) in enumerate(self.operations, start=n_inputs):
+            pair = [left, right] if op <= OPCODES["pow"] else [left]
+            fixed[place] = all(r < 0 or fixed[r] for r in pair)
+        places = range(n_inputs, n_inputs + len(self.operations))
+        order = sorted(places, key=lambda place: not fixed[place])
+        base = n_inputs + len(self.constants)
+        final = {place: base + k for k, place in enumerate(order)}
+        final.update({k: k for k in range(n_inputs)})
+        final.update({~k: n_inputs + k for k in range(len(self.constants))})
+        code = np.zeros((len(order), 3), dtype=np.int32)
+        for k, place in enumerate(order):
+            op, left, right = self.operations[place - n_inputs]
+            binary = op <= OPCODES["pow"]
+            code[k] = op, final[left], final[right] if binary else right
+        registers = np.array([final[r] for r in outputs], dtype=np.int32)
+        used = set(registers.tolist()) | set(code[:, 1].tolist())
+        used |= set(code[code[:, 0] <= OPCODES["pow"], 2].tolist())
+        return Tape(
+            code=code,
+            constants=np.array(self.constants, dtype=np.float64),
+            outputs=registers,
+            n_variables=n_variables,
+            n_parameters=n_parameters,
+            n_fixed=sum(fixed[place] for place in places),
+            reads=np.array(sorted(r for r in used if r <= n_variables), dtype=np.int32),
+        )
+
+
+def _powers_joined(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
+    """Return factors with ``x**n / x``, as SymPy derives ``x**n``, written as ``x**(n - 1)``.
+
+    The first has no value where x is zero.
+    """
+    bases = {factor.base for factor in factors if factor.is_Pow and not factor.exp.is_Number}
+    if not bases:
+        return factors
+    exponents: dict[sp.Expr, sp.Expr] = {}
+    for factor in factors:
+        base, exponent = factor.as_base_exp() if factor.is_Pow else (factor, sp.S.One)
+        exponents[base] = exponents.get(base, sp.S.Zero) + exponent
+    return [sp.Pow(base, exponent) for base, exponent in exponents.items()]
+
+
+def _negative(term: sp.Expr) -> bool:
+    return bool(term.as_coeff_Mul()[0].is_negative)
+
+
+def _sides(square: sp.Expr) -> tuple[sp.Expr, sp.Expr] | None:
+    """Return a and b of a**2 + b**2, whose root then cannot overflow."""
+    if not square.is_Add or len(square.args) != 2:
+        return None
+    sides = []
+    for term in square.args:
+        if term is sp.S.One:
+            sides.append(term)
+        elif term.is_Pow and term.exp == 2:
+            sides.append(term.base)
+        else:
+            return None
+    return sides[0], sides[1]
