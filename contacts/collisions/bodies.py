@@ -17,7 +17,8 @@ from contacts.collisions.outlines import body_numbers, owners_of
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup, scene_parameters
-from contacts.scene.checks import check_finite, check_physical, check_shapes
+from contacts.scene.checks import check_finite, check_physical
+from contacts.scene.collision_checks import check_shapes
 from contacts.scene.other_laws import replaced
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene

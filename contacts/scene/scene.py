@@ -7,16 +7,11 @@ from typing import Self, get_args
 
 from pydantic import model_validator
 
-from contacts.scene.checks import (
-    check_collisions,
-    check_copies,
-    check_finite,
-    check_kinks,
-    check_physical,
-)
+from contacts.scene.checks import check_finite, check_kinks, check_physical
+from contacts.scene.collision_checks import check_collisions, check_copies
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.other_laws import replaced
-from contacts.scene.parts import Path, Point, Simultaneous
+from contacts.scene.parts import Contact, Path, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.scene.shapes import INDEX
 from contacts.states import declared_state
@@ -151,78 +146,69 @@ class Scene(SceneFields):
         return self
 
     @model_validator(mode="after")
-    def _formulas_use_declared_names(self) -> Self:
+    def _formulas_of_what_moves_use_declared_names(self) -> Self:
         self.controlled.check(self.kinematic_names)
         parameters = frozenset(self.parameters)
-        positions = parameters | frozenset(self.coordinates)
-        gravity = self.gravity if isinstance(self.gravity, tuple) else (self.gravity,)
-        self._formulas(gravity, parameters, "gravity")
+        positions, known = parameters | {*self.coordinates}, self.kinematic_names | {*self.controls}
+        self._formulas(self.gravity, parameters, "gravity")
         for name, coordinate in self.coordinates.items():
-            at = ("coordinates", name)
-            check_names(parse(coordinate.start), parameters, *at, "start")
-            check_names(parse(coordinate.rate), parameters, *at, "rate")
+            for key in ("start", "rate"):
+                self._formulas(getattr(coordinate, key), parameters, "coordinates", name, key)
         for name, body in self.bodies.items():
-            at = ("bodies", name)
-            check_names(parse(body.mass), parameters, *at, "mass")
-            if body.inertia is not None:
-                check_names(parse(body.inertia), parameters, *at, "inertia")
-            if body.angle is not None:
-                check_names(parse(body.angle), positions, *at, "angle")
-            self._formulas(body.position or (), positions, *at, "position")
+            for key in ("mass", "inertia"):
+                self._formulas(getattr(body, key), parameters, "bodies", name, key)
+            for key in ("angle", "position"):
+                self._formulas(getattr(body, key), positions, "bodies", name, key)
+            counted = parameters if body.copies is None else parameters | {INDEX}
             for part, text in body.start.items():
-                known = parameters if body.copies is None else parameters | {INDEX}
-                check_names(parse(text), known, *at, "start", part)
+                self._formulas(text, counted, "bodies", name, "start", part)
+        for name, force in self.forces.items():
+            for key, names in (("force", known), ("at", parameters), ("moment", known)):
+                self._formulas(getattr(force, key), names, "forces", name, key)
+        return self
+
+    @model_validator(mode="after")
+    def _formulas_of_what_touches_use_declared_names(self) -> Self:
+        parameters = frozenset(self.parameters)
         for name, surface in self.surfaces.items():
             at = ("surfaces", name)
-            if surface.height is not None:
-                check_names(parse(surface.height), parameters | {"x"}, *at, "height")
-            if surface.incline is not None:
-                check_names(parse(surface.incline), parameters, *at, "incline")
-            self._formulas(surface.through, parameters, *at, "through")
+            self._formulas(surface.height, parameters | {"x"}, *at, "height")
+            for key in ("incline", "through", "circle", "radius"):
+                self._formulas(getattr(surface, key), parameters, *at, key)
             for form in ("line", "edge"):
                 for place, corner in enumerate(getattr(surface, form) or ()):
                     self._formulas(corner, parameters, *at, form, place)
-            self._formulas(surface.circle or (), parameters, *at, "circle")
-            if surface.radius is not None:
-                check_names(parse(surface.radius), parameters, *at, "radius")
             self._formulas(surface.displacement, parameters | {TIME}, *at, "displacement")
         for name, contact in self.contacts.items():
-            at = ("contacts", name)
-            if self.gate(name) and "free" not in contact.kinds:
-                raise DeclarationProblem(
-                    "a contact that can be off comes back as free",
-                    advice="list free among the modes",
-                    loc=(*at, "modes"),
-                )
-            self._formulas(contact.point.at, parameters, *at, "point", "at")
-            for key in ("friction", "restitution"):
-                text = getattr(contact, key)
-                if text is not None:
-                    self.controlled.check_coefficient(text, parameters, *at, key)
-        seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
-        seen |= set(self.controls)
-        for name, contact in self.contacts.items():
-            for place, text in enumerate(contact.enabled):
-                loc = ("contacts", name, "enabled", place)
-                check_names(parse_relation(text), seen, *loc)
+            self._check_contact(name, contact)
         for name, joint in self.joints.items():
             at = ("joints", name)
             self._formulas(joint.point.at, parameters, *at, "point", "at")
             if isinstance(joint.to, Path):
                 for place, key in enumerate(("x", "y")):
+                    # Declared as a list or as a mapping: what it is not is skipped.
                     text = getattr(joint.to, key)
-                    if text is not None:
-                        # Declared as a list or as a mapping: what it is not is skipped.
-                        check_names(parse(text), parameters | {TIME}, *at, "to", place, key)
+                    self._formulas(text, parameters | {TIME}, *at, "to", place, key)
             else:
                 self._formulas(joint.to.at, parameters, *at, "to", "at")
-        known = self.kinematic_names | frozenset(self.controls)
-        for name, force in self.forces.items():
-            at = ("forces", name)
-            self._formulas(force.force, known, *at, "force")
-            self._formulas(force.at, parameters, *at, "at")
-            check_names(parse(force.moment), known, *at, "moment")
         return self
+
+    def _check_contact(self, name: str, contact: Contact) -> None:
+        at, parameters = ("contacts", name), frozenset(self.parameters)
+        if self.gate(name) and "free" not in contact.kinds:
+            raise DeclarationProblem(
+                "a contact that can be off comes back as free",
+                advice="list free among the modes",
+                loc=(*at, "modes"),
+            )
+        self._formulas(contact.point.at, parameters, *at, "point", "at")
+        for key in ("friction", "restitution"):
+            text = getattr(contact, key)
+            if text is not None:
+                self.controlled.check_coefficient(text, parameters, *at, key)
+        seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
+        for place, text in enumerate(contact.enabled):
+            check_names(parse_relation(text), seen | {*self.controls}, *at, "enabled", place)
 
     @model_validator(mode="after")
     def _coordinates_move_bodies(self) -> Self:
@@ -289,7 +275,13 @@ class Scene(SceneFields):
             )
 
     @staticmethod
-    def _formulas(texts: tuple[FormulaText, ...], known: frozenset[str], *loc: str | int) -> None:
+    def _formulas(
+        written: FormulaText | tuple[FormulaText, ...] | None,
+        known: frozenset[str],
+        *loc: str | int,
+    ) -> None:
+        """Check what stands in a field: a formula, several, or nothing."""
+        texts = written if isinstance(written, tuple) else () if written is None else (written,)
         for index, text in enumerate(texts):
             where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
             check_names(parse(text), known, *where)

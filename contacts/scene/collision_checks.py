@@ -1,0 +1,149 @@
+"""What copies of bodies, their shapes and their collisions must be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from contacts.scene.fields import SceneFields
+from contacts.scene.shapes import INDEX, Shape
+from statechart.documents.fields import check_names, problem
+from statechart.errors import DeclarationProblem, FormulaError, close_matches
+from statechart.formulas.formula import parse
+
+
+def check_copies(scene: SceneFields) -> None:
+    """Check what copies of bodies need.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first thing that is missing.
+    """
+    if INDEX in scene.parameters and any(b.copies is not None for b in scene.bodies.values()):
+        raise DeclarationProblem(
+            f"{INDEX!r} is the number of a copy", loc=("parameters", INDEX), key=True
+        )
+    for name, body in scene.bodies.items():
+        if body.copies is None:
+            continue
+        check_names(parse(body.copies), scene.parameters, "bodies", name, "copies")
+        taken = [n for n in scene.bodies if n.startswith(name) and n[len(name) :].isdecimal()]
+        if taken:
+            raise DeclarationProblem(
+                f"{taken[0]!r} is the name of a copy of {name!r}",
+                advice="choose another name",
+                loc=("bodies", taken[0]),
+                key=True,
+            )
+        if not scene.collisions:
+            raise DeclarationProblem(
+                "copies of a body need collisions that they take part in",
+                advice="declare collisions, or each body by itself",
+                loc=("bodies", name, "copies"),
+                key=True,
+            )
+
+
+def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
+    """Check the collisions of a scene.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first thing that is wrong.
+    """
+    check_shapes(scene, values)
+    if not scene.collisions:
+        return
+    for section in ("contacts", "joints", "forces", "coordinates", "regions", "modes"):
+        if getattr(scene, section):
+            raise DeclarationProblem(
+                f"a scene with collisions has no {section} yet",
+                advice="bodies are free, and touch by their shapes",
+                loc=(section,),
+                key=True,
+            )
+    for name, body in scene.bodies.items():
+        if body.coordinates != ("x", "y", "angle"):
+            raise DeclarationProblem(
+                "a body that collides is free and has an inertia",
+                advice="give it an inertia, and no position",
+                loc=("bodies", name),
+            )
+    for name, collision in scene.collisions.items():
+        at = ("collisions", name)
+        for place, one in enumerate(collision.bodies):
+            if one not in scene.bodies:
+                advice = close_matches(one, scene.bodies)
+                loc: tuple[str | int, ...] = (*at, "bodies", place)
+                raise DeclarationProblem(f"no body {one!r}", advice=advice, loc=loc)
+            if scene.bodies[one].shape is None:
+                raise DeclarationProblem(
+                    f"body {one!r} has no shape",
+                    advice="give it a polygon or a disc",
+                    loc=("bodies", one),
+                    key=True,
+                )
+        for place, one in enumerate(collision.surfaces):
+            loc = (*at, "surfaces", place)
+            if one not in scene.surfaces:
+                advice = close_matches(one, scene.surfaces)
+                raise DeclarationProblem(f"no surface {one!r}", advice=advice, loc=loc)
+            surface = scene.surfaces[one]
+            curved = surface.circle is not None or (
+                surface.height is not None and "x" in parse(surface.height).names
+            )
+            if curved or surface.body is not None or surface.displacement != (0, 0):
+                raise DeclarationProblem(
+                    f"shapes collide with straight surfaces at rest; {one!r} is not", loc=loc
+                )
+
+
+def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:
+    """Check the numbers of shapes and collisions for `values` of the parameters.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first that is out of its bounds.
+    """
+    for name, body in scene.bodies.items():
+        if body.shape is not None:
+            _check_shape(scene, name, body.shape, values)
+    for name, collision in scene.collisions.items():
+        at = ("collisions", name)
+        for key, most in (("friction", np.inf), ("restitution", 1.0)):
+            text = getattr(collision, key)
+            check_names(parse(text), scene.parameters, *at, key)
+            try:
+                value = parse(text).value(values)
+            except FormulaError as error:
+                raise problem(error, *at, key) from None
+            if not 0.0 <= value <= most:
+                raise DeclarationProblem(
+                    f"must be between 0 and {most:g}, not {value:g}", loc=(*at, key)
+                )
+
+
+def _check_shape(scene: SceneFields, name: str, shape: Shape, values: Mapping[str, float]) -> None:
+    at = ("bodies", name, "shape")
+    if shape.disc is not None:
+        check_names(parse(shape.disc), scene.parameters, *at, "disc")
+        if not parse(shape.disc).value(values) > 0.0:
+            raise DeclarationProblem("a radius is positive", loc=(*at, "disc"))
+        return
+    assert shape.polygon is not None
+    for place, corner in enumerate(shape.polygon):
+        for axis, text in enumerate(corner):
+            check_names(parse(text), scene.parameters, *at, "polygon", place, axis)
+    corners = np.array([[parse(text).value(values) for text in corner] for corner in shape.polygon])
+    edges = np.roll(corners, -1, axis=0) - corners
+    following = np.roll(edges, -1, axis=0)
+    turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
+    whole = np.arctan2(turns, (edges * following).sum(axis=1)).sum()
+    if not (turns > 0.0).all() or whole > 2.0 * np.pi + 1e-6:
+        raise DeclarationProblem(
+            "a polygon is convex, its corners counter-clockwise", loc=(*at, "polygon")
+        )
