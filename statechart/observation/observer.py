@@ -7,7 +7,6 @@ its simulator, so that the next run finds its programs ready.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -19,16 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.dense_output import integrals
-from statechart.automaton.laws import roles_in
-from statechart.automaton.modes import build_mode
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
-from statechart.formulas.linear import Singular
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
+from statechart.observation.flows import PassedModes, roles_at, solved_rows
 from statechart.observation.sampling import Points, Samples, along, at_times, extremes, subdivided
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
@@ -70,7 +67,7 @@ class Observer:
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
         self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
         self._actives: dict[tuple[Key, tuple[_Where, ...], tuple[sp.Expr, ...]], _Active] = {}
-        self._passed: dict[tuple[Roles, frozenset[int]], Mode | None] = {}
+        self._passed = PassedModes(simulator) if isinstance(simulator, Simulator) else None
 
     @property
     def automaton(self) -> Automaton:
@@ -145,13 +142,13 @@ class Observer:
         else:  # nothing flowed: the run is its last state
             rows = 1 if times is None else np.size(times)
             jumps = len(trace.jumps)
-            roles = self._roles(trace, jumps, trace.final_mode, ends=False)
+            roles = roles_at(trace, jumps, trace.final_mode, ends=False)
             points = Points(
                 np.full(rows, trace.t_end),
                 np.tile(trace.final, (rows, 1)),
                 (roles,),
                 (rows,),
-                self._unknown_rows(trace, [(jumps, True)] * rows),
+                solved_rows(trace, [(jumps, True)] * rows, len(self._solved)),
             )
             counts, held, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
         modes = tuple(dict.fromkeys(held))
@@ -166,15 +163,15 @@ class Observer:
 
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
-        roles = self._roles(trace, 0, trace.start_mode, ends=False)
-        known = self._unknown_rows(trace, [(0, False)])
+        roles = roles_at(trace, 0, trace.start_mode, ends=False)
+        known = solved_rows(trace, [(0, False)], len(self._solved))
         points = Points(np.zeros(1), trace.initial[None], (roles,), (1,), known)
         return self._table(trace, self._all(formulas), points)[0]
 
     def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the end, after all jumps."""
-        roles = self._roles(trace, len(trace.jumps), trace.final_mode, ends=False)
-        known = self._unknown_rows(trace, [(len(trace.jumps), True)])
+        roles = roles_at(trace, len(trace.jumps), trace.final_mode, ends=False)
+        known = solved_rows(trace, [(len(trace.jumps), True)], len(self._solved))
         points = Points(np.array([trace.t_end]), trace.final[None], (roles,), (1,), known)
         return self._table(trace, self._all(formulas), points)[0]
 
@@ -210,13 +207,15 @@ class Observer:
                     -1, size
                 ),
                 [
-                    self._roles(trace, jump.j, jump.source, ends=True)
+                    roles_at(trace, jump.j, jump.source, ends=True)
                     if before
-                    else self._roles(trace, jump.j + 1, jump.target, ends=False)
+                    else roles_at(trace, jump.j + 1, jump.target, ends=False)
                     for jump in jumps
                 ],
                 range(1, len(jumps) + 1),
-                self._unknown_rows(trace, [(j.j + (not before), before) for j in jumps]),
+                solved_rows(
+                    trace, [(j.j + (not before), before) for j in jumps], len(self._solved)
+                ),
             ),
         )
 
@@ -231,7 +230,7 @@ class Observer:
         found: list[dict[str, float]] = [{} for _ in jumps]
         flows: dict[Roles, list[int]] = {}
         for place, jump in enumerate(jumps):
-            roles = self._roles(trace, jump.j, jump.source, ends=True)
+            roles = roles_at(trace, jump.j, jump.source, ends=True)
             flows.setdefault(roles, []).append(place)
         for roles, places in flows.items():
             mode = modes(roles)
@@ -351,20 +350,6 @@ class Observer:
         self._actives[key, where, expressions] = active
         return active
 
-    def _roles(self, trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
-        """Return the roles whose equations hold after `j` jumps, in the mode shown as `mode`.
-
-        `ends`: at the end of that time, else at its start.
-        """
-        arcs = trace.arcs
-        place = bisect_right(arcs, j, key=_jumps) - 1 if ends else bisect_left(arcs, j, key=_jumps)
-        if 0 <= place < len(arcs) and arcs[place].j == j and arcs[place].mode == mode:
-            return arcs[place].roles
-        # A stop, for one, changes nothing: the arc before it goes on.
-        if j > 0 and trace.jumps[j - 1].source == trace.jumps[j - 1].target == mode:
-            return self._roles(trace, j - 1, mode, ends=True)
-        return roles_in(mode)
-
     def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
         """Return the values (m, f) of expressions, one call of a kernel per flow."""
         values = trace.values
@@ -400,27 +385,6 @@ class Observer:
             self._needs[expressions] = found
         return found
 
-    def _unknown_rows(self, trace: Trace, places: Sequence[tuple[int, bool]]) -> Array | None:
-        """Return the unknowns after so many jumps, at the end of that time or at its start.
-
-        None where modes have to be solved for them; not a number where nothing flowed.
-        """
-        arcs = trace.arcs
-        if trace.step is None:
-            return None
-        rows = np.full((len(places), len(self._solved)), np.nan)
-        for row, (j, ends) in zip(rows, places, strict=True):
-            place = (
-                bisect_right(arcs, j, key=_jumps) - 1 if ends else bisect_left(arcs, j, key=_jumps)
-            )
-            if not 0 <= place < len(arcs):
-                place = 0 if place < 0 else len(arcs) - 1
-            if arcs:
-                solved = arcs[place].solved
-                assert solved is not None
-                row[:] = solved[-1 if ends else 0]
-        return rows
-
     def _tape(
         self, expressions: tuple[sp.Expr, ...], mode: Mode | None, *, known: bool = False
     ) -> Tape:
@@ -442,32 +406,11 @@ class Observer:
         return tape
 
     def _modes(self, trace: Trace) -> Callable[[Roles], Mode | None]:
-        """Return the look-up roles -> solved mode; None where its equations have no solution."""
-        flowed, zeros = {arc.roles for arc in trace.arcs}, trace.zeros
-        simulator = self.simulator
-        assert isinstance(simulator, Simulator)
-
-        def look_up(roles: Roles) -> Mode | None:
-            if roles in flowed:
-                return simulator.compiled(roles, zeros).mode
-            # Passed through in no time: no integrator is compiled for it.
-            if (roles, zeros) not in self._passed:
-                gone = frozenset(self.automaton.parameters[i] for i in zeros)
-                try:
-                    mode = build_mode(self.automaton, roles, gone)
-                except Singular:
-                    mode = None
-                self._passed[roles, zeros] = mode
-            return self._passed[roles, zeros]
-
-        return look_up
+        assert self._passed is not None  # steps have no equations of modes
+        return self._passed.of(trace)
 
 
 def _seen(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:
     """Return the expressions as others see the mode: without the forces that it hides."""
     hidden = mode.hidden if mode else {}
     return tuple([e.xreplace(hidden) for e in expressions]) if hidden else tuple(expressions)
-
-
-def _jumps(arc: Arc) -> int:
-    return arc.j
