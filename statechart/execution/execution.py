@@ -387,9 +387,7 @@ class Execution:
             certified=not self.evidence and self.outcome not in _UNCERTIFIED,
             evidence=evidence,
             tolerances=dict(self.setup.tolerances),
-            engine=engine.name
-            if engine.name == engine.method
-            else f"{engine.name} {engine.method}",
+            engine=" ".join(dict.fromkeys((engine.name, engine.method))),
             tolerance=engine.tolerance,
             warnings=(*self.setup.warnings, *self.warnings),
             counts={

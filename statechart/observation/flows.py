@@ -11,9 +11,10 @@ from statechart.arrays import Array
 from statechart.automaton.laws import roles_in
 from statechart.automaton.modes import build_mode
 from statechart.automaton.regions import Mode
-from statechart.automaton.trace import Arc, Key, Roles, Trace
+from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.formulas.linear import Singular
+from statechart.observation.sampling import Points
 
 
 def _place(arcs: Sequence[Arc], j: int, ends: bool) -> int:
@@ -52,6 +53,40 @@ def solved_rows(trace: Trace, places: Sequence[tuple[int, bool]], width: int) ->
             assert solved is not None
             row[:] = solved[-1 if ends else 0]
     return rows
+
+
+def start_of(trace: Trace, width: int) -> Points:
+    """Return the start of a run, before any jump."""
+    roles = roles_at(trace, 0, trace.start_mode, ends=False)
+    known = solved_rows(trace, [(0, False)], width)
+    return Points(np.zeros(1), trace.initial[None], (roles,), (1,), known)
+
+
+def end_of(trace: Trace, width: int, rows: int = 1) -> Points:
+    """Return the end of a run, after all jumps, in so many rows."""
+    j = len(trace.jumps)
+    roles = roles_at(trace, j, trace.final_mode, ends=False)
+    known = solved_rows(trace, [(j, True)] * rows, width)
+    times, states = np.full(rows, trace.t_end), np.tile(trace.final, (rows, 1))
+    return Points(times, states, (roles,), (rows,), known)
+
+
+def beside(trace: Trace, jumps: Sequence[Jump], before: bool, width: int) -> Points:
+    """Return the instants just before some jumps of a run, or just after them."""
+    states = [jump.before if before else jump.after for jump in jumps]
+    roles = [
+        roles_at(trace, jump.j, jump.source, ends=True)
+        if before
+        else roles_at(trace, jump.j + 1, jump.target, ends=False)
+        for jump in jumps
+    ]
+    return Points(
+        np.array([jump.t for jump in jumps]),
+        np.array(states).reshape(-1, len(trace.variables)),
+        roles,
+        range(1, len(jumps) + 1),
+        solved_rows(trace, [(jump.j + (not before), before) for jump in jumps], width),
+    )
 
 
 class PassedModes:

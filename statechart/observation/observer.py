@@ -25,7 +25,7 @@ from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
-from statechart.observation.flows import PassedModes, roles_at, solved_rows
+from statechart.observation.flows import PassedModes, beside, end_of, roles_at, start_of
 from statechart.observation.sampling import Points, Samples, along, at_times, extremes, subdivided
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
@@ -141,15 +141,7 @@ class Observer:
             held, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
         else:  # nothing flowed: the run is its last state
             rows = 1 if times is None else np.size(times)
-            jumps = len(trace.jumps)
-            roles = roles_at(trace, jumps, trace.final_mode, ends=False)
-            points = Points(
-                np.full(rows, trace.t_end),
-                np.tile(trace.final, (rows, 1)),
-                (roles,),
-                (rows,),
-                solved_rows(trace, [(jumps, True)] * rows, len(self._solved)),
-            )
+            points = end_of(trace, len(self._solved), rows)
             counts, held, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
         modes = tuple(dict.fromkeys(held))
         table = self._table(trace, expressions, points)
@@ -163,17 +155,11 @@ class Observer:
 
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
-        roles = roles_at(trace, 0, trace.start_mode, ends=False)
-        known = solved_rows(trace, [(0, False)], len(self._solved))
-        points = Points(np.zeros(1), trace.initial[None], (roles,), (1,), known)
-        return self._table(trace, self._all(formulas), points)[0]
+        return self._table(trace, self._all(formulas), start_of(trace, len(self._solved)))[0]
 
     def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the end, after all jumps."""
-        roles = roles_at(trace, len(trace.jumps), trace.final_mode, ends=False)
-        known = solved_rows(trace, [(len(trace.jumps), True)], len(self._solved))
-        points = Points(np.array([trace.t_end]), trace.final[None], (roles,), (1,), known)
-        return self._table(trace, self._all(formulas), points)[0]
+        return self._table(trace, self._all(formulas), end_of(trace, len(self._solved)))[0]
 
     def at(
         self,
@@ -197,27 +183,8 @@ class Observer:
             The state just before each jump, in the mode left; else just after it, in the mode
             entered.
         """
-        size = len(trace.variables)
-        return self._table(
-            trace,
-            self._all(formulas),
-            Points(
-                np.array([jump.t for jump in jumps]),
-                np.array([jump.before if before else jump.after for jump in jumps]).reshape(
-                    -1, size
-                ),
-                [
-                    roles_at(trace, jump.j, jump.source, ends=True)
-                    if before
-                    else roles_at(trace, jump.j + 1, jump.target, ends=False)
-                    for jump in jumps
-                ],
-                range(1, len(jumps) + 1),
-                solved_rows(
-                    trace, [(j.j + (not before), before) for j in jumps], len(self._solved)
-                ),
-            ),
-        )
+        points = beside(trace, jumps, before, len(self._solved))
+        return self._table(trace, self._all(formulas), points)
 
     def margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
         """Return the margins of the flow that each of the jumps ended, just before it.

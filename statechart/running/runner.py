@@ -68,6 +68,7 @@ class Runner:
         If the model or one of the settings is wrong.
     """
 
+    # One argument for every word of a setting: what a person writes.
     def __init__(
         self,
         model: Declaration | Document | str | Path,
@@ -312,6 +313,7 @@ class Runner:
         return flow.mode, (*setup.warnings, flow.warning)
 
 
+# As `Runner` and `Runner.run` together.
 def run(
     model: Declaration | Document | str | Path,
     *,
