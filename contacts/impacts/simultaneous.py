@@ -10,7 +10,6 @@ well.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,6 +21,7 @@ from contacts.impacts.impact import Impact, impact
 from contacts.impacts.impulses import Impulses, collisions, coupled
 from contacts.impacts.work import work_of
 from contacts.scene.parts import MOREAU, Simultaneous
+from contacts.solvers.contact_lcp_kernels import shares
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
 
@@ -192,21 +192,15 @@ def _shares(
     """Return (1 - s, s) for the largest s at which the impulses do no work on the bodies.
 
     That work is the change of the kinetic energy where the surfaces are at rest, and what counts
-    where they move. Both shares are computed from the end they are near: impulses may differ by
-    decades.
+    where they move.
     """
     gain, size = _work(snapshot, group, target)
     if gain <= _ROUNDING * size:
         return 0.0, 1.0
-    # c + b s + a s^2 with c <= 0 <= a (but for rounding), and `gain` at s = 1.
-    c = min(_work(snapshot, group, plastic)[0], 0.0)
     further = target.change - plastic.change
-    a = 0.5 * float(further @ snapshot.mass @ further)
-    b = gain - c - a
-    root = math.sqrt(b * b - 4.0 * a * c)
-    share = (root - b) / (2.0 * a) if b < 0.0 else -2.0 * c / (b + root)
-    rest = 2.0 * gain / (2.0 * a + b + root)
-    return min(max(rest, 0.0), 1.0), min(max(share, 0.0), 1.0)
+    curvature = 0.5 * float(further @ snapshot.mass @ further)
+    rest, share = shares(min(_work(snapshot, group, plastic)[0], 0.0), gain, curvature)
+    return rest, share
 
 
 def _work(snapshot: Snapshot, group: Sequence[int], found: Impulses) -> tuple[float, float]:

@@ -31,7 +31,6 @@ LOOSEST = 1e-6
 _ROUNDING = 1e-13
 # A guess is improved so many times before Lemke's algorithm starts from nothing.
 _GUESSES = 8
-_CAP_ROUNDS = 60
 # What makes bases regular, relative to scaled rows; and how often.
 _DELTA, _PROXIMAL_STEPS = 2.0**-16, 12
 
@@ -419,6 +418,26 @@ def moved_by(delassus: Array, impulses: Array) -> Array:
 
 
 @kernel
+def shares(begin: float, end: float, curvature: float) -> tuple[float, float]:
+    """Return (1 - s, s) for the largest s, up to 1, at which a work is not above zero.
+
+    Both are computed from the end they are near: impulses may differ by decades.
+
+    Parameters
+    ----------
+    begin, end : float
+        The work at s = 0, not above zero, and at s = 1, above zero.
+    curvature : float
+        Half its second derivative by s, not below zero but for rounding.
+    """
+    slope = end - begin - curvature
+    root = math.sqrt(max(slope * slope - 4.0 * curvature * begin, 0.0))
+    share = (root - slope) / (2.0 * curvature) if slope < 0.0 else -2.0 * begin / (slope + root)
+    rest = 2.0 * end / (2.0 * curvature + slope + root)
+    return min(max(rest, 0.0), 1.0), min(max(share, 0.0), 1.0)
+
+
+@kernel
 def capped(
     before: Array,
     free: Array,
@@ -439,21 +458,16 @@ def capped(
     plastic, elastic, moved_plastic, moved_elastic : (m, 2)
         Impulses, and how they change these velocities.
     """
-    low, high = 0.0, 1.0
-    limit = max(_work_at(before, free, plastic, moved_plastic), 0.0)
+    begin = _work_at(before, free, plastic, moved_plastic)
+    end = _work_at(before, free, elastic, moved_elastic)
     sizes = np.abs(elastic * before).sum() + np.abs(elastic * free).sum()
-    limit += 64.0 * 2.0**-52 * sizes
-    if _work_at(before, free, elastic, moved_elastic) <= limit:
+    limit = max(begin, 0.0) + 64.0 * 2.0**-52 * sizes
+    if end <= limit:
         return elastic, 1.0
-    further, faster = elastic - plastic, moved_elastic - moved_plastic
-    for _ in range(_CAP_ROUNDS):
-        middle = 0.5 * (low + high)
-        found = _work_at(before, free, plastic + middle * further, moved_plastic + middle * faster)
-        if found <= limit:
-            low = middle
-        else:
-            high = middle
-    return plastic + low * further, low
+    further = elastic - plastic
+    curvature = 0.5 * (further * (moved_elastic - moved_plastic)).sum()
+    _, share = shares(begin - limit, end - limit, curvature)
+    return plastic + share * further, share
 
 
 @kernel
