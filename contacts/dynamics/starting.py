@@ -1,12 +1,27 @@
-"""Whether every contact may be where, and move as, the initial state has it."""
+"""Whether a scene may start as declared: its joints close, its contacts allow it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.joints import column_scales
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import SnapshotTape
+from contacts.scene.parts import Point
 from contacts.states import OFF
+from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
+
+_ITERATIONS = 50
+# Of the accelerations: contradictory ones are off by their own size, consistent ones by rounding.
+_ACCELERATION = 1e-8
+# Joints whose part in a contradiction is smaller than this take none.
+_PART = 1e-6
+_MOST_NAMED = 6
 
 
 def check_start(
@@ -64,3 +79,129 @@ def check_start(
             advice="add slide, with a friction, or start its point at rest",
             loc=loc,
         )
+
+
+def check_joints(
+    mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup, allowed: float
+) -> None:
+    """Check positions, velocities and accelerations of the start.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        The scene's equations.
+    snapshots : SnapshotTape
+        Its numbers.
+    setup : SceneSetup
+        The run's.
+    allowed : float
+        What is small in a start, of the scene's length and speed: projected out, not refused.
+
+    Raises
+    ------
+    DeclarationProblem
+        If a joint is open, or its bodies move apart, or joints contradict one another.
+    """
+    if not mechanics.joint_rows:
+        return
+    scales, tolerances = setup.scales, setup.tolerances
+    names = [row.joint for row in mechanics.joint_rows]
+    held = snapshots.at(setup.values, setup.initial, 0.0).held
+    assert held is not None
+    joints = held.joints
+    apart = _distances(names, joints.gaps)
+    worst = max(apart, key=lambda name: apart[name])
+    if apart[worst] > max(allowed * scales.length, tolerances["gap"]):
+        raise DeclarationProblem(
+            f"joint {worst!r} is open at the start: {_ends(mechanics, worst)} {apart[worst]:.6g} "
+            "apart",
+            advice=_nearest(mechanics, snapshots, setup),
+            loc=("joints", worst),
+        )
+    change, left = _least(joints.jacobian, -joints.rates)
+    slow = max(allowed * scales.speed, tolerances["speed"])
+    if np.abs(left).max() > slow:
+        raise _contradiction(names, left, "velocity")
+    speeds = _distances(names, joints.rates)
+    worst = max(speeds, key=lambda name: speeds[name])
+    if speeds[worst] > slow:
+        size = len(change)
+        rates = setup.initial[size:] + change
+        rate_names = [mechanics.scene.rate_name(name) for name in mechanics.names]
+        raise DeclarationProblem(
+            f"joint {worst!r} does not hold at the start: {_ends(mechanics, worst)} moving apart "
+            f"at {speeds[worst]:.6g}",
+            advice="velocities that it allows: " + _listed(rate_names, rates, change),
+            loc=("joints", worst),
+        )
+    _, left = _least(joints.jacobian, -joints.biases)
+    largest = max(scales.acceleration, float(np.abs(joints.biases).max()))
+    if np.abs(left).max() > _ACCELERATION * largest:
+        raise _contradiction(names, left, "acceleration")
+
+
+def _distances(names: Sequence[str], gaps: Array) -> dict[str, float]:
+    result = dict.fromkeys(names, 0.0)
+    for name, gap in zip(names, gaps.tolist(), strict=True):
+        result[name] = float(np.hypot(result[name], gap))
+    return result
+
+
+def _ends(mechanics: Mechanics, name: str) -> str:
+    joint = mechanics.scene.joints[name]
+    if isinstance(joint.to, Point):
+        return f"its points of {joint.point.body!r} and {joint.to.body!r} are"
+    return f"its point of {joint.point.body!r} and its place in the world are"
+
+
+def _least(jacobian: Array, right: Array) -> tuple[Array, Array]:
+    """Return the least x with the least ``right - jacobian x``, and that."""
+    scale = column_scales(jacobian)
+    x = np.linalg.lstsq(jacobian * scale, right, rcond=1e-8)[0] * scale
+    return x, right - jacobian @ x
+
+
+def _contradiction(names: Sequence[str], left: Array, what: str) -> DeclarationProblem:
+    largest = float(np.abs(left).max())
+    concerned = [n for n, r in zip(names, left.tolist(), strict=True) if abs(r) > _PART * largest]
+    concerned = list(dict.fromkeys(concerned))
+    subject = (
+        f"the joints {', '.join(map(repr, concerned))} contradict one another"
+        if len(concerned) > 1
+        else f"joint {concerned[0]!r} contradicts itself"
+    )
+    return DeclarationProblem(
+        f"{subject}: no {what} of the bodies satisfies them",
+        advice="compare the paths that they follow, or remove one",
+        loc=("joints", concerned[-1]),
+    )
+
+
+def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -> str:
+    """Return where the joints would close, found by Gauss and Newton from the start, or not."""
+    size = len(setup.initial) // 2
+    state = setup.initial.copy()
+    least = np.inf
+    for _ in range(_ITERATIONS):
+        held = snapshots.at(setup.values, state, 0.0).held
+        assert held is not None
+        gaps = held.joints.gaps
+        if not np.isfinite(gaps).all():
+            break
+        least = min(least, float(np.abs(gaps).max()))
+        if least <= setup.tolerances["gap"]:
+            shift = state[:size] - setup.initial[:size]
+            return "a position that closes all: " + _listed(mechanics.names, state[:size], shift)
+        state[:size] += _least(held.joints.jacobian, -gaps)[0]
+    return (
+        f"no position near the start closes all joints (least distance found: {least:.6g}); "
+        "compare lengths and places"
+    )
+
+
+def _listed(names: Sequence[str], values: Array, changes: Array) -> str:
+    """Return the values that changed, the largest changes first."""
+    order = np.argsort(-np.abs(changes))
+    changed = [k for k in order[:_MOST_NAMED] if abs(changes[k]) > _PART * np.abs(changes).max()]
+    more = ", ..." if len(changed) == _MOST_NAMED < len(names) else ""
+    return ", ".join(f"{names[k]} = {values[k]:.6g}" for k in changed) + more

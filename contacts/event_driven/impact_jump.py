@@ -107,7 +107,7 @@ def flow_in(
 ) -> Flow:
     """Return the flow in a mode; `rest` is how long the bounces last that it stands for."""
     remaining = math.inf if rest is None else rest
-    moving = shown_roles(mode, roles or roles_in(mode))
+    moving = roles_in(mode) if roles is None else shown_roles(mode, roles)
     return Flow(mode, moving, remaining, warning, settled, notes, tolerances=setup.bands)
 
 

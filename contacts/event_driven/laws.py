@@ -8,13 +8,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from contacts.dynamics.assembly import check_joints
 from contacts.dynamics.conditions import Conditions, hidden
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import Projection, dead_point, landed, on_constraints
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.dynamics.starting import check_start
+from contacts.dynamics.starting import check_joints, check_start
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.impact_jump import (

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.dynamics.assembly import check_joints
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
-from contacts.dynamics.starting import check_start
+from contacts.dynamics.starting import check_joints, check_start
 from contacts.scene.other_laws import replaced
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS, STATES
