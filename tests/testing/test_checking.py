@@ -167,7 +167,7 @@ def with_states(scene, change):
     automaton = scene_automaton(scene)
     regions = tuple(
         dataclasses.replace(
-            region, build=lambda name, build=region.build: change(name, build(name))
+            region, build=lambda role, build=region.build: change(role.state, build(role))
         )
         for region in automaton.regions
     )
