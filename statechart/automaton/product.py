@@ -80,7 +80,7 @@ def graph(
             result.add_node(key, feasible=not judged[key], reason=judged[key])
         if trace is not None:
             result.add_node(key, visits=entries[key])
-    taken = None if trace is None else Counter(jumps(automaton, trace, directions=directions))
+    taken = None if trace is None else Counter(_jumps(automaton, trace, directions=directions))
     for number, (source, target, data) in enumerate(_edges(charts, dict.fromkeys(result), taken)):
         result.add_edge(source, target, number, **data)
     return result
@@ -92,7 +92,7 @@ def visited(automaton: Automaton, trace: Trace, *, directions: bool = True) -> t
     return tuple(key for key, _ in groupby(shown))
 
 
-def jumps(automaton: Automaton, trace: Trace, *, directions: bool = True) -> Iterator[_Jump]:
+def _jumps(automaton: Automaton, trace: Trace, *, directions: bool = True) -> Iterator[_Jump]:
     """Yield source, target, region and event of every jump; a stop leads nowhere."""
     shown = _naming(automaton, directions)
     for jump in trace.jumps:

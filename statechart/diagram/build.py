@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.product import graph, jumps, visited
+from statechart.automaton.product import graph, visited
 from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Key, Role, Trace
 from statechart.diagram.model import Diagram, Link, Node
@@ -119,16 +119,15 @@ def _visited(automaton: Automaton, trace: Trace, modes: nx.MultiDiGraph) -> Diag
     for region, state in zip(automaton.regions, trace.start_mode, strict=True):
         if region.name not in changing:
             resting.setdefault(state, []).append(region.name)
-    # Jumps that differ in their regions alone are one link, which the first of them names.
-    named: dict[tuple[Key, Key, str], str] = {}
-    for source, target, name, event in jumps(automaton, trace):
-        named.setdefault((source, target, event), name)
-    counts: Counter[tuple[Key, Key, str]] = Counter()
+    # Jumps that differ in their regions alone are one link.
+    taken: dict[tuple[Key, Key, str], Counter[str]] = {}
     for source, target, data in modes.edges(data=True):
-        counts[source, target, data["event"]] += data["visits"]
+        if data["visits"]:
+            made = taken.setdefault((source, target, data["event"]), Counter())
+            made[data["region"]] += data["visits"]
     links = [
-        Link(_name(source), _name(target), f"{name} {event}", "", "", counts[source, target, event])
-        for (source, target, event), name in named.items()
+        Link(_name(one), _name(other), f"{', '.join(_cut([*made]))} {event}", "", "", made.total())
+        for (one, other, event), made in taken.items()
     ]
     for regions in _alike(automaton.regions):
         region = regions[0]
