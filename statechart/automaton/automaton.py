@@ -8,19 +8,20 @@ state contributes equations in the shared unknowns, never a vector field of its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import sympy as sp
 
 from statechart.automaton.laws import Laws, Setup, TimeStepper
-from statechart.automaton.regions import Margin, Region
+from statechart.automaton.regions import Margin, Mode, Region
 from statechart.automaton.trace import Key
 from statechart.errors import Unsupported
 
 if TYPE_CHECKING:
     from statechart.documents.declaration import Declaration
+    from statechart.formulas.tape import Tape
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,4 +124,17 @@ class Automaton:
         """Return the name of a mode: ``tip:slide+``, or ``A:free B:pin``."""
         return " ".join(
             f"{region.name}:{state}" for region, state in zip(self.regions, key, strict=True)
+        )
+
+    def tape(self, expressions: Sequence[sp.Expr], mode: Mode | None = None) -> Tape:
+        """Return expressions in the variables as a program; in a mode, also in what it solves."""
+        # The kernels behind it are not needed to compose an automaton, and take long to load.
+        from statechart.formulas.writer import compile_tape
+
+        return compile_tape(
+            expressions,
+            variables=self.variables,
+            parameters=self.parameters,
+            time=self.time,
+            definitions=mode.definitions if mode else (),
         )

@@ -13,7 +13,6 @@ from statechart.automaton.regions import Mode
 from statechart.engines.event_location import Search
 from statechart.engines.path import Path
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 
 LONGEST_CHUNK = 64
 """Steps are made in chunks that grow by half, so that little is dropped behind an early event."""
@@ -132,7 +131,7 @@ class Engine(ABC):
             What `compile` returned.
         path : Path
             The steps of this flow so far.
-        watch : Watch
+        watch : FlowWatch
             The flow, and what it is watched for.
         state : (n,) array
             Where to start; not modified.
@@ -154,14 +153,3 @@ class Engine(ABC):
         StepFailure, NonFinite
             When not a single step can be made.
         """
-
-
-def rates_tape(automaton: Automaton, mode: Mode) -> Tape:
-    """Return the rates of `mode` as a tape."""
-    return compile_tape(
-        mode.rates,
-        variables=automaton.variables,
-        parameters=automaton.parameters,
-        time=automaton.time,
-        definitions=mode.definitions,
-    )

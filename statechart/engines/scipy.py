@@ -11,7 +11,7 @@ from scipy import integrate
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engines.engine import Begin, Engine, FlowWatch, Steps, rates_tape
+from statechart.engines.engine import Begin, Engine, FlowWatch, Steps
 from statechart.engines.path import Path
 from statechart.errors import NonFinite, StepFailure
 from statechart.formulas.tape import Tape
@@ -52,7 +52,7 @@ class SciPy(Engine):
 
     def compile(self, automaton: Automaton, mode: Mode) -> _Stepper:
         """Put the rates on tape."""
-        return _Stepper(rates_tape(automaton, mode))
+        return _Stepper(automaton.tape(mode.rates, mode))
 
     def steps(
         self,

@@ -27,7 +27,6 @@ from statechart.engines.path import Path
 from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 from statechart.kernels.polynomials import append_steps
 
 # Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB.
@@ -128,13 +127,7 @@ class Taylor(Engine):
             np.empty(0),
             np.empty(len(states)),
             tuple(sp.sstr(power.xreplace(names))[:_SHOWN] for power in convert.singular),
-            compile_tape(
-                [power.base for power in convert.singular],
-                variables=automaton.variables,
-                parameters=automaton.parameters,
-                time=automaton.time,
-                definitions=mode.definitions,
-            ),
+            automaton.tape([power.base for power in convert.singular], mode),
         )
 
     def steps(

@@ -13,7 +13,6 @@ from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Key, Roles
 from statechart.engines.engine import Engine
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +81,7 @@ class CompiledModes:
     def _compile(self, mode: Mode, stepper: object) -> CompiledMode:
         """Put guards on tape; without a `stepper`, let the engine compile the rates."""
         automaton = self.automaton
-        guards = compile_tape(
-            [margin.expression for margin in mode.margins],
-            variables=automaton.variables,
-            parameters=automaton.parameters,
-            time=automaton.time,
-            definitions=mode.definitions,
-        )
+        guards = automaton.tape([margin.expression for margin in mode.margins], mode)
         watched = tuple((margin.name, margin.kind) for margin in mode.margins)
         names = tuple(margin.name for margin in mode.margins)
         stepper = stepper or self.engine.compile(automaton, mode)

@@ -170,13 +170,7 @@ class Subject:
         """
         key = (tuple(expressions), mode)
         if key not in self._tapes:
-            self._tapes[key] = compile_tape(
-                expressions,
-                variables=self.automaton.variables,
-                parameters=self.automaton.parameters,
-                time=self.automaton.time,
-                definitions=mode.definitions if mode else (),
-            )
+            self._tapes[key] = self.automaton.tape(expressions, mode)
         return self._tapes[key].table(states, trace.values, times)
 
 
