@@ -223,7 +223,9 @@ class Execution:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.17g}"] = None
         if stops:
-            self._stop(margin.name)
+            now = self._instant(margin.name)
+            self.jumps.append(now.jump("", "stop", now.flow.mode))
+            self._end(Outcome.STOPPED, f"{margin.name} at t = {self.clock.high:.17g}")
         return (margin.name,)
 
     def _unbounded(self) -> bool:
@@ -234,10 +236,11 @@ class Execution:
         sizes = np.abs(self.arcs[-1].coefficients[:, :, 0]).max(axis=0)
         if not (np.abs(flow.terms[:, -1]) > _STEEP * sizes).any():
             return False
-        return laws.jump(self._instant(flow, (UNBOUNDED,))) is not None
+        return laws.jump(self._instant(UNBOUNDED)) is not None
 
-    def _instant(self, flow: Flow, fired: tuple[str, ...]) -> Instant:
-        return Instant(self.setup, self.clock, len(self.jumps), flow, self.state, fired)
+    def _instant(self, *fired: str) -> Instant:
+        assert self.flow is not None
+        return Instant(self.setup, self.clock, len(self.jumps), self.flow, self.state, fired)
 
     def _ending(self) -> bool:
         """Whether something may just be happening as the run ends: it belongs to the run.
@@ -270,18 +273,13 @@ class Execution:
         if self.flow.warning:
             self.warnings[f"t = {self.clock.high:.17g}: {self.flow.warning}"] = None
 
-    def _stop(self, name: str) -> None:
-        assert self.flow is not None
-        self.jumps.append(self._instant(self.flow, (name,)).jump("", "stop", self.flow.mode))
-        self._end(Outcome.STOPPED, f"{name} at t = {self.clock.high:.17g}")
-
     def _settle(self, fired: tuple[str, ...]) -> bool:
         """Jump until the mode holds; True when the run ends here."""
         laws = self.automaton.laws_of_events
         moved = False
         for _ in range(JUMPS_AT_ONCE):
             assert self.flow is not None
-            made = laws.jump(self._instant(self.flow, fired))
+            made = laws.jump(self._instant(*fired))
             if made is None:
                 break
             jump, following = made
