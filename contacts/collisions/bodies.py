@@ -25,7 +25,7 @@ from contacts.scene.scene import Scene
 from contacts.states import FREE
 from contacts.time_stepping import loop as impulse
 from contacts.time_stepping.chunk import FULL, Chunk, softened_remark, stepped
-from contacts.time_stepping.loop import Stepping
+from contacts.time_stepping.loop import Span, Stepping
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Region, State
@@ -148,6 +148,7 @@ class BodyStepper:
             (),
             "impact",
             None,
+            np.zeros(len(scene.bodies), dtype=np.bool_),
             np.array([name.endswith(".angle") for name in names]),
             compile_tape(
                 [margin.expression for margin in stops.values()],
@@ -203,7 +204,6 @@ class BodyStepper:
     ) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
         setup, bodies = self._begin(overrides)
-        count = len(self._scene.bodies)
         size, fall = setup.scales.length, math.hypot(*bodies.numbers.gravity) * step**2
         failure = None
         if fall > impulse.DEEPEST * size:
@@ -217,12 +217,8 @@ class BodyStepper:
             self._stepping,
             bodies,
             setup,
-            np.full(count, FREE),
-            np.zeros(count, dtype=np.bool_),
-            step=step,
-            until=until,
-            max_jumps=max_jumps,
-            show=show,
+            np.full(len(self._scene.bodies), FREE),
+            Span(step, until, max_jumps, show),
             warnings=self._lacks(setup),
             failure=failure,
         )

@@ -23,7 +23,8 @@ from contacts.collisions.islands import (
     swept_steady,
     velocity,
 )
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS, solve_impacts, steady_impulses
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from contacts.solvers.step_impulses import solve_impacts, steady_impulses
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import (
     APART,

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.solvers.contact_lcp_kernels import STEEPEST, UNKNOWNS, capped
+from contacts.solvers.contact_lcp_kernels import STEEPEST, UNKNOWNS
+from contacts.solvers.step_impulses import capped
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 

@@ -12,7 +12,7 @@ from contacts.collisions.body_step import BodyNumbers
 from contacts.dynamics.contact_law import edge
 from contacts.scene.fields import copies
 from contacts.scene.scene import Scene
-from contacts.solvers.contact_lcp_kernels import smoothed
+from contacts.solvers.step_impulses import smoothed
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse

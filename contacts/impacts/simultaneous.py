@@ -21,7 +21,7 @@ from contacts.impacts.impact import Impact, impact
 from contacts.impacts.impulses import Impulses, collisions, coupled
 from contacts.impacts.work import work_of
 from contacts.scene.parts import MOREAU, Simultaneous
-from contacts.solvers.contact_lcp_kernels import shares
+from contacts.solvers.step_impulses import shares
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
 

@@ -107,6 +107,8 @@ class Stepping:
         Cause of an impact on a region that is not free.
     forces : int or None
         See `Recorder`.
+    sticks : (r,) array of bool
+        See `Recorder`.
     angles : (n,) array of bool
         Which coordinates are angles.
     stops : Tape
@@ -122,10 +124,20 @@ class Stepping:
     controls: Key
     again: str
     forces: int | None
+    sticks: NDArray[np.bool_]
     angles: NDArray[np.bool_]
     stops: Tape
     stop_names: tuple[str, ...]
     energy: Tape
+
+
+class Span(NamedTuple):
+    """How far a run goes, by which steps, and who is told."""
+
+    step: float
+    until: float
+    max_jumps: int
+    show: Callable[[float, int, int], None]
 
 
 def run(
@@ -133,12 +145,8 @@ def run(
     stepped: Stepped,
     setup: SceneSetup,
     start: NDArray[np.int64],
-    sticks: NDArray[np.bool_],
+    span: Span,
     *,
-    step: float,
-    until: float,
-    max_jumps: int,
-    show: Callable[[float, int, int], None],
     warnings: Sequence[str] = (),
     control: Control | None = None,
     failure: SimulationError | None = None,
@@ -149,8 +157,8 @@ def run(
     ----------
     start : (r,) array of int
         Modes at the start, as `contacts.states` numbers them.
-    sticks : (r,) array of bool
-        See `Recorder`.
+    span : Span
+        How far to go.
     control : Control, optional
         What acts at the ends of steps.
     failure : SimulationError, optional
@@ -160,12 +168,11 @@ def run(
         stepping.regions[: len(start)],
         start,
         stepping.controls,
-        sticks,
+        stepping.sticks,
         stepping.again,
         stepping.forces,
         lambda state, time: float(stepping.energy.values(state, setup.values, time)[0]),
     )
-    span = _Span(step, until, max_jumps, show)
     made = _Run(stepping, stepped, setup, recorder, control, span)
     try:
         if failure is not None:
@@ -179,15 +186,6 @@ def run(
     return made.trace(warnings)
 
 
-class _Span(NamedTuple):
-    """How far a run goes, by which steps, and who is told."""
-
-    step: float
-    until: float
-    max_jumps: int
-    show: Callable[[float, int, int], None]
-
-
 class _Run:
     def __init__(
         self,
@@ -196,7 +194,7 @@ class _Run:
         setup: SceneSetup,
         recorder: Recorder,
         control: Control | None,
-        span: _Span,
+        span: Span,
     ) -> None:
         self.stepping, self.stepped, self.setup = stepping, stepped, setup
         self.recorder, self.control, self.span = recorder, control, span

@@ -12,15 +12,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.solvers.contact_lcp_kernels import (
-    UNKNOWNS,
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from contacts.solvers.redundancy import shared_forces
+from contacts.solvers.step_impulses import (
     coupled_contacts,
     into_cone,
     relieve,
     solve_impacts,
     steady_impulses,
 )
-from contacts.solvers.redundancy import shared_forces
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE
 from contacts.time_stepping.chunk import (
     APART,

@@ -18,7 +18,7 @@ from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping import loop as impulse
 from contacts.time_stepping.control import StepControl, SteppedTapes
-from contacts.time_stepping.loop import Stepping
+from contacts.time_stepping.loop import Span, Stepping
 from contacts.time_stepping.scene_steps import SteppedScene
 from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Key, Trace
@@ -79,6 +79,9 @@ class SceneStepper:
             self._tapes.initial,
             "jam",
             len(mechanics.a) + len(mechanics.joint_rows),
+            np.array(
+                [{"pin", "slide"} <= contact.kinds for contact in scene.contacts.values()], bool
+            ),
             np.array([name.endswith(".angle") for name in names]),
             compile_tape(
                 [margin.expression for margin in stops.values()],
@@ -99,10 +102,6 @@ class SceneStepper:
                 parameters=symbols,
                 time=mechanics.time,
             ),
-        )
-        self._sticks = np.array(
-            [{"pin", "slide"} <= contact.kinds for contact in scene.contacts.values()],
-            dtype=np.bool_,
         )
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
@@ -126,7 +125,7 @@ class SceneStepper:
             begun = self._begin(overrides)
         except SimulationError as error:
             failure, setup = error, self._numbers.at(overrides, _RELATIVE)
-            free = np.full(len(self._sticks), FREE)
+            free = np.full(len(self._scene.contacts), FREE)
             begun = _Begun(setup, free, np.zeros(len(free), dtype=np.bool_), ())
         setup = begun.setup
         scene = SteppedScene(self._tapes.at(self._tapes.initial), setup, begun.off)
@@ -140,11 +139,7 @@ class SceneStepper:
             scene,
             setup,
             begun.codes,
-            self._sticks,
-            step=step,
-            until=until,
-            max_jumps=max_jumps,
-            show=show,
+            Span(step, until, max_jumps, show),
             warnings=begun.warnings,
             control=control,
             failure=failure,

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS, smoothed
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import BAD_INERTIA, Chunk, softened_remark, stepped
 from contacts.time_stepping.equations import CONTACT

@@ -193,9 +193,12 @@ class Process:
 
     def __init__(self, folder: Path, *arguments: str, options: tuple[str, ...] = ()) -> None:
         command = [sys.executable, *options, "-m", "statechart.cli.main", *arguments]
+        # What runs the tests may itself be told to outlive its terminal (nohup).
+        before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
         self._process = subprocess.Popen(
             command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
+        signal.signal(signal.SIGHUP, before)
 
     def signalled(self, number: int, line: str) -> tuple[int, str, str]:
         """Send a signal after a line of stderr that has `line`; return code, stdout, stderr."""

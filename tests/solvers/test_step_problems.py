@@ -13,10 +13,10 @@ from contacts.solvers.contact_lcp_kernels import (
     impulses_of,
     problem,
     solve_contacts,
-    solve_impacts,
     step_residual,
 )
 from contacts.solvers.lcp import enumerate_lcp
+from contacts.solvers.step_impulses import solve_impacts
 from contacts.time_stepping.chunk import widened
 from statechart.errors import UnsolvedImpulses
 
