@@ -15,6 +15,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding as llvm
+import numba
+
 import models
 from statechart.cli.main import main
 
@@ -24,6 +27,9 @@ ENGINES = {"taylor": (), "scipy": (), "impulse": ("--step", "1e-3")}
 _WHOLE, _MANY = 6, 60
 _LINES = 200
 _UNTOLD = ("timings", "counts")
+# What rounding does not change, in the report of a run.
+_FIRM = ("code", "outcome", "causes", "sequence", "instants", "t_end", "warnings")
+PROCESSOR = FOLDER / "processor.txt"
 _NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?|-?inf|nan")
 
 
@@ -41,6 +47,21 @@ def record(model: str, folder: Path) -> dict[str, Any]:
         lines = drawn.read_text(encoding="utf-8").splitlines()
         found[suffix] = [len(lines), *(line[:_LINES] for line in lines[:_LINES])]
     return found
+
+
+def processor() -> str:
+    """Return what the compilers make code for: it decides how sums are rounded."""
+    return numba.config.CPU_NAME or llvm.get_host_cpu_name()
+
+
+def firm(record: dict[str, Any]) -> dict[str, Any]:
+    """Return what is the same on every processor: ties and zeros are decided by rounding."""
+    runs = {
+        name: {key: value for key, value in said.items() if key in _FIRM}
+        for name, said in record.items()
+        if name.startswith("run ")
+    }
+    return {**{k: v for k, v in record.items() if k in ("modes", "dot", "mmd", "scxml")}, **runs}
 
 
 def differences(recorded: Any, found: Any, tolerance: float, at: str = "") -> Iterator[str]:
@@ -121,6 +142,7 @@ if __name__ == "__main__":
     import tempfile
 
     FOLDER.mkdir(exist_ok=True)
+    PROCESSOR.write_text(processor() + "\n", encoding="utf-8")
     with tempfile.TemporaryDirectory() as scratch:
         for name in models.names():
             text = written(record(name, Path(scratch)))

@@ -10,15 +10,21 @@ import recording
 
 import models
 
-# The compiler chooses instructions by the machine: sums are rounded otherwise on another one.
 ROUNDING = 1e-13
+# The compiler chooses instructions by the machine: on another one sums are rounded otherwise, and
+# what is told of ties is another word. What happens is the same, at instants that impacts blur.
+ELSEWHERE = 1e-7
 
 
 @pytest.mark.parametrize("model", models.names())
 def test_a_shipped_model_gives_what_was_recorded(model: str, tmp_path: Path) -> None:
     recorded = json.loads((recording.FOLDER / f"{model}.json").read_text(encoding="utf-8"))
     found = json.loads(recording.written(recording.record(model, tmp_path)))
-    assert not [*recording.differences(recorded, found, ROUNDING, model)]
+    tolerance = ROUNDING
+    if recording.processor() != recording.PROCESSOR.read_text(encoding="utf-8").strip():
+        recorded, found = recording.firm(recorded), recording.firm(found)
+        tolerance = ELSEWHERE
+    assert not [*recording.differences(recorded, found, tolerance, model)]
 
 
 def test_a_difference_is_seen_in_numbers_words_and_length() -> None:
