@@ -25,7 +25,7 @@ from contacts.solvers.mode_solver import solve_modes
 from contacts.solvers.redundancy import connected, mode_columns, smallest
 from contacts.solvers.saddle_point import SOLVED, independent
 from contacts.solvers.step_impulses import into_cone
-from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
 from statechart.arrays import Array
 
 # Enumeration can prove that there is one solution or several; beyond this it costs too much.
@@ -341,7 +341,7 @@ class _Problem:
 def _choices(law: ContactLaw) -> tuple[int, ...]:
     if law.cone_t == 0.0:
         return (FREE, SLIDE)
-    if not any(state.startswith("slide") for state in law.states):
+    if not any(state in SLIDING for state in law.states):
         return (FREE, PIN)  # declared not to slip, at whatever force
     steep = (_PRESS,) if law.cone_t > _STEEP * law.cone_n else ()
     return (FREE, SLIDE_PLUS, SLIDE_MINUS, PIN, *steep)
