@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import types
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
@@ -194,12 +193,7 @@ def validate(document: Document, model: type[Model]) -> Model:
         raise declaration_error(error, document, model) from None
 
 
-@contextmanager
-def located(
-    document: Document | None,
-    overrides: Mapping[str, float],
-    loc: tuple[str | int, ...] | None = None,
-) -> Iterator[None]:
+class located:  # noqa: N801 - used as a statement, and in every run: cheaper than a generator
     """Raise problems of a model as errors with their place in its document.
 
     Parameters
@@ -216,18 +210,31 @@ def located(
     DeclarationError
         In the place of a `DeclarationProblem` or a `FormulaError`.
     """
-    try:
-        yield
-    except DeclarationProblem as problem:
-        raise _located(document, problem, overrides) from None
-    except FormulaError as error:
-        found = DeclarationProblem(
-            error.message,
-            advice=error.advice,
-            loc=("parameters", error.name) if loc is None else loc,
-            offset=error.offset,
-        )
-        raise _located(document, found, {}) from None
+
+    __slots__ = ("_document", "_loc", "_overrides")
+
+    def __init__(
+        self,
+        document: Document | None,
+        overrides: Mapping[str, float],
+        loc: tuple[str | int, ...] | None = None,
+    ) -> None:
+        self._document, self._overrides, self._loc = document, overrides, loc
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
+        if isinstance(error, DeclarationProblem):
+            raise _located(self._document, error, self._overrides) from None
+        if isinstance(error, FormulaError):
+            found = DeclarationProblem(
+                error.message,
+                advice=error.advice,
+                loc=("parameters", error.name) if self._loc is None else self._loc,
+                offset=error.offset,
+            )
+            raise _located(self._document, found, {}) from None
 
 
 def _located(

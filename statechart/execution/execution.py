@@ -57,6 +57,8 @@ class Execution:
         Takes the steps of the flow under way.
     setup : Setup
         The numbers of the run.
+    zeros : frozenset of int
+        Places of the parameters that are exactly zero: their modes are compiled without them.
     until : float
         Its end.
     max_jumps : int
@@ -68,6 +70,7 @@ class Execution:
     modes: CompiledModes
     path: Path
     setup: Setup
+    zeros: frozenset[int]
     until: float
     max_jumps: int
     progress: bool
@@ -170,7 +173,7 @@ class Execution:
         compiled = self.entered.get(roles)
         if compiled is None:
             with interrupts.let_through():
-                compiled = self.modes.compiled(roles, self.setup.zeros)
+                compiled = self.modes.compiled(roles, self.zeros)
             self.entered[roles] = compiled
         return compiled
 

@@ -69,9 +69,10 @@ class Simulator:
             With the trace so far, where the run cannot go on and `throw` is set.
         """
         setup = self.automaton.setup(parameters or {}, self.engine.tolerance)
-        setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
+        zeros = setup.zeros
+        setup = replace(setup, modes=partial(self.modes.mode, zeros=zeros))
         self.engine.sizes = setup.sizes
-        made = Execution(self.modes, self.path, setup, until, max_jumps, self.progress)
+        made = Execution(self.modes, self.path, setup, zeros, until, max_jumps, self.progress)
         trace = made.run()
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
