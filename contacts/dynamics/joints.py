@@ -10,14 +10,12 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
+from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales
 from contacts.solvers.redundancy import connected
-from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array
 
-# A row that the others imply but for this part of it is implied: a start may be this far off.
-_DEPENDENT = 1e-8
-# Singular values below this part of the largest are rounding.
-_RANK = 1e-12
+# Of a unit combination: whose share is less takes no part.
+_SHARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,22 +109,6 @@ def blocks(pattern: NDArray[np.bool_]) -> tuple[Block, ...]:
     return tuple(found)
 
 
-def redundant(jacobian: Array) -> NDArray[np.bool_]:
-    """Return which rows (m, n) those before them imply; rows without entries among them."""
-    scaled = jacobian * column_scales(jacobian)
-    found = np.zeros(len(scaled), dtype=np.bool_)
-    kept = np.zeros((0, scaled.shape[1]))
-    for i, row in enumerate(scaled):
-        left = row
-        for _ in range(2):  # once more, against rounding
-            left = left - kept.T @ (kept @ left)
-        length = float(np.linalg.norm(left))
-        found[i] = length <= _DEPENDENT * float(np.linalg.norm(row))
-        if not found[i]:
-            kept = np.vstack([kept, left / length])
-    return found
-
-
 def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[Block]) -> Motions:
     """Return what the joints allow at a state with rates `velocity` (n,)."""
     size = len(velocity)
@@ -145,7 +127,7 @@ def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[Block]) -> M
         outer, sizes, right = np.linalg.svd(jacobian * scale)
         seen, free = right[: len(rows)], right[len(rows) :]
         # At a singular configuration the motion is not determined; the least one is finite.
-        inverse = np.where(sizes > _RANK * sizes[0], 1.0 / np.maximum(sizes, 1e-300), 0.0)
+        inverse = np.where(sizes > CANCELLING * sizes[0], 1.0 / np.maximum(sizes, 1e-300), 0.0)
         right_sides = np.array([driven[rows], numbers.biases[rows]])
         particular[:, columns] = -((right_sides @ outer) * inverse @ seen) * scale
         basis.append(np.zeros((size, len(free))))
@@ -153,32 +135,6 @@ def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[Block]) -> M
         left.append(np.zeros((len(free), size)))
         left[-1][:, columns] = free / scale
     return Motions(np.hstack(basis), np.vstack(left), particular[0], particular[1])
-
-
-def well_posed(rows: Array, right: Array) -> tuple[Array, Array]:
-    """Return independent rows, and right-hand sides (m, ...), with the same solutions.
-
-    Where the sides contradict each other, the least-squares ones.
-    """
-    scale = column_scales(rows)
-    outer, sizes, inner = np.linalg.svd(rows * scale, full_matrices=False)
-    rank = int((sizes > _DEPENDENT * sizes[0]).sum())
-    if rank == len(rows):
-        return rows, right
-    return inner[:rank] / scale, (outer[:, :rank].T @ right) / sizes[:rank, None]
-
-
-def column_scales(rows: Array) -> Array:
-    """Return powers of two (exact) that bring the columns to size 1; 1 where none does."""
-    largest = np.abs(rows).max(axis=0, initial=0.0)
-    largest[(largest < SMALLEST) | ~np.isfinite(largest)] = 1.0
-    return np.ldexp(1.0, -np.frexp(largest)[1])
-
-
-# Constraints that are so near to dependent, in the scene's sizes, leave forces to rounding.
-_DEAD_POINT = 1e-5
-# Of a unit combination: whose share is less takes no part.
-_SHARE = 1e-3
 
 
 def dependent(rows: Sequence[tuple[str, Array]]) -> str:
@@ -194,7 +150,7 @@ def dependent(rows: Sequence[tuple[str, Array]]) -> str:
     scaled = np.array([row for _, row in rows])
     scaled /= np.linalg.norm(scaled, axis=1, keepdims=True)
     left, values, _ = np.linalg.svd(scaled)
-    if len(values) == len(rows) and values[-1] > _DEAD_POINT:
+    if len(values) == len(rows) and values[-1] > DEAD_POINT:
         return ""
     names = dict.fromkeys(
         name for (name, _), share in zip(rows, left[:, -1], strict=True) if abs(share) > _SHARE

@@ -9,10 +9,11 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.joints import JointNumbers, dependent, well_posed
+from contacts.dynamics.joints import JointNumbers, dependent
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, solve_kkt
+from contacts.solvers.dependence import well_posed
 from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints

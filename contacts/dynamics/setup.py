@@ -11,13 +11,13 @@ import sympy as sp
 
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.joints import redundant
 from contacts.dynamics.mechanics import COEFFICIENTS, Mechanics
 from contacts.dynamics.scales import Scales, ScaleTape
 from contacts.scene.checks import check_finite, check_physical
 from contacts.scene.parts import Contact, Point
 from contacts.scene.regions import states as states_of
 from contacts.scene.scene import Scene
+from contacts.solvers.dependence import implied
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Margin
@@ -128,7 +128,7 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
         if body.inertia is not None:
             result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
     for name, joint in scene.joints.items():
-        # Found from the start of a run, see `contacts.dynamics.joints.redundant`.
+        # Found from the start of a run, see `contacts.solvers.dependence.implied`.
         result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
     return result
 
@@ -289,7 +289,7 @@ class SceneNumbers:
         if not self._redundant:
             return values, ()
         rows = self._joint_tape.at(initial, values, 0.0).reshape(len(self._redundant), -1)
-        found = redundant(rows)
+        found = implied(rows)
         if not found.any():
             return values, ()
         values = values.copy()

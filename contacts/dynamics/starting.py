@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.joints import column_scales
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.scene.parts import Point
+from contacts.solvers.dependence import least
 from contacts.states import OFF
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
@@ -118,7 +118,7 @@ def check_joints(
             advice=_nearest(mechanics, snapshots, setup),
             loc=("joints", worst),
         )
-    change, left = _least(joints.jacobian, -joints.rates)
+    change, left = least(joints.jacobian, -joints.rates)
     slow = max(allowed * scales.speed, tolerances["speed"])
     if np.abs(left).max() > slow:
         raise _contradiction(names, left, "velocity")
@@ -134,7 +134,7 @@ def check_joints(
             advice="velocities that it allows: " + _listed(rate_names, rates, change),
             loc=("joints", worst),
         )
-    _, left = _least(joints.jacobian, -joints.biases)
+    _, left = least(joints.jacobian, -joints.biases)
     largest = max(scales.acceleration, float(np.abs(joints.biases).max()))
     if np.abs(left).max() > _ACCELERATION * largest:
         raise _contradiction(names, left, "acceleration")
@@ -152,13 +152,6 @@ def _ends(mechanics: Mechanics, name: str) -> str:
     if isinstance(joint.to, Point):
         return f"its points of {joint.point.body!r} and {joint.to.body!r} are"
     return f"its point of {joint.point.body!r} and its place in the world are"
-
-
-def _least(jacobian: Array, right: Array) -> tuple[Array, Array]:
-    """Return the least x with the least ``right - jacobian x``, and that."""
-    scale = column_scales(jacobian)
-    x = np.linalg.lstsq(jacobian * scale, right, rcond=1e-8)[0] * scale
-    return x, right - jacobian @ x
 
 
 def _contradiction(names: Sequence[str], left: Array, what: str) -> DeclarationProblem:
@@ -181,20 +174,20 @@ def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -
     """Return where the joints would close, found by Gauss and Newton from the start, or not."""
     size = len(setup.initial) // 2
     state = setup.initial.copy()
-    least = np.inf
+    closest = np.inf
     for _ in range(_ITERATIONS):
         held = snapshots.at(setup.values, state, 0.0).held
         assert held is not None
         gaps = held.joints.gaps
         if not np.isfinite(gaps).all():
             break
-        least = min(least, float(np.abs(gaps).max()))
-        if least <= setup.tolerances["gap"]:
+        closest = min(closest, float(np.abs(gaps).max()))
+        if closest <= setup.tolerances["gap"]:
             shift = state[:size] - setup.initial[:size]
             return "a position that closes all: " + _listed(mechanics.names, state[:size], shift)
-        state[:size] += _least(held.joints.jacobian, -gaps)[0]
+        state[:size] += least(held.joints.jacobian, -gaps)[0]
     return (
-        f"no position near the start closes all joints (least distance found: {least:.6g}); "
+        f"no position near the start closes all joints (least distance found: {closest:.6g}); "
         "compare lengths and places"
     )
 

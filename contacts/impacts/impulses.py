@@ -20,10 +20,11 @@ from contacts.dynamics.snapshot import Snapshot
 from contacts.impacts.work import work_of
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.contact_lcp_kernels import STEEPEST
+from contacts.solvers.dependence import independent
 from contacts.solvers.lcp import LcpStatus, solve_lcp
 from contacts.solvers.mode_solver import solve_modes
 from contacts.solvers.redundancy import connected, mode_columns, smallest
-from contacts.solvers.saddle_point import SOLVED, independent
+from contacts.solvers.saddle_point import SOLVED
 from contacts.solvers.step_impulses import into_cone
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
 from statechart.arrays import Array

@@ -22,6 +22,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
+from contacts.solvers.dependence import GIVEN, null_space
 from contacts.states import declared_state
 from statechart.arrays import Array
 
@@ -39,8 +40,8 @@ _CONDITIONS: Mapping[str, tuple[tuple[int, int], ...]] = {
     "slide+": ((0, 0), (1, 1)),
     "slide-": ((0, 0), (1, -1)),
 }
-# What the conditions leave to a row of length 1 counts from here on. Equations that depend on
-# each other but for d leave what they do with an error of 1e-16 / d: less cannot be told.
+# What the conditions leave to a row of length 1 counts from here on: equations that are next to
+# dependent (`GIVEN`) leave it with an error as large.
 _ZERO = 1e-8
 # Entries so far below the largest of their contact are rounding, such as cos(pi/2) = 6e-17.
 # Units put entries this far apart only where lengths are below 1e-14 or angles are not radians.
@@ -236,28 +237,21 @@ def _certificate(rows: Array, conditions: list[Condition]) -> list[Condition] | 
     strict = [condition for condition in conditions if condition[2] != 0]
     if not strict:
         return None
-    basis = _null_space(np.array([rows[c, row] for c, row, _ in equations]), rows.shape[2])
+    held = np.array([rows[c, row] for c, row, _ in equations])
+    basis = null_space(held.reshape(len(equations), rows.shape[2]))
     left = np.array([sign * rows[c, row] for c, row, sign in strict]) @ basis
     sizes = np.linalg.norm(left, axis=1)
     at = int(sizes.argmin())
     if sizes[at] <= _ZERO:
         return [*equations, strict[at]]
     left /= sizes[:, None]
-    guess = np.linalg.lstsq(left, np.ones(len(left)), rcond=_ZERO)[0]
+    guess = np.linalg.lstsq(left, np.ones(len(left)), rcond=GIVEN)[0]
     if (left @ guess).min() > _ZERO * np.linalg.norm(guess):
         return None
     weights = _weights(left)
     if weights is None:
         return None
     return [*equations, *(c for c, weight in zip(strict, weights, strict=True) if weight > 0.0)]
-
-
-def _null_space(rows: Array, n: int) -> Array:
-    """Return an orthonormal basis (n, k) of the velocities that the rows (m, n) leave."""
-    if not rows.size:
-        return np.eye(n)
-    _, values, right = np.linalg.svd(rows)
-    return right[np.count_nonzero(values > _ZERO) :].T
 
 
 def _weights(left: Array) -> Array | None:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.snapshot import Snapshot
 from contacts.scene.modes import OWN, Bearing
-from contacts.solvers.redundancy import mode_columns, unseen
-from contacts.solvers.saddle_point import independent
+from contacts.solvers.dependence import independent
+from contacts.solvers.redundancy import mode_columns, sharing
 from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
 from contacts.states import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array
@@ -28,9 +28,6 @@ from statechart.automaton.trace import Role, Roles
 _ZONES = {INSIDE: "inside", UPPER: "upper", LOWER: "lower", APEX: "apex"}
 _LETTERS = {FREE: "", PIN: "nt"}
 _SLIDING = {PIN: 0.0, SLIDE_PLUS: 1.0, SLIDE_MINUS: -1.0}
-
-# Parts of a unit of forces that no motion shows, below which a contact has none.
-_DEPENDENT = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +95,7 @@ def share(
     jacobians = snapshot.jacobians
     flat, owners = mode_columns(code, cones, jacobians, -1)
     count, order, _ = independent(flat)
-    hidden = unseen(flat.T, count)
-    shared = np.unique(owners[np.abs(hidden).max(axis=1) > _DEPENDENT])
+    shared = np.flatnonzero(sharing(code, cones, jacobians, count, len(flat)))
     load = np.einsum("gdn,gd->n", jacobians[shared], forces[shared])
     reach, chosen, _ = independent(np.ascontiguousarray(flat[np.isin(owners, shared)].T))
     coordinates = np.sort(chosen[:reach])
@@ -118,7 +114,7 @@ def share(
     given[shared] = borne
     for k, place in zip(shared.tolist(), places.tolist(), strict=True):
         zones[k] = _ZONES[place]
-    for k in np.nonzero((code != FREE) & ~np.isin(np.arange(len(code)), shared))[0]:
+    for k in np.flatnonzero((code != FREE) & ~np.isin(np.arange(len(code)), shared)).tolist():
         violation = max(violation, _outside(code[k], cones[k], forces[k]))
     kept = set(order[:count].tolist())
     letters = [letter for mode in code.tolist() for letter in _LETTERS.get(mode, "e")]

@@ -3,5 +3,6 @@
 `saddle_point` solves the equations of a mode, `mode_solver` every combination of modes;
 `contact_lcp` states friction contacts as a complementarity problem, which `lcp` solves by `lemke`
 and verifies, `contact_lcp_kernels` within a step; `step_impulses` are what a step makes of it.
-`smallest_forces` and `redundancy` choose among forces that move the bodies alike.
+`dependence` says which rows depend on each other; `smallest_forces` and `redundancy` choose among
+forces that move the bodies alike.
 """

@@ -7,13 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.solvers.dependence import independent
 from contacts.solvers.saddle_point import (
     CONTRADICTORY,
     REDUNDANT,
     SINGULAR,
     SOLVED,
     UNDETERMINED,
-    independent,
     solve_refined,
 )
 from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS

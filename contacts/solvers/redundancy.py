@@ -9,14 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.solvers.saddle_point import independent
+from contacts.solvers.dependence import independent
 from contacts.solvers.smallest_forces import springs
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
-
-# Columns this close to dependent are.
-_DEPENDENT = 1e-13
 
 
 @kernel
@@ -53,13 +50,23 @@ def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> 
     return rows[:m], owners[:m]
 
 
-def unseen(columns: Array, count: int) -> Array:
-    """Return a basis (m, m - count) of what columns of rank `count` do not see."""
-    largest = np.abs(columns).max(axis=1, keepdims=True)
-    rows = columns[largest[:, 0] > 0.0] / largest[largest[:, 0] > 0.0]
-    hidden = np.linalg.svd(rows)[2][count:].T if len(rows) else np.eye(columns.shape[1])
-    # Rounding would mix impulses that share nothing and differ by decades.
-    return np.where(np.abs(hidden) > _DEPENDENT, hidden, 0.0)
+@kernel
+def sharing(codes: Ints, cones: Array, jacobians: Array, rank: int, count: int) -> Bools:
+    """Return which contacts can stand in for others: without them there is still what they do.
+
+    Parameters
+    ----------
+    codes, cones, jacobians
+        See `mode_columns`.
+    rank, count : int
+        Of the columns of all contacts.
+    """
+    found = np.zeros(len(codes), np.bool_)
+    for i in range(len(codes)):
+        if codes[i] != FREE:
+            without, _ = mode_columns(codes, cones, jacobians, i)
+            found[i] = independent(without)[0] > rank - (count - len(without))
+    return found
 
 
 @kernel
@@ -74,17 +81,11 @@ def shared_forces(
         Modes.
     cones : (c, 2), jacobians : (c, 2, n), forces : (c, 2)
     """
-    count = len(codes)
-    shared = np.zeros(count, np.bool_)
     rows, _ = mode_columns(codes, cones, jacobians, -1)
     rank, _, coordinates = independent(rows)
     if rank == len(rows):
-        return shared, forces
-    for i in range(count):
-        if codes[i] != FREE:
-            without, _ = mode_columns(codes, cones, jacobians, i)
-            own = len(rows) - len(without)
-            shared[i] = independent(without)[0] > rank - own
+        return np.zeros(len(codes), np.bool_), forces
+    shared = sharing(codes, cones, jacobians, rank, len(rows))
     which = np.nonzero(codes != FREE)[0]
     sliding = np.zeros(len(which))
     edges = np.empty((len(which), 2))

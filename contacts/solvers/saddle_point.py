@@ -18,8 +18,6 @@ _RESIDUAL = 1e-8
 SMALLEST = 2.0**-1022
 # Of a number: what it is known to.
 _ROUNDING = 2.0**-52
-# Rows this close to dependent are: elimination would give forces that are huge and cancel.
-_DEPENDENT = 1e-10
 
 
 @kernel
@@ -31,7 +29,8 @@ def power_of_two(size: float) -> float:
 
 
 @part
-def _largest(values: Array) -> float:
+def largest_size(values: Array) -> float:
+    """Return the largest absolute value."""
     largest = 0.0
     for value in values:
         largest = max(largest, abs(value))
@@ -45,12 +44,12 @@ def _equilibrate(scaled: Array, b: Array) -> Array:
     column_scale = np.empty(size)
     # Columns first: masses may span many decades.
     for k in range(size):
-        scale = power_of_two(_largest(scaled[:, k]))
+        scale = power_of_two(largest_size(scaled[:, k]))
         for i in range(size):
             scaled[i, k] *= scale
         column_scale[k] = scale
     for i in range(size):
-        scale = power_of_two(_largest(scaled[i]))
+        scale = power_of_two(largest_size(scaled[i]))
         for k in range(size):
             scaled[i, k] *= scale
         b[i] *= scale
@@ -176,45 +175,3 @@ def saddle(
             matrix[n + i, k] = rows[i, k]
     x = np.empty(n + m)
     return solve_refined(matrix, b, x), x
-
-
-@kernel
-def independent(rows: Array) -> tuple[int, NDArray[np.int64], NDArray[np.int64]]:
-    """Return the rank, and the orders of rows and columns: the first `rank` are independent.
-
-    Elimination with complete pivoting, rows and then columns scaled by powers of two; the first
-    of equal pivots is taken, so that rows that come earlier are kept.
-    """
-    count, size = rows.shape
-    left = rows.copy()
-    row_order, column_order = np.arange(count), np.arange(size)
-    for i in range(count):
-        scale = power_of_two(_largest(left[i]))
-        for k in range(size):
-            left[i, k] *= scale
-    for k in range(size):
-        scale = power_of_two(_largest(left[:, k]))
-        for i in range(count):
-            left[i, k] *= scale
-    for r in range(min(count, size)):
-        best, at, beside = 0.0, r, r
-        for i in range(r, count):
-            for k in range(r, size):
-                # Pivots within a factor of two are as good as each other.
-                if abs(left[i, k]) > 2.0 * best:
-                    best, at, beside = abs(left[i, k]), i, k
-        if not best > _DEPENDENT:
-            return r, row_order, column_order
-        if at != r:
-            row_order[r], row_order[at] = row_order[at], row_order[r]
-            for k in range(size):
-                left[r, k], left[at, k] = left[at, k], left[r, k]
-        if beside != r:
-            column_order[r], column_order[beside] = column_order[beside], column_order[r]
-            for i in range(count):
-                left[i, r], left[i, beside] = left[i, beside], left[i, r]
-        for i in range(r + 1, count):
-            factor = left[i, r] / left[r, r]
-            for k in range(r, size):
-                left[i, k] -= factor * left[r, k]
-    return min(count, size), row_order, column_order

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.solvers.saddle_point import SOLVED, independent, saddle
+from contacts.solvers.dependence import independent
+from contacts.solvers.saddle_point import SOLVED, saddle
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel, part
 
