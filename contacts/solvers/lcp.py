@@ -33,6 +33,8 @@ _RESIDUAL = 1e-9
 _NOISES = 100.0
 _ENUMERATED = 16
 _ENUMERATED_LAST = 12
+# Multiples of an irrational number, without their whole part, are spread evenly and never tie.
+_RATIOS = (0.6180339887498949, 2.0**0.5, 3.0**0.5, 7.0**0.5)
 
 
 class LcpStatus(enum.Enum):
@@ -125,7 +127,7 @@ def enumerate_lcp(matrix: Array, vector: Array) -> tuple[LcpSolution, ...]:
     if len(vector) > _ENUMERATED:
         raise ValueError(f"at most {_ENUMERATED} unknowns can be enumerated, not {len(vector)}")
     size = len(vector)
-    rows, columns = _row_column_scales(matrix)
+    rows, columns = _scales(matrix)
     bases = enumerate_bases(rows[:, None] * matrix * columns, rows * vector, _RESIDUAL)
     found: list[LcpSolution] = []
     for mask in bases:
@@ -181,27 +183,20 @@ def _attempts(matrix: Array, vector: Array) -> Iterator[tuple[int, Bools]]:
     """Yield (outcome, basic ones of z), the most promising way first."""
     size = len(vector)
     limit = 50 + 20 * size
-    # The same factor on row and column keeps copositivity, on which Lemke's guarantee rests.
-    both = _symmetric_scales(matrix)
-    rows, columns = _row_column_scales(matrix)
-    spread = 0.5 + np.modf(np.arange(1, size + 1) * 0.6180339887498949)[0]
-    for left, right in ((both, both), (rows, columns)):
-        scaled = left[:, None] * matrix * right
-        q = left * vector
-        q *= power_of_two(np.abs(q).max(initial=0.0))
-        for cover in (np.ones(size), spread, np.abs(q) + 2.0**-10):
-            outcome, _, basis = lemke(scaled, q, cover, limit)
-            yield outcome, basis
+    # The path is that of the problem as given, under a positive cover of its own: what holds for
+    # a copositive matrix holds whatever rows and columns are scaled by.
+    rows, columns = _scales(matrix)
+    scaled = rows[:, None] * matrix * columns
+    q = rows * vector
+    q *= power_of_two(np.abs(q).max(initial=0.0))
+    covers = [0.5 + np.modf(np.arange(1, size + 1) * ratio)[0] for ratio in _RATIOS]
+    for cover in (np.ones(size), covers[0], np.abs(q) + 2.0**-10, *covers[1:]):
+        outcome, _, basis = lemke(scaled, q, cover, limit)
+        yield outcome, basis
 
 
-def _symmetric_scales(matrix: Array) -> Array:
-    diagonal = np.diag(matrix)
-    sizes = np.where(diagonal > 0.0, diagonal, 1.0)
-    # Half the exponent, whole: the product is a power of two near 1 / the diagonal.
-    return np.ldexp(1.0, -np.round(0.5 * np.log2(sizes)).astype(np.int64))
-
-
-def _row_column_scales(matrix: Array) -> tuple[Array, Array]:
+def _scales(matrix: Array) -> tuple[Array, Array]:
+    """Return powers of two (exact) that bring rows and columns to size 1."""
     sizes = np.abs(matrix)
     rows, columns = np.ones(len(matrix)), np.ones(len(matrix))
     for _ in range(4):
