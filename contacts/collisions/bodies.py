@@ -7,7 +7,7 @@ equations are composed: what moves a body are gravity and the impulses of its co
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import sympy as sp
@@ -19,17 +19,15 @@ from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup, scene_parameters
 from contacts.scene.checks import check_finite, check_physical
 from contacts.scene.collision_checks import check_shapes
-from contacts.scene.other_laws import replaced
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE
-from contacts.time_stepping import loop as impulse
 from contacts.time_stepping.chunk import FULL, Chunk, softened_remark, stepped
-from contacts.time_stepping.loop import Span, Stepping
+from contacts.time_stepping.loop import DEEPEST, Begun
+from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Region, State
-from statechart.automaton.trace import Key, Trace
 from statechart.documents.declaration import TIME
 from statechart.errors import (
     DeclarationProblem,
@@ -38,9 +36,7 @@ from statechart.errors import (
 )
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.parameters import Parameters
-from statechart.formulas.writer import compile_tape
 
-_RELATIVE = 1e-9
 # Bodies may overlap at the start by this part of the scene.
 _START_DEPTH = 1e-6
 # A step that is chosen here takes bodies this part of the smallest one's size at the scene's speed,
@@ -73,7 +69,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
     }
 
     def stepper() -> BodyStepper:
-        return BodyStepper(scene, owners, mechanics, parameters, stops, observables["energy"])
+        return BodyStepper(mechanics, parameters, stops, observables["energy"], owners)
 
     return Automaton(
         name=scene.name,
@@ -109,73 +105,42 @@ def _energy(scene: Scene, mechanics: Mechanics, known: Mapping[str, sp.Expr]) ->
     return sp.Add(*terms)
 
 
-class BodyStepper:
-    """Steps colliding bodies (see `statechart.automaton.laws.TimeStepper`).
+class BodyStepper(Stepper):
+    """Steps colliding bodies; see `Stepper`.
 
     Parameters
     ----------
-    scene : Scene
-        Its bodies one by one.
     owners : sequence of str
-        What each of them is a copy of, or itself.
-    mechanics : Mechanics
-        Names and symbols.
-    parameters : Parameters
-        From `scene_parameters`.
-    stops : mapping
-        Stop condition -> margin.
-    energy : Expr
+        What each of the scene's bodies is a copy of, or itself.
     """
 
     def __init__(
         self,
-        scene: Scene,
-        owners: Sequence[str],
         mechanics: Mechanics,
         parameters: Parameters,
         stops: Mapping[str, Margin],
         energy: sp.Expr,
+        owners: Sequence[str],
     ) -> None:
-        symbols = list(parameters.symbols.values())
-        self._scene, self._owners, self._parameters = scene, owners, parameters
-        names = mechanics.names
-        variables = (*mechanics.q, *mechanics.v)
-        self._stepping = Stepping(
-            scene.name,
-            (*names, *map(scene.rate_name, names)),
-            parameters.names,
-            tuple(scene.bodies),
-            (),
-            "impact",
-            None,
-            np.zeros(len(scene.bodies), dtype=np.bool_),
-            np.array([name.endswith(".angle") for name in names]),
-            compile_tape(
-                [margin.expression for margin in stops.values()],
-                variables=(*variables, *mechanics.a),
-                parameters=symbols,
-                time=mechanics.time,
-            ),
-            tuple(stops),
-            compile_tape([energy], variables=variables, parameters=symbols, time=mechanics.time),
+        super().__init__(
+            mechanics,
+            parameters,
+            stops,
+            energy,
+            mechanics.a,
+            regions=tuple(mechanics.scene.bodies),
+            again="impact",
+            forces=None,
+            sticks=np.zeros(len(mechanics.scene.bodies), dtype=np.bool_),
         )
-
-    def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
-        """Check the initial state; see `TimeStepper.start`."""
-        setup = self.setup(overrides)
-        return ("free",) * len(self._scene.bodies), (*setup.warnings, *self._lacks(setup))
-
-    def _lacks(self, setup: SceneSetup) -> list[str]:
-        """Return what differs from the declaration."""
-        values = dict(zip(self._stepping.parameter_names, setup.values.tolist(), strict=True))
-        return [f"{what}: {why}" for what, why in replaced(self._scene, values).items()]
+        self._owners = owners
 
     def own_step(self) -> float:
         """Return a step by the scales: of declared parameters, rounded to a digit.
 
         In it nothing moves far beside the smallest body, at the scene's speed or falling.
         """
-        setup, bodies = self._begin({})
+        setup, bodies = self._made({})
         size = float(bodies.numbers.sizes.min())
         step = _CROSSED * size / setup.scales.speed
         gravity = math.hypot(*bodies.numbers.gravity)
@@ -191,39 +156,23 @@ class BodyStepper:
         DeclarationProblem
             If no run can start there.
         """
-        return self._begin(overrides)[0]
+        return self._made(overrides)[0]
 
-    def run(
-        self,
-        overrides: Mapping[str, float],
-        *,
-        step: float,
-        until: float,
-        max_jumps: int,
-        show: Callable[[float, int, int], None],
-    ) -> Trace:
-        """Run from the declared initial state; see `TimeStepper.run`."""
-        setup, bodies = self._begin(overrides)
+    def _begin(self, overrides: Mapping[str, float], step: float) -> Begun:
+        setup, bodies = self._made(overrides)
         size, fall = setup.scales.length, math.hypot(*bodies.numbers.gravity) * step**2
         failure = None
-        if fall > impulse.DEEPEST * size:
+        if fall > DEEPEST * size:
             # Everything would be about to touch everything.
-            longest = 0.1 * math.sqrt(impulse.DEEPEST * size / fall) * step
+            longest = 0.1 * math.sqrt(DEEPEST * size / fall) * step
             failure = StepTooLarge(
                 f"bodies fall by {fall:.3g} in one step of {step:g}, in a scene of size "
                 f"{size:.3g}; take {longest:.1g} or less"
             )
-        return impulse.run(
-            self._stepping,
-            bodies,
-            setup,
-            np.full(len(self._scene.bodies), FREE),
-            Span(step, until, max_jumps, show),
-            warnings=self._lacks(setup),
-            failure=failure,
-        )
+        free = np.full(len(self._scene.bodies), FREE)
+        return Begun(setup, bodies, free, self._lacks(setup), failure=failure)
 
-    def _begin(self, overrides: Mapping[str, float]) -> tuple[SceneSetup, SteppedHeap]:
+    def _made(self, overrides: Mapping[str, float]) -> tuple[SceneSetup, SteppedHeap]:
         numbers, further = self._parameters.values(overrides)
         scene = self._scene
         initial = further[: 6 * len(scene.bodies)]
@@ -251,9 +200,9 @@ class BodyStepper:
         setup = SceneSetup(
             values=numbers,
             initial=initial,
-            tolerances={"gap": _RELATIVE * length, "speed": _RELATIVE * speed,
+            tolerances={"gap": RELATIVE * length, "speed": RELATIVE * speed,
                         "force": 0.0, "plain": 0.0},
-            relative=_RELATIVE,
+            relative=RELATIVE,
             scales=scales,
             contacts=(),
             capture=0.0,

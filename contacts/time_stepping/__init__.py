@@ -1,6 +1,7 @@
 """Moreau's and Jean's time stepping, for points on surfaces.
 
-`scene_stepper` runs a scene by `scene_steps`, each `chunk` by the compiled `scene_step` with the
-linear `equations` and the `control` of each step; `loop` is the run, `stops` ends it, `forces`
-tells modes and forces from impulses, and `recorder` makes a trace of it all.
+`stepper` is what all scenes have in common that are stepped; `scene_stepper` runs one by
+`scene_steps`, each `chunk` by the compiled `scene_step` with the linear `equations` and the
+`control` of each step; `loop` is the run, `stops` ends it, `forces` tells modes and forces from
+impulses, and `recorder` makes a trace of it all.
 """

@@ -131,6 +131,31 @@ class Stepping:
     energy: Tape
 
 
+class Begun(NamedTuple):
+    """A run that can start, or why it cannot.
+
+    Attributes
+    ----------
+    setup : SceneSetup
+    stepped : Stepped
+    codes : (r,) array of int
+        Modes at the start, as `contacts.states` numbers them.
+    warnings : tuple of str
+        Besides those of the setup.
+    control : Control or None
+        What acts at the ends of steps.
+    failure : SimulationError or None
+        Why not even one step can be made.
+    """
+
+    setup: SceneSetup
+    stepped: Stepped
+    codes: NDArray[np.int64]
+    warnings: tuple[str, ...]
+    control: Control | None = None
+    failure: SimulationError | None = None
+
+
 class Span(NamedTuple):
     """How far a run goes, by which steps, and who is told."""
 
@@ -140,66 +165,37 @@ class Span(NamedTuple):
     show: Callable[[float, int, int], None]
 
 
-def run(
-    stepping: Stepping,
-    stepped: Stepped,
-    setup: SceneSetup,
-    start: NDArray[np.int64],
-    span: Span,
-    *,
-    warnings: Sequence[str] = (),
-    control: Control | None = None,
-    failure: SimulationError | None = None,
-) -> Trace:
-    """Step a scene from its initial state; see `statechart.automaton.laws.TimeStepper.run`.
-
-    Parameters
-    ----------
-    start : (r,) array of int
-        Modes at the start, as `contacts.states` numbers them.
-    span : Span
-        How far to go.
-    control : Control, optional
-        What acts at the ends of steps.
-    failure : SimulationError, optional
-        Why not even one step can be made.
-    """
+def run(stepping: Stepping, begun: Begun, span: Span) -> Trace:
+    """Step a scene from its initial state; see `statechart.automaton.laws.TimeStepper.run`."""
+    values = begun.setup.values
     recorder = Recorder(
-        stepping.regions[: len(start)],
-        start,
+        stepping.regions[: len(begun.codes)],
+        begun.codes,
         stepping.controls,
         stepping.sticks,
         stepping.again,
         stepping.forces,
-        lambda state, time: float(stepping.energy.values(state, setup.values, time)[0]),
+        lambda state, time: float(stepping.energy.values(state, values, time)[0]),
     )
-    made = _Run(stepping, stepped, setup, recorder, control, span)
+    made = _Run(stepping, begun, recorder, span)
     try:
-        if failure is not None:
-            raise failure
+        if begun.failure is not None:
+            raise begun.failure
         with interrupts.held():
             made.loop()
     except KeyboardInterrupt:
         made.end(Outcome.INTERRUPTED, "interrupted by the user")
     except SimulationError as error:
         made.end(Outcome[error.outcome], f"t = {made.time:.17g}: {error}")
-    return made.trace(warnings)
+    return made.trace(begun.warnings)
 
 
 class _Run:
-    def __init__(
-        self,
-        stepping: Stepping,
-        stepped: Stepped,
-        setup: SceneSetup,
-        recorder: Recorder,
-        control: Control | None,
-        span: Span,
-    ) -> None:
-        self.stepping, self.stepped, self.setup = stepping, stepped, setup
-        self.recorder, self.control, self.span = recorder, control, span
-        self.stops = StopConditions(stepping.stops, stepping.stop_names, setup.values)
-        self.state = setup.initial
+    def __init__(self, stepping: Stepping, begun: Begun, recorder: Recorder, span: Span) -> None:
+        self.stepping, self.recorder, self.span = stepping, recorder, span
+        self.setup, self.stepped, self.control = begun.setup, begun.stepped, begun.control
+        self.stops = StopConditions(stepping.stops, stepping.stop_names, self.setup.values)
+        self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
 

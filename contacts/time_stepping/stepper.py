@@ -1,0 +1,109 @@
+"""What the time steppers of scenes have in common: how they are made, start and run."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+import sympy as sp
+
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneSetup
+from contacts.scene.other_laws import replaced
+from contacts.states import STATES
+from contacts.time_stepping.loop import Begun, Span, Stepping, run
+from statechart.arrays import Bools
+from statechart.automaton.regions import Margin
+from statechart.automaton.trace import Key, Trace
+from statechart.formulas.parameters import Parameters
+from statechart.formulas.writer import compile_tape
+
+RELATIVE = 1e-9
+"""Tolerances at the start, relative to the scene."""
+
+
+class Stepper(ABC):
+    """Steps a scene (see `statechart.automaton.laws.TimeStepper`).
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        The scene's equations, or no more than its names and symbols.
+    parameters : Parameters
+        From `contacts.dynamics.setup.scene_parameters`.
+    stops : mapping
+        Stop condition -> margin.
+    energy : Expr
+    unknowns : sequence of Symbol
+        What stop conditions may use that steps solve for.
+    regions, controls, again, forces, sticks
+        See `contacts.time_stepping.loop.Stepping`.
+    """
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        parameters: Parameters,
+        stops: Mapping[str, Margin],
+        energy: sp.Expr,
+        unknowns: Sequence[sp.Symbol],
+        *,
+        regions: tuple[str, ...],
+        controls: Key = (),
+        again: str,
+        forces: int | None,
+        sticks: Bools,
+    ) -> None:
+        self._scene, self._parameters = mechanics.scene, parameters
+        names, variables = mechanics.names, (*mechanics.q, *mechanics.v)
+        tape = partial(
+            compile_tape, parameters=tuple(parameters.symbols.values()), time=mechanics.time
+        )
+        self._stepping = Stepping(
+            self._scene.name,
+            (*names, *map(self._scene.rate_name, names)),
+            parameters.names,
+            regions,
+            controls,
+            again,
+            forces,
+            sticks,
+            np.array([name.endswith(".angle") for name in names]),
+            tape(
+                [margin.expression for margin in stops.values()], variables=(*variables, *unknowns)
+            ),
+            tuple(stops),
+            tape([energy], variables=variables),
+        )
+
+    def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
+        """Check the initial state; see `TimeStepper.start`."""
+        begun = self._begin(overrides, 0.0)
+        if begun.failure is not None:
+            raise begun.failure
+        states = tuple(STATES[code] for code in begun.codes.tolist())
+        return (*states, *self._stepping.controls), (*begun.setup.warnings, *begun.warnings)
+
+    def run(
+        self,
+        overrides: Mapping[str, float],
+        *,
+        step: float,
+        until: float,
+        max_jumps: int,
+        show: Callable[[float, int, int], None],
+    ) -> Trace:
+        """Run from the declared initial state; see `TimeStepper.run`."""
+        begun = self._begin(overrides, step)
+        return run(self._stepping, begun, Span(step, until, max_jumps, show))
+
+    @abstractmethod
+    def _begin(self, overrides: Mapping[str, float], step: float) -> Begun:
+        """Check the initial state; return a run by steps of this length, or why there is none."""
+
+    def _lacks(self, setup: SceneSetup) -> tuple[str, ...]:
+        """Return what differs from the declaration."""
+        values = dict(zip(self._stepping.parameter_names, setup.values.tolist(), strict=True))
+        return tuple(f"{what}: {why}" for what, why in replaced(self._scene, values).items())
