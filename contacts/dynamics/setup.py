@@ -23,7 +23,7 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Margin
 from statechart.documents.fields import FormulaText
 from statechart.errors import DeclarationProblem
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import Formula, parse
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.writer import compile_tape
 
@@ -94,35 +94,23 @@ def scene_parameters(scene: Scene) -> Parameters:
     return Parameters(scene.parameters, partial(_derived, scene), partial(_initial, scene))
 
 
-def _states(
-    scene: Scene, text: FormulaText, known: Mapping[str, sp.Symbol]
-) -> Iterator[tuple[str, Mapping[str, sp.Expr]]]:
-    """Yield what a coefficient may use, and in which state of the region that sets it."""
-    controls = scene.controlled
-    region = controls.region_of(text)
-    if region is None:
-        yield "", known
-        return
-    for state in scene.regions[region].states:
-        set_ = controls.values(region, state)
-        used = parse(text).names.intersection(set_)
-        yield f".{state}", {**known, **{n: parse(set_[n]).to_sympy(known) for n in used}}
-
-
 def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
     """Return the coefficients of contacts, moments of inertia, redundancies of joints."""
     result: dict[str, sp.Expr] = {}
+
+    def values(text: FormulaText) -> Iterator[tuple[str, sp.Expr]]:
+        for state, seen in scene.controlled.seen_in_states(text, known, Formula.to_sympy):
+            yield f".{state}" if state else "", parse(text).to_sympy(seen)
+
     for name, contact in scene.contacts.items():
         if contact.friction is not None and not contact.frictionless:
-            for state, names in _states(scene, contact.friction, known):
-                mu = parse(contact.friction).to_sympy(names)
+            for state, mu in values(contact.friction):
                 # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
                 edge = (1 / sp.sqrt(1 + mu**2), 1 / sp.sqrt(1 + (1 / mu) ** 2))
                 for key, value in zip(COEFFICIENTS, (mu, *edge), strict=True):
                     result[f"{name}.{key}{state}"] = value
         if contact.restitution is not None:
-            for state, names in _states(scene, contact.restitution, known):
-                value = parse(contact.restitution).to_sympy(names)
+            for state, value in values(contact.restitution):
                 result[f"{name}.restitution{state}"] = value
     for name, body in scene.bodies.items():
         if body.inertia is not None:

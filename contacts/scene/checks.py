@@ -12,7 +12,7 @@ from statechart.documents.document import Loc
 from statechart.documents.fields import FormulaText, problem
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import Formula, parse
 
 
 def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
@@ -48,15 +48,11 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
             text: FormulaText | None = getattr(contact, key)
             if text is None:
                 continue
-            for state, known in _in_states(scene, text, values):
-                _bounded(
-                    known,
-                    text,
-                    ("contacts", name, key),
-                    f"{words}{state}",
-                    most=most,
-                    infinite=key == "friction",
-                )
+            region = scene.controlled.region_of(text)
+            for state, seen in scene.controlled.seen_in_states(text, values, Formula.value):
+                where = f" in state {state!r} of {region!r}" if state else ""
+                at = ("contacts", name, key)
+                _bounded(seen, text, at, words + where, most=most, infinite=key == "friction")
 
 
 def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
@@ -131,24 +127,6 @@ def _places(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
             yield from _pair(joint.to.at, "joints", name, "to", "at")
     for name, force in scene.forces.items():
         yield from _pair(force.at, "forces", name, "at")
-
-
-def _in_states(
-    scene: SceneFields, text: FormulaText, values: Mapping[str, float]
-) -> Iterator[tuple[str, Mapping[str, float]]]:
-    """Yield the values that a contact's coefficient may see, and in which state."""
-    controls = scene.controlled
-    region = controls.region_of(text)
-    if region is None:
-        yield "", values
-        return
-    for state in scene.regions[region].states:
-        set_ = controls.values(region, state)
-        used = parse(text).names.intersection(set_)
-        yield (
-            f" in state {state!r} of {region!r}",
-            {**values, **{name: parse(set_[name]).value(values) for name in used}},
-        )
 
 
 def _within_right_angle(

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
-from typing import Self
+from typing import Self, TypeVar
 
 from pydantic import Field, model_validator
 
 from statechart.charts.transitions import BaseTransition, check_region
 from statechart.documents.fields import FormulaText, NameText, Part, check_names
 from statechart.errors import DeclarationProblem, close_matches
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import Formula, parse
+
+Value = TypeVar("Value")
 
 
 class ControlState(Part):
@@ -105,6 +107,32 @@ class Controls:
             return None
         used = [control for control in self.owners if control in parse(text).names]
         return self.owners[used[0]] if used else None
+
+    def seen_in_states(
+        self,
+        text: FormulaText,
+        known: Mapping[str, Value],
+        value: Callable[[Formula, Mapping[str, Value]], Value],
+    ) -> Iterator[tuple[str, Mapping[str, Value]]]:
+        """Yield the states of the region that sets a contact's coefficient, and what it sees there.
+
+        Parameters
+        ----------
+        text : str
+            The coefficient; where no region sets it, the only state is "".
+        known : mapping
+            Parameter -> number, or symbol.
+        value : callable
+            (formula, known) -> the value of a control.
+        """
+        region = self.region_of(text)
+        if region is None:
+            yield "", known
+            return
+        for state in self.regions[region].states:
+            sets = self.values(region, state)
+            used = parse(text).names.intersection(sets)
+            yield state, {**known, **{name: value(parse(sets[name]), known) for name in used}}
 
     def check(self, known: Collection[str]) -> None:
         """Check that each control is set by one region, by formulas over `known` and controls.
