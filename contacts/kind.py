@@ -23,35 +23,29 @@ def automaton(scene: Scene) -> Automaton:
 
         return bodies_automaton(scene)
     from contacts.dynamics.mechanics import Mechanics
-    from contacts.dynamics.setup import SceneNumbers, cones, scene_parameters
+    from contacts.dynamics.setup import SceneNumbers
     from contacts.event_driven.controlled_laws import ControlledLaws
     from contacts.event_driven.laws import SceneLaws
     from contacts.time_stepping.scene_stepper import SceneStepper
     from statechart.automaton.laws import Laws
-    from statechart.automaton.regions import Margin
-    from statechart.formulas.formula import parse_relation
+    from statechart.automaton.regions import stop_margins
 
-    parameters = scene_parameters(scene)
-    symbols = tuple(parameters.symbols.values())
-    mechanics = Mechanics(scene, parameters.symbols, cones(scene, parameters.symbols))
-    names, observables = mechanics.names, mechanics.observables
-    stops = {
-        name: Margin(name, parse_relation(text).margin(observables))
-        for name, text in scene.stop.conditions.items()
-    }
+    mechanics = Mechanics(scene)
+    parameters, observables = mechanics.parameters, mechanics.observables
+    stops = stop_margins(scene.stop.conditions, observables)
     regions = _regions(mechanics)
-    numbers = SceneNumbers(mechanics, parameters, stops)
-    contact_laws = SceneLaws(mechanics, parameters, numbers)
+    numbers = SceneNumbers(mechanics, stops)
+    contact_laws = SceneLaws(mechanics, numbers)
     laws: Laws = contact_laws
     if scene.regions:
-        laws = ControlledLaws(contact_laws, mechanics, symbols, regions)
+        laws = ControlledLaws(contact_laws, mechanics, regions)
     return Automaton(
         name=scene.name,
         declaration=scene,
-        names=(*names, *(scene.rate_name(name) for name in names)),
-        variables=(*mechanics.q, *mechanics.v),
+        names=mechanics.variable_names,
+        variables=mechanics.variables,
         parameter_names=parameters.names,
-        parameters=symbols,
+        parameters=tuple(parameters.symbols.values()),
         time=mechanics.time,
         unknowns=(*mechanics.a, *mechanics.unknown_forces),
         rates=(*mechanics.v, *mechanics.a),
@@ -62,7 +56,7 @@ def automaton(scene: Scene) -> Automaton:
         setup=numbers.at,
         laws=laws,
         controls=mechanics.controls,
-        stepper=lambda: SceneStepper(mechanics, parameters, stops, regions),
+        stepper=lambda: SceneStepper(mechanics, stops, regions),
     )
 
 

@@ -16,7 +16,7 @@ from contacts.collisions.body_step import MEMORY, step_bodies
 from contacts.collisions.outlines import body_numbers, owners_of
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales, check_range
-from contacts.dynamics.setup import SceneSetup, scene_parameters
+from contacts.dynamics.setup import SceneSetup
 from contacts.scene.checks import check_finite, check_physical
 from contacts.scene.collision_checks import check_shapes
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
@@ -27,15 +27,13 @@ from contacts.time_stepping.loop import DEEPEST, Begun
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.regions import Margin, Region, State
-from statechart.documents.declaration import TIME
+from statechart.automaton.regions import Margin, Region, State, stop_margins
 from statechart.errors import (
     DeclarationProblem,
     NonFinite,
     StepTooLarge,
 )
-from statechart.formulas.formula import parse, parse_relation
-from statechart.formulas.parameters import Parameters
+from statechart.formulas.formula import parse
 
 # Bodies may overlap at the start by this part of the scene.
 _START_DEPTH = 1e-6
@@ -52,32 +50,20 @@ def bodies_automaton(scene: Scene) -> Automaton:
     bodies = scene.single_bodies()
     owners = owners_of(scene)
     scene = scene.model_copy(update={"bodies": bodies})
-    parameters = scene_parameters(scene)
-    mechanics = Mechanics(scene, parameters.symbols, {})
-    names = mechanics.names
-    rates = tuple(scene.rate_name(name) for name in names)
-    known: dict[str, sp.Expr] = {
-        TIME: mechanics.time,
-        **parameters.symbols,
-        **dict(zip(names, mechanics.q, strict=True)),
-        **dict(zip(rates, mechanics.v, strict=True)),
-    }
-    observables = known | {"energy": _energy(scene, mechanics, known)}
-    stops = {
-        name: Margin(name, parse_relation(text).margin(observables))
-        for name, text in scene.stop.conditions.items()
-    }
+    mechanics = Mechanics(scene)
+    observables = {**mechanics.known, "energy": _energy(mechanics)}
+    stops = stop_margins(scene.stop.conditions, observables)
 
     def stepper() -> BodyStepper:
-        return BodyStepper(mechanics, parameters, stops, observables["energy"], owners)
+        return BodyStepper(mechanics, stops, observables["energy"], owners)
 
     return Automaton(
         name=scene.name,
         declaration=scene,
-        names=(*names, *rates),
-        variables=(*mechanics.q, *mechanics.v),
-        parameter_names=parameters.names,
-        parameters=tuple(parameters.symbols.values()),
+        names=mechanics.variable_names,
+        variables=mechanics.variables,
+        parameter_names=mechanics.parameters.names,
+        parameters=tuple(mechanics.parameters.symbols.values()),
         time=mechanics.time,
         unknowns=mechanics.a,
         rates=(*mechanics.v, *mechanics.a),
@@ -94,10 +80,11 @@ def bodies_automaton(scene: Scene) -> Automaton:
     )
 
 
-def _energy(scene: Scene, mechanics: Mechanics, known: Mapping[str, sp.Expr]) -> sp.Expr:
+def _energy(mechanics: Mechanics) -> sp.Expr:
+    known = mechanics.known
     gx, gy = mechanics.gravity
     terms = []
-    for name, body in scene.bodies.items():
+    for name, body in mechanics.scene.bodies.items():
         mass = parse(body.mass).to_sympy(known)
         x, y, dx, dy, turn = (known[f"{name}.{c}"] for c in ("x", "y", "dx", "dy", "dangle"))
         terms.append(mass * (dx**2 + dy**2) / 2 + known[f"{name}.inertia"] * turn**2 / 2)
@@ -117,14 +104,12 @@ class BodyStepper(Stepper):
     def __init__(
         self,
         mechanics: Mechanics,
-        parameters: Parameters,
         stops: Mapping[str, Margin],
         energy: sp.Expr,
         owners: Sequence[str],
     ) -> None:
         super().__init__(
             mechanics,
-            parameters,
             stops,
             energy,
             mechanics.a,
@@ -173,7 +158,7 @@ class BodyStepper(Stepper):
         return Begun(setup, bodies, free, self._lacks(setup), failure=failure)
 
     def _made(self, overrides: Mapping[str, float]) -> tuple[SceneSetup, SteppedHeap]:
-        numbers, further = self._parameters.values(overrides)
+        numbers, further = self._mechanics.parameters.values(overrides)
         scene = self._scene
         initial = further[: 6 * len(scene.bodies)]
         known = scene.values(overrides)

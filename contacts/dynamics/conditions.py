@@ -7,17 +7,15 @@ and its gap is open: a foot that is inside the surface then (scuffing) comes bac
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
-import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import Snapshot
 from contacts.states import OFF
 from statechart.arrays import Array
 from statechart.automaton.trace import Key
-from statechart.formulas.writer import compile_tape
 
 # A condition as near zero as this, of what the state's own sizes change it by, is on the edge.
 _BAND = 1e-13
@@ -30,8 +28,6 @@ class Conditions:
     ----------
     mechanics : Mechanics
         The scene's equations.
-    parameters : sequence of Symbol
-        In the order of the values.
     states : mapping, optional
         Controller -> its state; those at the start by default.
 
@@ -41,20 +37,12 @@ class Conditions:
         Whether any contact has a condition.
     """
 
-    def __init__(
-        self,
-        mechanics: Mechanics,
-        parameters: Sequence[sp.Symbol],
-        states: Mapping[str, str] | None = None,
-    ) -> None:
+    def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
         self._names = tuple(mechanics.scene.contacts)
         self._margins = [mechanics.conditions(name) for name in self._names]
         self.present = any(self._margins)
-        self._tape = compile_tape(
+        self._tape = mechanics.tape(
             [margin.expression for margins in self._margins for margin in margins],
-            variables=(*mechanics.q, *mechanics.v),
-            parameters=parameters,
-            time=mechanics.time,
             definitions=mechanics.controlled(states),
         )
 

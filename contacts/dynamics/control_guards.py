@@ -67,9 +67,7 @@ class ControlGuards:
     known, so that a guard on them waits for its margin to fall.
     """
 
-    def __init__(
-        self, mechanics: Mechanics, parameters: Sequence[sp.Symbol], states: Mapping[str, str]
-    ) -> None:
+    def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         set_: dict[sp.Symbol, sp.Expr] = {}
         for control, value in mechanics.controlled(states):
             set_[control] = value.xreplace(set_)
@@ -88,8 +86,8 @@ class ControlGuards:
                 **dict(zip(mechanics.v, mechanics.a, strict=True)),
                 **dict.fromkeys(forces, unknown),
             },
-            inputs=(*mechanics.q, *mechanics.v, *mechanics.a, *forces, unknown),
-            parameters=parameters,
+            inputs=(*mechanics.variables, *mechanics.a, *forces, unknown),
+            parameters=tuple(mechanics.parameters.symbols.values()),
             time=mechanics.time,
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)

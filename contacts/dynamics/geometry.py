@@ -54,6 +54,15 @@ class Geometry:
         As declared.
     constants : mapping
         Name -> symbol of what does not follow from the coordinates: parameters, controls.
+
+    Attributes
+    ----------
+    names, variable_names : tuple of str
+        Of the coordinates; of these and their rates.
+    q, v, a, variables : tuple of Symbol
+        Coordinates, rates and accelerations; the first two together.
+    known : dict
+        What formulas of positions and forces may use.
     """
 
     def __init__(self, scene: Scene, constants: Mapping[str, sp.Symbol]) -> None:
@@ -64,12 +73,12 @@ class Geometry:
         self.q = tuple(sp.Symbol(f"q{i}", real=True) for i in count)
         self.v = tuple(sp.Symbol(f"v{i}", real=True) for i in count)
         self.a = tuple(sp.Symbol(f"a{i}", real=True) for i in count)
-        rates = [scene.rate_name(name) for name in self.names]
-        self._known: dict[str, sp.Expr] = {
+        rates = tuple(map(scene.rate_name, self.names))
+        self.variable_names, self.variables = (*self.names, *rates), (*self.q, *self.v)
+        self.known: dict[str, sp.Expr] = {
             TIME: self.time,
             **constants,
-            **dict(zip(self.names, self.q, strict=True)),
-            **dict(zip(rates, self.v, strict=True)),
+            **dict(zip(self.variable_names, self.variables, strict=True)),
         }
 
     def rate(self, expression: sp.Expr) -> sp.Expr:
@@ -87,7 +96,7 @@ class Geometry:
         if body.position is not None:
             x, y = (self._formula(text) for text in body.position)
             return (x, y), self._formula(body.angle) if body.angle is not None else sp.S.Zero
-        own = {c: self._known[f"{name}.{c}"] for c in body.coordinates}
+        own = {c: self.known[f"{name}.{c}"] for c in body.coordinates}
         return (own["x"], own["y"]), own.get("angle", sp.S.Zero)
 
     def point(self, point: Point) -> Vector:
@@ -104,7 +113,7 @@ class Geometry:
         return height is not None and sp.diff(self._formula(height, x=x), x, 2) != 0
 
     def _formula(self, text: str | int | float, **further: sp.Expr) -> sp.Expr:
-        return parse(text).to_sympy({**self._known, **further})
+        return parse(text).to_sympy({**self.known, **further})
 
     def _corners(self, line: tuple[Pair, Pair]) -> tuple[Vector, Vector]:
         (x0, y0), (x1, y1) = line

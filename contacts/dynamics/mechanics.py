@@ -14,15 +14,15 @@ import sympy as sp
 
 from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector
 from contacts.dynamics.joints import JointRow
+from contacts.dynamics.parameters import COEFFICIENTS, friction_cones, scene_parameters
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
 from statechart.automaton.regions import Margin
 from statechart.formulas.formula import parse_relation
 from statechart.formulas.linear import Definition
-
-COEFFICIENTS = ("friction", "cone_n", "cone_t")
-"""Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 
 
 class Mechanics(Geometry):
@@ -32,34 +32,28 @@ class Mechanics(Geometry):
     ----------
     scene : Scene
         As declared.
-    parameters : mapping
-        Parameter -> symbol, the bodies' moments of inertia (``stick.inertia``) and the joints'
-        redundancies (``hip.redundant_x``) among them.
-    cones : mapping
-        Contact -> (cone_n, cone_t).
 
     Attributes
     ----------
+    parameters : Parameters
+        Declared ones, and what follows from them.
     controls : tuple of Symbol
         What states of controllers set, each after those that its values use: coefficients of
         contacts and the scene's controls.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        parameters: Mapping[str, sp.Symbol],
-        cones: Mapping[str, tuple[sp.Expr, sp.Expr]],
-    ) -> None:
+    def __init__(self, scene: Scene) -> None:
+        self.parameters = scene_parameters(scene)
+        parameters = self.parameters.symbols
         controlled = scene.controlled
         controls = {n: sp.Symbol(f"c{i}", real=True) for i, n in enumerate(controlled.order)}
         super().__init__(scene, {**parameters, **controls})
+        cones = friction_cones(scene, parameters)
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
         }
         self._cones = cones
-        self._parameters = dict(parameters)
         self._controls = controlled
         self._coefficients = {
             name: sp.Symbol(f"mu{i}", real=True)
@@ -73,6 +67,22 @@ class Mechanics(Geometry):
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._conditions: dict[str, tuple[Margin, ...]] = {}
+
+    def tape(
+        self,
+        outputs: Sequence[sp.Expr],
+        *,
+        unknowns: Sequence[sp.Symbol] = (),
+        definitions: Sequence[Definition] = (),
+    ) -> Tape:
+        """Compile expressions of state, parameters and time, and of `unknowns` behind the state."""
+        return compile_tape(
+            outputs,
+            variables=(*self.variables, *unknowns),
+            parameters=tuple(self.parameters.symbols.values()),
+            time=self.time,
+            definitions=definitions,
+        )
 
     @cached_property
     def mass_matrix(self) -> sp.Matrix:
@@ -124,7 +134,7 @@ class Mechanics(Geometry):
                         tuple(sp.diff(gap, q) for q in self.q),
                         sp.Symbol(f"{component}{len(rows)}", real=True),
                         sp.diff(other, self.time),
-                        self._parameters[f"{name}.redundant_{component.lower()}"],
+                        self.parameters.symbols[f"{name}.redundant_{component.lower()}"],
                     )
                 )
         return tuple(rows)
@@ -191,9 +201,9 @@ class Mechanics(Geometry):
         for name, friction in self._coefficients.items():
             if self._controls.region_of(self.scene.contacts[name].friction) == region:
                 for key, symbol in zip(COEFFICIENTS, (friction, *self._cones[name]), strict=True):
-                    found[symbol] = self._parameters[f"{name}.{key}.{state}"]
+                    found[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
         for control, text in self._controls.values(region, state).items():
-            found[self._known[control]] = self._formula(text)
+            found[self.known[control]] = self._formula(text)
         return found
 
     def controlled(self, states: Mapping[str, str] | None = None) -> list[Definition]:
@@ -212,7 +222,7 @@ class Mechanics(Geometry):
     @property
     def observables(self) -> dict[str, sp.Expr]:
         """What formulas of outputs and stop conditions may use, name -> expression."""
-        result = dict(self._known)
+        result = dict(self.known)
         for name in self.scene.contacts:
             symbols = self.contact(name).symbols
             result |= {
@@ -252,7 +262,7 @@ class Mechanics(Geometry):
         mass = self._formula(body.mass)
         weights = [(mass, x), (mass, y)]
         if body.inertia is not None:
-            weights.append((self._parameters[f"{name}.inertia"], angle))
+            weights.append((self.parameters.symbols[f"{name}.inertia"], angle))
         return weights
 
     @cached_property
@@ -283,7 +293,7 @@ class Mechanics(Geometry):
         """Return the conditions without which a contact is off; those of its edge last."""
         contact = self.scene.contacts[name]
         if name not in self._conditions:
-            known = self._known | {
+            known = self.known | {
                 f"{other}.{quantity}": getattr(self.contact(other).symbols, quantity)
                 for other in self.scene.contacts
                 for quantity in ("gap", "slip")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 
 import numpy as np
 import sympy as sp
@@ -20,7 +19,6 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 
 # A state is brought onto the constraints of the mode entered from this part of their tolerance on.
 _DRIFT = 0.05
@@ -45,15 +43,11 @@ class Projection:
     ----------
     mechanics : Mechanics
         The scene's equations.
-    parameters : sequence of Symbol
-        In the order of the values.
     snapshots : SnapshotTape
         Asked only where something has to be projected.
     """
 
-    def __init__(
-        self, mechanics: Mechanics, parameters: Sequence[sp.Symbol], snapshots: SnapshotTape
-    ) -> None:
+    def __init__(self, mechanics: Mechanics, snapshots: SnapshotTape) -> None:
         outputs: list[sp.Expr] = []
         for name in mechanics.scene.contacts:
             geometry = mechanics.contact(name)
@@ -65,13 +59,8 @@ class Projection:
         self._snapshots = snapshots
         # Of the last tolerances: those of the runs of a sweep are often equal.
         self._weighed: dict[Key, tuple[tuple[float, float] | None, Array]] = {}
-        self._compile = partial(
-            compile_tape,
-            variables=(*mechanics.q, *mechanics.v),
-            parameters=parameters,
-            time=mechanics.time,
-        )
-        self._tape = self._compile(outputs)
+        self._compile = mechanics.tape
+        self._tape = mechanics.tape(outputs)
         self._gaps = tuple(outputs[: 5 * len(mechanics.scene.contacts) : 5])
         self._curved = tuple(mechanics.curved(name) for name in mechanics.scene.contacts)
         self._within: dict[Key, Tape | None] = {}

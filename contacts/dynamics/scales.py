@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -15,7 +14,6 @@ from contacts.solvers.saddle_point import largest_sizes
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
-from statechart.formulas.writer import compile_tape
 
 _EPS = float(np.finfo(float).eps)
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
@@ -63,11 +61,9 @@ class ScaleTape:
     ----------
     mechanics : Mechanics
         The scene's equations.
-    parameters : sequence of Symbol
-        In the order of the values.
     """
 
-    def __init__(self, mechanics: Mechanics, parameters: Sequence[sp.Symbol]) -> None:
+    def __init__(self, mechanics: Mechanics) -> None:
         scene = mechanics.scene
         lengths: list[sp.Expr] = []
         speeds: list[sp.Expr] = []
@@ -78,8 +74,7 @@ class ScaleTape:
             lengths += centre
             speeds += [mechanics.rate(component) for component in centre]
             owners += [("bodies", name)] * 2
-            known = dict(zip(scene.parameters, parameters, strict=False))
-            masses.append(parse(body.mass).to_sympy(known))
+            masses.append(parse(body.mass).to_sympy(mechanics.known))
         for name in scene.contacts:
             geometry = mechanics.contact(name)
             lengths += [geometry.symbols.gap, *geometry.point]
@@ -96,8 +91,7 @@ class ScaleTape:
             if mechanics.mass_matrix[i, i] != 0
         ]
         end = scene.stop.time
-        known = dict(zip(scene.parameters, parameters, strict=False))
-        duration = parse(end).to_sympy(known) if end is not None else sp.S.One
+        duration = parse(end).to_sympy(mechanics.known) if end is not None else sp.S.One
         points = [mechanics.body_frame(name)[0] for name in scene.bodies]
         points += [mechanics.contact(name).point for name in scene.contacts]
         points += [mechanics.point(joint.point) for joint in scene.joints.values()]
@@ -109,11 +103,8 @@ class ScaleTape:
         groups += moves
         self._owners = owners
         self._begins = np.array([*accumulate(map(len, groups), initial=0)])
-        self._tape = compile_tape(
+        self._tape = mechanics.tape(
             [expression for group in groups for expression in group],
-            variables=(*mechanics.q, *mechanics.v),
-            parameters=parameters,
-            time=mechanics.time,
             definitions=mechanics.controlled(),
         )
 

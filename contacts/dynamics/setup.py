@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import sympy as sp
 
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.mechanics import COEFFICIENTS, Mechanics
+from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales, ScaleTape
 from contacts.scene.checks import check_finite, check_physical
-from contacts.scene.parts import Contact, Point
+from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
-from contacts.scene.scene import Scene
 from contacts.solvers.dependence import implied
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Margin
 from statechart.documents.fields import FormulaText
 from statechart.errors import DeclarationProblem
-from statechart.formulas.formula import Formula, parse
-from statechart.formulas.parameters import Parameters
-from statechart.formulas.writer import compile_tape
 
 _Reader = Callable[[Sequence[float]], ContactLaw]
 
@@ -72,83 +67,6 @@ class SceneSetup(Setup):
         return 0.5 * self.tolerances["force"] / self.scales.force
 
 
-def cones(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, tuple[sp.Expr, sp.Expr]]:
-    """Return (cone_n, cone_t) per contact: symbols, or numbers where nothing is to be known."""
-    result: dict[str, tuple[sp.Expr, sp.Expr]] = {}
-    for i, (name, contact) in enumerate(scene.contacts.items()):
-        if contact.friction is None:
-            # Without slide a pin holds whatever it takes (no-slip); free needs no cone at all.
-            result[name] = (sp.S.Zero, sp.S.One)
-        elif contact.frictionless:
-            result[name] = (sp.S.One, sp.S.Zero)
-        elif scene.controlled.region_of(contact.friction) is not None:
-            # What states set; their values are parameters (see `COEFFICIENTS`).
-            result[name] = (sp.Symbol(f"n{i}", real=True), sp.Symbol(f"m{i}", real=True))
-        else:
-            result[name] = (known[f"{name}.cone_n"], known[f"{name}.cone_t"])
-    return result
-
-
-def scene_parameters(scene: Scene) -> Parameters:
-    """Return the scene's parameters, the contacts' coefficients, and the initial state."""
-    return Parameters(scene.parameters, partial(_derived, scene), partial(_initial, scene))
-
-
-def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
-    """Return the coefficients of contacts, moments of inertia, redundancies of joints."""
-    result: dict[str, sp.Expr] = {}
-
-    def values(text: FormulaText) -> Iterator[tuple[str, sp.Expr]]:
-        for state, seen in scene.controlled.seen_in_states(text, known, Formula.to_sympy):
-            yield f".{state}" if state else "", parse(text).to_sympy(seen)
-
-    for name, contact in scene.contacts.items():
-        if contact.friction is not None and not contact.frictionless:
-            for state, mu in values(contact.friction):
-                # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
-                edge = (1 / sp.sqrt(1 + mu**2), 1 / sp.sqrt(1 + (1 / mu) ** 2))
-                for key, value in zip(COEFFICIENTS, (mu, *edge), strict=True):
-                    result[f"{name}.{key}{state}"] = value
-        if contact.restitution is not None:
-            for state, value in values(contact.restitution):
-                result[f"{name}.restitution{state}"] = value
-    for name, body in scene.bodies.items():
-        if body.inertia is not None:
-            result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
-    for name, joint in scene.joints.items():
-        # Found from the start of a run, see `contacts.solvers.dependence.implied`.
-        result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
-    return result
-
-
-def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
-    """Return positions and rates at the start, and the bodies' levers."""
-    positions: list[sp.Expr] = []
-    rates: list[sp.Expr] = []
-    for coordinate in scene.coordinates.values():
-        positions.append(parse(coordinate.start).to_sympy(known))
-        rates.append(parse(coordinate.rate).to_sympy(known))
-    for body in scene.bodies.values():
-        for name in body.coordinates:
-            positions.append(parse(body.start.get(name, 0)).to_sympy(known))  # type: ignore[call-overload]
-            rates.append(parse(body.start.get(f"d{name}", 0)).to_sympy(known))  # type: ignore[call-overload]
-    return [*positions, *rates, *(_lever(scene, name, known) for name in scene.bodies)]
-
-
-def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
-    """Return mass times the longest arm squared of the body's contact points and joints."""
-    points = [contact.point for contact in scene.contacts.values()]
-    points += [joint.point for joint in scene.joints.values()]
-    points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
-    arms = [
-        sp.Add(*(parse(text).to_sympy(known) ** 2 for text in point.at))
-        for point in points
-        if point.body == name
-    ]
-    mass = parse(scene.bodies[name].mass).to_sympy(known)
-    return mass * (sp.Max(*arms) if arms else sp.S.Zero)
-
-
 class SceneNumbers:
     """Evaluates the numbers of a run from its parameters.
 
@@ -156,22 +74,17 @@ class SceneNumbers:
     ----------
     mechanics : Mechanics
         The scene's equations.
-    parameters : Parameters
-        From `scene_parameters`.
     stops : mapping
         Stop condition -> margin.
     """
 
-    def __init__(
-        self, mechanics: Mechanics, parameters: Parameters, stops: Mapping[str, Margin]
-    ) -> None:
+    def __init__(self, mechanics: Mechanics, stops: Mapping[str, Margin]) -> None:
         scene = mechanics.scene
-        symbols = list(parameters.symbols.values())
         self._scene = scene
-        self._parameters = parameters
-        self._places = {name: i for i, name in enumerate(parameters.names)}
-        self._scales = ScaleTape(mechanics, symbols)
-        self.conditions = Conditions(mechanics, symbols)
+        self._parameters = mechanics.parameters
+        self._places = {name: i for i, name in enumerate(mechanics.parameters.names)}
+        self._scales = ScaleTape(mechanics)
+        self.conditions = Conditions(mechanics)
         self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
         self._stops = tuple(stops)
         forces = mechanics.unknown_forces
@@ -180,21 +93,15 @@ class SceneNumbers:
             for name, stop in stops.items()
             if stop.expression.free_symbols.intersection(forces)
         }
-        self._stop_tape = compile_tape(
+        self._stop_tape = mechanics.tape(
             [margin.expression for margin in stops.values()],
-            variables=(*mechanics.q, *mechanics.v),
-            parameters=symbols,
-            time=mechanics.time,
             definitions=[*mechanics.controlled(), *((force, sp.S.Zero) for force in forces)],
         )
         rows = mechanics.joint_rows
         self._joint_names = tuple(row.joint for row in rows)
         self._redundant = [self._places[f"{r.joint}.redundant_{r.component.lower()}"] for r in rows]
-        self._joint_tape = compile_tape(
+        self._joint_tape = mechanics.tape(
             [entry for row in rows for entry in row.jacobian],
-            variables=(*mechanics.q, *mechanics.v),
-            parameters=symbols,
-            time=mechanics.time,
         )
         self._inertias = [(name, self._places.get(f"{name}.inertia")) for name in scene.bodies]
         self._physical: set[tuple[tuple[str, float], ...]] = set()
@@ -321,7 +228,7 @@ class SceneNumbers:
         region_states = states_of(contact, gate=self._scene.gate(name))
         n, t = (place(key, contact.friction) for key in ("cone_n", "cone_t"))
         e = place("restitution", contact.restitution)
-        # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `cones`.
+        # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `friction_cones`.
         fixed = (1.0, 0.0) if contact.frictionless else (0.0, 1.0)
 
         def read(values: Sequence[float]) -> ContactLaw:

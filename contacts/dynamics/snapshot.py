@@ -16,7 +16,6 @@ from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
 from statechart.errors import SingularMode
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 
 # Of a contact, besides its Jacobian and biases: gap, its rate, slip, point, tangent.
 _SCALARS = 7
@@ -155,18 +154,11 @@ class SnapshotTape:
     ----------
     mechanics : Mechanics
         The scene's equations.
-    parameters : sequence of Symbol
-        In the order of the values.
     states : mapping, optional
         Controller -> its state; those at the start by default.
     """
 
-    def __init__(
-        self,
-        mechanics: Mechanics,
-        parameters: Sequence[sp.Symbol],
-        states: Mapping[str, str] | None = None,
-    ) -> None:
+    def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
         self.size = len(mechanics.q)
         self.count = len(mechanics.scene.contacts)
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *mechanics.generalised_forces]
@@ -195,13 +187,7 @@ class SnapshotTape:
             outputs += [row.gap, row.gap_rate, row.bias, row.redundant]
         for row in rows:
             outputs += row.jacobian
-        self.tape: Tape = compile_tape(
-            outputs,
-            variables=(*mechanics.q, *mechanics.v),
-            parameters=parameters,
-            time=mechanics.time,
-            definitions=mechanics.controlled(states),
-        )
+        self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
         """Return the numbers at `state` (2 n,), of the motions that joints allow."""

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import sympy as sp
 
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.control_guards import ControlGuards, listening, precision
@@ -41,8 +40,6 @@ class ControlledLaws:
         Of the contacts, the controllers in their initial states.
     mechanics : Mechanics
         The scene's equations.
-    parameters : sequence of Symbol
-        In the order of the values.
     regions : sequence of Region
         All, those of the controllers last.
     """
@@ -51,18 +48,18 @@ class ControlledLaws:
         self,
         contacts: SceneLaws,
         mechanics: Mechanics,
-        parameters: Sequence[sp.Symbol],
         regions: Sequence[Region],
     ) -> None:
         self._contacts = contacts
         self._mechanics = mechanics
-        self._parameters = tuple(parameters)
         self._controllers = mechanics.scene.regions
         self._names = tuple(self._controllers)
         self._count = len(regions) - len(self._names)
         self._under: dict[Key, SceneLaws] = {}
         self._guarded: dict[Key, ControlGuards] = {}
-        self._courses = Courses((*mechanics.q, *mechanics.v), self._parameters, mechanics.time)
+        self._courses = Courses(
+            mechanics.variables, tuple(mechanics.parameters.symbols.values()), mechanics.time
+        )
         region_of = mechanics.scene.controlled.region_of
         self._varying = any(
             region_of(text) is not None
@@ -144,8 +141,8 @@ class ControlledLaws:
         if states not in self._under:
             named = dict(zip(self._names, states, strict=True))
             self._under[states] = self._contacts.under(
-                SnapshotTape(self._mechanics, self._parameters, named),
-                Conditions(self._mechanics, self._parameters, named),
+                SnapshotTape(self._mechanics, named),
+                Conditions(self._mechanics, named),
             )
         return self._under[states]
 
@@ -191,7 +188,7 @@ class ControlledLaws:
         """Return the guards out of `states`."""
         if states not in self._guarded:
             named = dict(zip(self._names, states, strict=True))
-            self._guarded[states] = ControlGuards(self._mechanics, self._parameters, named)
+            self._guarded[states] = ControlGuards(self._mechanics, named)
         return self._guarded[states]
 
     def _parted(self, flow: Flow) -> Flow:

@@ -44,7 +44,6 @@ from statechart.automaton.laws import (
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Clock, Jump, Key, Role, Roles
 from statechart.errors import NoConsistentMode, SingularMode
-from statechart.formulas.parameters import Parameters
 
 _EPS = float(np.finfo(float).eps)
 # A start may be inside a surface by so much of the scene's length (and is projected out).
@@ -62,24 +61,21 @@ class SceneLaws:
     ----------
     mechanics : Mechanics
         The scene's equations.
-    parameters : Parameters
-        From `contacts.dynamics.setup.scene_parameters`.
     numbers : SceneNumbers
         From the values of the parameters to the numbers of a run.
     """
 
-    def __init__(self, mechanics: Mechanics, parameters: Parameters, numbers: SceneNumbers) -> None:
-        symbols = list(parameters.symbols.values())
+    def __init__(self, mechanics: Mechanics, numbers: SceneNumbers) -> None:
         self._mechanics = mechanics
         self._modes = mechanics.scene.modes
         self._paradox = mechanics.scene.paradox
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers
-        self._tape = SnapshotTape(mechanics, symbols)
+        self._tape = SnapshotTape(mechanics)
         self._conditions = self.numbers.conditions
         # Without joints and conditions, an instant may be a usual one.
         self._plain = not mechanics.joint_rows and not self._conditions.present
-        self._projection = Projection(mechanics, symbols, self._tape)
+        self._projection = Projection(mechanics, self._tape)
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""

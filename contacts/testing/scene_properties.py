@@ -13,7 +13,7 @@ import sympy as sp
 from pydantic import ValidationError
 
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.setup import SceneSetup, cones, scene_parameters
+from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
 from contacts.states import OFF, OPEN
 from contacts.testing.assertions import _ROUNDING, assert_in_cone, largest_of, no_growth, step_ends
@@ -205,8 +205,7 @@ def properties(scene: Scene) -> tuple[Property, ...]:
         from contacts.testing.body_properties import body_properties
 
         return (*body_properties(scene), *_relations(scene))
-    parameters = scene_parameters(scene)
-    mechanics = Mechanics(scene, parameters.symbols, cones(scene, parameters.symbols))
+    mechanics = Mechanics(scene)
     none = "" if scene.contacts else "the scene has no contacts"
     free = any("free" in contact.kinds for contact in scene.contacts.values())
     return (

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import sympy as sp
 from numpy.typing import NDArray
 
 from contacts.dynamics.control_guards import ControlGuards, listening
@@ -35,12 +34,10 @@ class SteppedTapes:
     ----------
     mechanics : Mechanics
         The scene's equations.
-    parameters : sequence of Symbol
-        In the order of the values.
     """
 
-    def __init__(self, mechanics: Mechanics, parameters: Sequence[sp.Symbol]) -> None:
-        self._mechanics, self._parameters = mechanics, parameters
+    def __init__(self, mechanics: Mechanics) -> None:
+        self._mechanics = mechanics
         self._names = tuple(mechanics.scene.regions)
         self._tapes: dict[Key, SteppedTape] = {}
         self._guards: dict[Key, ControlGuards] = {}
@@ -53,15 +50,13 @@ class SteppedTapes:
     def at(self, states: Key) -> SteppedTape:
         """Return the equations."""
         if states not in self._tapes:
-            self._tapes[states] = SteppedTape(self._mechanics, self._parameters, self.named(states))
+            self._tapes[states] = SteppedTape(self._mechanics, self.named(states))
         return self._tapes[states]
 
     def guards(self, states: Key) -> ControlGuards:
         """Return the guards out of the states."""
         if states not in self._guards:
-            self._guards[states] = ControlGuards(
-                self._mechanics, self._parameters, self.named(states)
-            )
+            self._guards[states] = ControlGuards(self._mechanics, self.named(states))
         return self._guards[states]
 
 

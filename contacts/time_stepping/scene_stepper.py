@@ -20,7 +20,6 @@ from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Bools, Ints
 from statechart.automaton.regions import Margin, Region
 from statechart.errors import SimulationError
-from statechart.formulas.parameters import Parameters
 
 # The modes at the start are those of a step this short, in the scene's own time.
 _TRIAL = 1e-6
@@ -33,8 +32,6 @@ class SceneStepper(Stepper):
     ----------
     mechanics : Mechanics
         The scene's equations.
-    parameters : Parameters
-        From `contacts.dynamics.setup.scene_parameters`.
     stops : mapping
         Stop condition -> margin.
     regions : tuple of Region
@@ -44,15 +41,13 @@ class SceneStepper(Stepper):
     def __init__(
         self,
         mechanics: Mechanics,
-        parameters: Parameters,
         stops: Mapping[str, Margin],
         regions: tuple[Region, ...],
     ) -> None:
         contacts = mechanics.scene.contacts
-        self._tapes = SteppedTapes(mechanics, list(parameters.symbols.values()))
+        self._tapes = SteppedTapes(mechanics)
         super().__init__(
             mechanics,
-            parameters,
             stops,
             mechanics.energy,
             (*mechanics.a, *mechanics.unknown_forces, *mechanics.controls),
@@ -62,8 +57,8 @@ class SceneStepper(Stepper):
             forces=len(mechanics.a) + len(mechanics.joint_rows),
             sticks=np.array([{"pin", "slide"} <= c.kinds for c in contacts.values()], bool),
         )
-        self._numbers = SceneNumbers(mechanics, parameters, stops)
-        self._mechanics, self._regions = mechanics, regions
+        self._numbers = SceneNumbers(mechanics, stops)
+        self._regions = regions
 
     def _begin(self, overrides: Mapping[str, float], step: float) -> Begun:
         try:
@@ -93,7 +88,7 @@ class SceneStepper(Stepper):
         setup = self._numbers.at(overrides, RELATIVE)
         warnings = [*self._lacks(setup), *self._cut(setup)]
         if self._mechanics.joint_rows:
-            snapshots = SnapshotTape(self._mechanics, list(self._parameters.symbols.values()))
+            snapshots = SnapshotTape(self._mechanics)
             check_joints(self._mechanics, snapshots, setup, RELATIVE)
         tape = self._tapes.at(self._tapes.initial)
         near = setup.tolerances["gap"]

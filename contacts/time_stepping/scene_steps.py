@@ -21,7 +21,6 @@ from contacts.time_stepping.scene_step import step_scene
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 
 _CODES = {state: code for code, state in STATES.items()}
 
@@ -33,15 +32,11 @@ class SteppedTape:
     ----------
     mechanics : Mechanics
         The scene's equations.
-    parameters : sequence of Symbol
-        In the order of the values.
     states : mapping
         Controller -> its state.
     """
 
-    def __init__(
-        self, mechanics: Mechanics, parameters: Sequence[sp.Symbol], states: Mapping[str, str]
-    ) -> None:
+    def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         set_: dict[sp.Symbol, sp.Expr] = {}
         for control, value in mechanics.controlled(states):
             set_[control] = value.xreplace(set_)
@@ -65,11 +60,8 @@ class SteppedTape:
         self.joint_rows = len(rows)
         outputs += [set_[control] for control in mechanics.controls]
         self.controls = len(mechanics.controls)
-        self.tape: Tape = compile_tape(
+        self.tape: Tape = mechanics.tape(
             outputs,
-            variables=(*mechanics.q, *mechanics.v),
-            parameters=parameters,
-            time=mechanics.time,
         )
         # Of pins the velocity is given, of slides without friction the normal one.
         self.held = np.array(

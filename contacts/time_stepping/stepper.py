@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 
 import numpy as np
 import sympy as sp
@@ -17,8 +16,6 @@ from contacts.time_stepping.loop import Begun, Span, Stepping, run
 from statechart.arrays import Bools
 from statechart.automaton.regions import Margin
 from statechart.automaton.trace import Key, Trace
-from statechart.formulas.parameters import Parameters
-from statechart.formulas.writer import compile_tape
 
 RELATIVE = 1e-9
 """Tolerances at the start, relative to the scene."""
@@ -31,8 +28,6 @@ class Stepper(ABC):
     ----------
     mechanics : Mechanics
         The scene's equations, or no more than its names and symbols.
-    parameters : Parameters
-        From `contacts.dynamics.setup.scene_parameters`.
     stops : mapping
         Stop condition -> margin.
     energy : Expr
@@ -45,7 +40,6 @@ class Stepper(ABC):
     def __init__(
         self,
         mechanics: Mechanics,
-        parameters: Parameters,
         stops: Mapping[str, Margin],
         energy: sp.Expr,
         unknowns: Sequence[sp.Symbol],
@@ -56,26 +50,20 @@ class Stepper(ABC):
         forces: int | None,
         sticks: Bools,
     ) -> None:
-        self._scene, self._parameters = mechanics.scene, parameters
-        names, variables = mechanics.names, (*mechanics.q, *mechanics.v)
-        tape = partial(
-            compile_tape, parameters=tuple(parameters.symbols.values()), time=mechanics.time
-        )
+        self._mechanics, self._scene = mechanics, mechanics.scene
         self._stepping = Stepping(
             self._scene.name,
-            (*names, *map(self._scene.rate_name, names)),
-            parameters.names,
+            mechanics.variable_names,
+            mechanics.parameters.names,
             regions,
             controls,
             again,
             forces,
             sticks,
-            np.array([name.endswith(".angle") for name in names]),
-            tape(
-                [margin.expression for margin in stops.values()], variables=(*variables, *unknowns)
-            ),
+            np.array([name.endswith(".angle") for name in mechanics.names]),
+            mechanics.tape([margin.expression for margin in stops.values()], unknowns=unknowns),
             tuple(stops),
-            tape([energy], variables=variables),
+            mechanics.tape([energy]),
         )
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:

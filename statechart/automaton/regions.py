@@ -9,6 +9,7 @@ from typing import Literal
 import sympy as sp
 
 from statechart.automaton.trace import Role
+from statechart.formulas.formula import parse_relation
 from statechart.formulas.linear import Definition
 
 MarginKind = Literal["plain", "gap", "speed", "force"]
@@ -33,6 +34,11 @@ class Margin:
     name: str
     expression: sp.Expr
     kind: MarginKind = "plain"
+
+
+def stop_margins(conditions: Mapping[str, str], known: Mapping[str, sp.Expr]) -> dict[str, Margin]:
+    """Return the margins of stop conditions, in the names of what they may use."""
+    return {n: Margin(n, parse_relation(text).margin(known)) for n, text in conditions.items()}
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
-from statechart.automaton.regions import Edge, Margin, Region, State
+from statechart.automaton.regions import Edge, Margin, Region, State, stop_margins
 from statechart.automaton.trace import Clock, Jump, Role, Roles, between
 from statechart.charts.chart import Chart, Transition
 from statechart.charts.chart import Region as DeclaredRegion
@@ -64,10 +64,7 @@ def automaton(chart: Chart) -> Automaton:
         rates=tuple(symbols.rates.values()),
         equations=(),
         regions=regions,
-        stops={
-            label: Margin(label, parse_relation(text).margin(symbols.known))
-            for label, text in chart.stop.conditions.items()
-        },
+        stops=stop_margins(chart.stop.conditions, symbols.known),
         observables=symbols.known,
         setup=symbols.setup,
         laws=ChartLaws(chart, symbols, regions),

@@ -11,7 +11,6 @@ import pytest
 from runs import ENGINES, engine
 
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.setup import cones, scene_parameters
 from contacts.kind import automaton
 from contacts.scene.parts import Body, Contact, Coordinate, Joint, Path, Point, Surface
 from contacts.scene.scene import Scene
@@ -46,8 +45,7 @@ def _run(scene: Scene, name: str = "taylor", until: float = 3.0, **parameters: f
 
 def _distance(scene: Scene, trace: Trace) -> float:
     """Return how far the joints were open at most, at the ends of all steps."""
-    parameters = scene_parameters(scene)
-    mechanics = Mechanics(scene, parameters.symbols, cones(scene, parameters.symbols))
+    mechanics = Mechanics(scene)
     gaps = [row.gap for row in mechanics.joint_rows]
     subject = Subject(scene)
     worst = 0.0
@@ -184,8 +182,7 @@ def test_a_closed_loop_keeps_its_energy_and_its_joints() -> None:
 
 
 def _energy_arguments(scene: Scene) -> tuple[Mechanics, Subject]:
-    parameters = scene_parameters(scene)
-    return Mechanics(scene, parameters.symbols, cones(scene, parameters.symbols)), Subject(scene)
+    return Mechanics(scene), Subject(scene)
 
 
 def test_a_slider_crank_moves_as_its_closed_form() -> None:

@@ -1,0 +1,96 @@
+"""What the equations of a scene take as given: parameters, and what follows from these alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+
+import sympy as sp
+
+from contacts.scene.parts import Point
+from contacts.scene.scene import Scene
+from statechart.documents.fields import FormulaText
+from statechart.formulas.formula import Formula, parse
+from statechart.formulas.parameters import Parameters
+
+COEFFICIENTS = ("friction", "cone_n", "cone_t")
+"""Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
+
+
+def friction_cones(
+    scene: Scene, known: Mapping[str, sp.Symbol]
+) -> dict[str, tuple[sp.Expr, sp.Expr]]:
+    """Return (cone_n, cone_t) per contact: symbols, or numbers where nothing is to be known."""
+    result: dict[str, tuple[sp.Expr, sp.Expr]] = {}
+    for i, (name, contact) in enumerate(scene.contacts.items()):
+        if contact.friction is None:
+            # Without slide a pin holds whatever it takes (no-slip); free needs no cone at all.
+            result[name] = (sp.S.Zero, sp.S.One)
+        elif contact.frictionless:
+            result[name] = (sp.S.One, sp.S.Zero)
+        elif scene.controlled.region_of(contact.friction) is not None:
+            # What states set; their values are parameters (see `COEFFICIENTS`).
+            result[name] = (sp.Symbol(f"n{i}", real=True), sp.Symbol(f"m{i}", real=True))
+        else:
+            result[name] = (known[f"{name}.cone_n"], known[f"{name}.cone_t"])
+    return result
+
+
+def scene_parameters(scene: Scene) -> Parameters:
+    """Return the scene's parameters, the contacts' coefficients, and the initial state."""
+    return Parameters(scene.parameters, partial(_derived, scene), partial(_initial, scene))
+
+
+def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
+    """Return the coefficients of contacts, moments of inertia, redundancies of joints."""
+    result: dict[str, sp.Expr] = {}
+
+    def values(text: FormulaText) -> Iterator[tuple[str, sp.Expr]]:
+        for state, seen in scene.controlled.seen_in_states(text, known, Formula.to_sympy):
+            yield f".{state}" if state else "", parse(text).to_sympy(seen)
+
+    for name, contact in scene.contacts.items():
+        if contact.friction is not None and not contact.frictionless:
+            for state, mu in values(contact.friction):
+                # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
+                edge = (1 / sp.sqrt(1 + mu**2), 1 / sp.sqrt(1 + (1 / mu) ** 2))
+                for key, value in zip(COEFFICIENTS, (mu, *edge), strict=True):
+                    result[f"{name}.{key}{state}"] = value
+        if contact.restitution is not None:
+            for state, value in values(contact.restitution):
+                result[f"{name}.restitution{state}"] = value
+    for name, body in scene.bodies.items():
+        if body.inertia is not None:
+            result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
+    for name, joint in scene.joints.items():
+        # Found from the start of a run, see `contacts.solvers.dependence.implied`.
+        result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
+    return result
+
+
+def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
+    """Return positions and rates at the start, and the bodies' levers."""
+    positions: list[sp.Expr] = []
+    rates: list[sp.Expr] = []
+    for coordinate in scene.coordinates.values():
+        positions.append(parse(coordinate.start).to_sympy(known))
+        rates.append(parse(coordinate.rate).to_sympy(known))
+    for body in scene.bodies.values():
+        for name in body.coordinates:
+            positions.append(parse(body.start.get(name, 0)).to_sympy(known))  # type: ignore[call-overload]
+            rates.append(parse(body.start.get(f"d{name}", 0)).to_sympy(known))  # type: ignore[call-overload]
+    return [*positions, *rates, *(_lever(scene, name, known) for name in scene.bodies)]
+
+
+def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
+    """Return mass times the longest arm squared of the body's contact points and joints."""
+    points = [contact.point for contact in scene.contacts.values()]
+    points += [joint.point for joint in scene.joints.values()]
+    points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
+    arms = [
+        sp.Add(*(parse(text).to_sympy(known) ** 2 for text in point.at))
+        for point in points
+        if point.body == name
+    ]
+    mass = parse(scene.bodies[name].mass).to_sympy(known)
+    return mass * (sp.Max(*arms) if arms else sp.S.Zero)
