@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,6 +62,17 @@ class Impacts:
     warning: str = ""
 
 
+class _Done(NamedTuple):
+    """Impacts of one group of contacts: what they change, and what is to be told of them."""
+
+    change: Array
+    impulses: Array
+    path: list[str]
+    warning: str
+    share: float
+    indeterminate: Sequence[bool]
+
+
 def impacts(
     snapshot: Snapshot,
     laws: Sequence[ContactLaw],
@@ -96,20 +108,19 @@ def impacts(
     for group in groups(snapshot, closed):
         if min(snapshot.contacts[i].gap_rate for i in group) >= 0.0:
             continue
-        if len(group) == 1 and laws[group[0]].impact != MOREAU:
-            moved, given, steps, warning = _alone(snapshot, laws, group[0])
-        elif choice == "sequential" and len(group) > 1:
-            moved, given, steps, warning = _in_sequence(snapshot, laws, group)
+        if len(group) == 1:
+            done = _alone(snapshot, laws, group[0])
+        elif choice == "sequential":
+            done = _in_sequence(snapshot, laws, group)
         else:
-            rebound = choice == "capped" or len(group) == 1
-            moved, given, part, steps, warning, unknown = _at_once(snapshot, laws, group, rebound)
-            share = min(share, part)
-            for i in group:
-                indeterminate[i] = unknown[i]
-        change += moved
-        impulses += given
-        path += steps
-        warnings += [warning] if warning else []
+            done = _at_once(snapshot, laws, group, choice == "capped")
+        share = min(share, done.share)
+        for i in group:
+            indeterminate[i] = done.indeterminate[i]
+        change += done.change
+        impulses += done.impulses
+        path += done.path
+        warnings += [done.warning] if done.warning else []
     velocity = snapshot.velocity + change
     told = "; ".join(warnings)
     return Impacts(velocity, impulses, tuple(path), share, tuple(indeterminate), told)
@@ -129,17 +140,19 @@ def groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
     return list(groups.values())
 
 
-def _alone(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], place: int
-) -> tuple[Array, Array, list[str], str]:
-    """Return change, impulses, path and warning of the impact of one contact."""
+def _alone(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -> _Done:
+    """Let one contact be hit, by its own law."""
     law, contact = laws[place], snapshot.contacts[place]
+    if law.impact == MOREAU:
+        return _at_once(snapshot, laws, [place], True)
     result = impact(snapshot, contact, law, law.restitution)
     impulses = np.zeros((len(laws), 2))
     impulses[place] = result.normal, result.tangential
     change = result.velocity - snapshot.velocity
-    warning = _raised(law) if _raises(contact, result, change) else ""
-    return change, impulses, [f"{law.name} {' '.join(result.path)}"], warning
+    raised = _raises(contact, result, change)
+    warning = f"{law.name}: the impact law {law.impact!r} raised the energy" if raised else ""
+    path = [f"{law.name} {' '.join(result.path)}"]
+    return _Done(change, impulses, path, warning, 1.0, [False] * len(laws))
 
 
 def _raises(contact: PerContact, result: Impact, change: Array) -> bool:
@@ -153,8 +166,8 @@ def _raises(contact: PerContact, result: Impact, change: Array) -> bool:
 
 def _at_once(
     snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int], rebound: bool
-) -> tuple[Array, Array, float, list[str], str, tuple[bool, ...]]:
-    """Return change, impulses, share, path, warning and indeterminate contacts."""
+) -> _Done:
+    """Solve for the velocities of all contacts of a group at once."""
     closed = [i in group for i in range(len(laws))]
     names = ", ".join(laws[i].name for i in group)
     elastic = [law.restitution for law in laws]
@@ -183,7 +196,7 @@ def _at_once(
         modes = ", ".join(f"{laws[i].name}:{target.states[i]}" for i in group)
         path.append(f"to {share:.6g} moreau {modes}")
     unknown = tuple(a or b for a, b in zip(base.indeterminate, target.indeterminate, strict=True))
-    return change, impulses, share, path, "; ".join(warnings), unknown
+    return _Done(change, impulses, path, "; ".join(warnings), share, unknown)
 
 
 def _shares(
@@ -217,17 +230,15 @@ def _work(snapshot: Snapshot, group: Sequence[int], found: Impulses) -> tuple[fl
     return float(work), float(size)
 
 
-def _in_sequence(
-    snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int]
-) -> tuple[Array, Array, list[str], str]:
-    """Return change, impulses, path and warning of impacts one after another."""
+def _in_sequence(snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int]) -> _Done:
+    """Let one contact after another be hit."""
     impulses = np.zeros((len(laws), 2))
     path: list[str] = []
     now, first = snapshot, 0.0
     terms = np.abs(snapshot.velocity)
     told: list[str] = []
     while True:
-        moving = [_moved(snapshot, now, i) for i in group]
+        moving = [now.contacts[i] for i in group]
         limits = [
             _ROUNDING * (abs(c.gap_rate) + float(np.abs(c.jacobian[0]) @ terms)) for c in moving
         ]
@@ -237,42 +248,32 @@ def _in_sequence(
         k = min(hit, key=lambda k: moving[k].gap_rate)
         approach = -moving[k].gap_rate
         first = first or approach
-        if len(path) >= _LONGEST_SEQUENCE or approach < _SPENT * first:
+        endless = len(path) >= _LONGEST_SEQUENCE or approach < _SPENT * first
+        if endless:
             names = ", ".join(laws[i].name for i in group)
-            rest = now._replace(contacts=tuple(_moved(snapshot, now, i) for i in range(len(laws))))
-            change, given, _, _, warning, _ = _at_once(rest, laws, group, False)
-            endless = (
+            told = [
                 f"{names}: the sequence of impacts does not end; after {len(path)} the approach "
                 f"is {approach:.3g}, and the rest is plastic"
-            )
-            warning = f"{endless}; {warning}" if warning else endless
-            path.append("plastic rest")
-            return now.velocity + change - snapshot.velocity, impulses + given, path, warning
-        i = group[k]
-        if laws[i].impact == MOREAU:
-            alone = now._replace(contacts=tuple(_moved(snapshot, now, c) for c in range(len(laws))))
-            change, given, _, steps, warning, _ = _at_once(alone, laws, [i], True)
-            impulses += given
-            path += steps
-            told += [warning] if warning else []
+            ]
+            done = _at_once(now, laws, group, False)._replace(path=["plastic rest"])
         else:
-            result = impact(now, moving[k], laws[i], laws[i].restitution)
-            change = result.velocity - now.velocity
-            told += [_raised(laws[i])] if _raises(moving[k], result, change) else []
-            impulses[i] += result.normal, result.tangential
-            path.append(f"{laws[i].name} {' '.join(result.path)}")
-        now = now._replace(velocity=now.velocity + change)
+            done = _alone(now, laws, group[k])
+        impulses += done.impulses
+        path += done.path
+        told += [done.warning] if done.warning else []
+        now = _moved(snapshot, now.velocity + done.change)
+        if endless:
+            break
         terms = np.maximum(terms, np.abs(now.velocity))
-    return now.velocity - snapshot.velocity, impulses, path, "; ".join(dict.fromkeys(told))
+    change, warning = now.velocity - snapshot.velocity, "; ".join(dict.fromkeys(told))
+    return _Done(change, impulses, path, warning, 1.0, [False] * len(laws))
 
 
-def _raised(law: ContactLaw) -> str:
-    return f"{law.name}: the impact law {law.impact!r} raised the energy"
-
-
-def _moved(snapshot: Snapshot, now: Snapshot, i: int) -> PerContact:
-    contact = snapshot.contacts[i]
-    normal, slip = contact.jacobian @ (now.velocity - snapshot.velocity)
-    return contact._replace(
-        gap_rate=contact.gap_rate + float(normal), slip=contact.slip + float(slip)
-    )
+def _moved(snapshot: Snapshot, velocity: Array) -> Snapshot:
+    """Return the numbers at other rates of the coordinates."""
+    contacts = []
+    for contact in snapshot.contacts:
+        normal, slip = (contact.jacobian @ (velocity - snapshot.velocity)).tolist()
+        rates = {"gap_rate": contact.gap_rate + normal, "slip": contact.slip + slip}
+        contacts.append(contact._replace(**rates))
+    return snapshot._replace(velocity=velocity, contacts=tuple(contacts))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from contacts.dynamics.snapshot import Snapshot
 from contacts.scene.modes import OWN, Bearing
 from contacts.solvers.dependence import independent
+from contacts.solvers.mode_solver import judge_forces
 from contacts.solvers.redundancy import mode_columns, sharing
 from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
 from contacts.states import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
@@ -114,8 +115,9 @@ def share(
     given[shared] = borne
     for k, place in zip(shared.tolist(), places.tolist(), strict=True):
         zones[k] = _ZONES[place]
-    for k in np.flatnonzero((code != FREE) & ~np.isin(np.arange(len(code)), shared)).tolist():
-        violation = max(violation, _outside(code[k], cones[k], forces[k]))
+    alone = ~np.isin(np.arange(len(code)), shared)
+    verdict = np.array([violation, 0.0, 0.0, 0.0])
+    judge_forces(verdict, forces[alone], cones[alone], code[alone], 1.0)
     kept = set(order[:count].tolist())
     letters = [letter for mode in code.tolist() for letter in _LETTERS.get(mode, "e")]
     carriers = tuple(
@@ -137,18 +139,8 @@ def share(
         carriers,
         tuple(coordinates.tolist()),
         tuple(joints.tolist()),
-        violation,
+        float(verdict[0]),
     )
-
-
-def _outside(mode: int, cone: Array, force: Array) -> float:
-    """Return how far a force that the motion determines is outside its cone or off its edge."""
-    (n, t), (V, H) = cone.tolist(), force.tolist()
-    if mode == PIN:
-        return max(-V, n * abs(H) - t * V)
-    if mode == SLIDE:
-        return -V
-    return -(n * V - _SLIDING[mode] * t * H)
 
 
 def _rows(code: NDArray[np.int64], jacobians: Array) -> tuple[str, ...]:

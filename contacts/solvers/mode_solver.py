@@ -66,10 +66,11 @@ def _judge(
             _worse(verdict, -along / scale, c, AGAINST, along)
 
 
-@part
-def _judge_forces(
+@kernel
+def judge_forces(
     verdict: Array, forces: Array, cones: Array, code: NDArray[np.int64], scale: float
 ) -> None:
+    """Judge the forces of a combination; see `solve_modes`."""
     for c in range(len(code)):
         V, H = forces[c, 0], forces[c, 1]
         cone_n, cone_t = cones[c, 0], cones[c, 1]
@@ -220,7 +221,7 @@ def solve_modes(
             verdict, accelerations[k], jacobians, biases, code, closed, still, acceleration_scale
         )
         if rank == m:
-            _judge_forces(verdict, force, cones, code, force_scale)
+            judge_forces(verdict, force, cones, code, force_scale)
         else:
             status[k] = REDUNDANT
             redundant += 1

@@ -7,7 +7,6 @@ share the load is not. The least forces within the cones are taken, and flagged.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.solvers.dependence import independent
 from contacts.solvers.smallest_forces import springs
@@ -135,15 +134,17 @@ def smallest(
     return given, shared.tolist()
 
 
-def connected(linked: NDArray[np.bool_]) -> NDArray[np.int64]:
+@kernel
+def connected(linked: Bools) -> Ints:
     """Label the connected parts of a symmetric relation (n, n)."""
-    labels = [-1] * len(linked)
-    beside = [np.flatnonzero(row).tolist() for row in linked]
-    for first in range(len(labels)):
-        left = [first] if labels[first] < 0 else []
-        while left:
+    labels = np.full(len(linked), -1)
+    for first in range(len(linked)):
+        left = [first]
+        while len(left) > 0:
             k = left.pop()
             if labels[k] < 0:
                 labels[k] = first
-                left += beside[k]
-    return np.array(labels, dtype=np.int64)
+                for other in range(len(linked)):
+                    if linked[k, other] and labels[other] < 0:
+                        left.append(other)
+    return labels

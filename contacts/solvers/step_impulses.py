@@ -17,6 +17,7 @@ from contacts.solvers.contact_lcp_kernels import (
     solve_contacts,
     step_residual,
 )
+from contacts.solvers.redundancy import connected
 from statechart.arrays import Array, Bools
 from statechart.kernels.jit import kernel
 
@@ -50,18 +51,12 @@ def _known(
 def coupled_contacts(delassus: Array) -> NDArray[np.int64]:
     """Label the contacts (m,): those with one label feel each other's impulses."""
     m = len(delassus) // 2
-    labels = np.arange(m)
+    linked = np.zeros((m, m), np.bool_)
     for i in range(m):
         for k in range(i):
-            if (
-                labels[i] != labels[k]
-                and (delassus[2 * i : 2 * i + 2, 2 * k : 2 * k + 2] != 0).any()
-            ):
-                old, new = labels[i], labels[k]
-                for a in range(m):
-                    if labels[a] == old:
-                        labels[a] = new
-    return labels
+            felt = (delassus[2 * i : 2 * i + 2, 2 * k : 2 * k + 2] != 0).any()
+            linked[i, k] = linked[k, i] = felt
+    return connected(linked)
 
 
 @kernel
