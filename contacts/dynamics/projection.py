@@ -11,7 +11,7 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.joints import JointNumbers, dependent
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
-from contacts.dynamics.snapshot import Snapshot, SnapshotTape, solve_kkt
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer
 from contacts.solvers.dependence import well_posed
 from contacts.states import OPEN
 from statechart.arrays import Array
@@ -252,11 +252,8 @@ def _brought(
     if not rows:
         return state
     jacobian, sides = well_posed(np.array(rows), np.array(off))
-    count = len(jacobian)
-    block = np.hstack([jacobian, np.zeros((count, count))])
-    zero = np.zeros(len(whole.velocity))
-    shift = solve_kkt(whole.mass, zero, block, jacobian.T, sides[:, 0].copy())
-    change = solve_kkt(whole.mass, zero, block, jacobian.T, sides[:, 1].copy())
+    shift = answer(whole, jacobian, jacobian, sides[:, 0].copy())
+    change = answer(whole, jacobian, jacobian, sides[:, 1].copy())
     if shift is None or change is None:
         return state
     return state + np.concatenate([shift[0], change[0]])

@@ -258,20 +258,19 @@ def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[Block]) -> Snap
 def solve_kkt(
     mass: Array, right: Array, rows: Array, columns: Array, constants: Array
 ) -> tuple[Array, Array] | None:
-    """Solve ``mass a - columns f = right``, ``rows (a, f) = constants``.
+    """Solve ``mass a - columns^T f = right``, ``rows a = constants``.
 
     The saddle-point form is kept: the Delassus matrix ``J M^-1 J^T`` is wrong by 7 % at a moment
     of inertia of 1e-16 and does not exist at 0, where this one is exact.
 
     Parameters
     ----------
-    mass : (n, n) array
-    right : (n,) array
-    rows : (m, n + m) array
-        Equations of the contacts.
-    columns : (n, m) array
-        How the contact forces act on the coordinates.
-    constants : (m,) array
+    mass : (n, n), right : (n,)
+    rows : (m, n)
+        What is asked of the accelerations, or of changes of velocity.
+    columns : (m, n)
+        What the forces, or impulses, do to the coordinates.
+    constants : (m,)
 
     Returns
     -------
@@ -283,7 +282,7 @@ def solve_kkt(
     SingularMode
         If the solution cannot be trusted to 1e-8.
     """
-    status, x = saddle(mass, right, rows, np.ascontiguousarray(columns), constants)
+    status, x = saddle(mass, right, rows, columns, constants)
     if status == SINGULAR:
         return None
     if status == INEXACT:
@@ -292,3 +291,13 @@ def solve_kkt(
         )
     n = len(right)
     return x[:n], x[n:]
+
+
+def answer(
+    snapshot: Snapshot, rows: Array, columns: Array, rates: Array
+) -> tuple[Array, Array] | None:
+    """Return the change of velocity by impulses along `columns` that changes `rows` by `rates`.
+
+    And the impulses; None where there is none. For the arrays see `solve_kkt`.
+    """
+    return solve_kkt(snapshot.mass, np.zeros(len(snapshot.forces)), rows, columns, rates)

@@ -12,7 +12,7 @@ from contacts.dynamics.conditions import hidden
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import PerContact, Snapshot, solve_kkt
+from contacts.dynamics.snapshot import PerContact, Snapshot, answer
 from contacts.event_driven.decision import decide
 from contacts.impacts.jamming import Jam
 from contacts.impacts.simultaneous import impacts
@@ -188,15 +188,8 @@ def _change(
     snapshot: Snapshot, rows: Sequence[Array], columns: Sequence[Array], rates: Sequence[float]
 ) -> Array | None:
     """Return the change of velocity by impulses along `columns` that changes `rows` by `rates`."""
-    size, count = len(snapshot.forces), len(rows)
     try:
-        solved = solve_kkt(
-            snapshot.mass,
-            np.zeros(size),
-            np.hstack([np.array(rows), np.zeros((count, count))]),
-            np.array(columns).T,
-            np.array(rates),
-        )
+        solved = answer(snapshot, np.array(rows), np.array(columns), np.array(rates))
     except SingularMode:
         return None
     return None if solved is None else solved[0]

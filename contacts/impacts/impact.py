@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.snapshot import PerContact, Snapshot, solve_kkt
+from contacts.dynamics.snapshot import PerContact, Snapshot, answer
 from contacts.scene.parts import MOREAU
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
@@ -236,11 +236,10 @@ def _along(snapshot: Snapshot, contact: PerContact, name: str, n: float, t: floa
 
     Where it does not change that (a particle under infinite friction), to one of slip.
     """
-    size = len(snapshot.forces)
     column = contact.jacobian.T @ np.array([n, t])
     for direction in (0, 1):
-        row = np.concatenate([contact.jacobian[direction], [0.0]])[None]
-        solved = solve_kkt(snapshot.mass, np.zeros(size), row, column[:, None], np.ones(1))
+        row = contact.jacobian[direction : direction + 1]
+        solved = answer(snapshot, row, column[None], np.ones(1))
         if solved is None:
             continue
         change, amount = solved[0], float(solved[1][0])
@@ -259,11 +258,7 @@ def _along(snapshot: Snapshot, contact: PerContact, name: str, n: float, t: floa
 
 
 def _sticking(snapshot: Snapshot, contact: PerContact) -> _Piece | None:
-    size = len(snapshot.forces)
-    rows = np.hstack([contact.jacobian, np.zeros((2, 2))])
-    solved = solve_kkt(
-        snapshot.mass, np.zeros(size), rows, contact.jacobian.T, np.array([1.0, 0.0])
-    )
+    solved = answer(snapshot, contact.jacobian, contact.jacobian, np.array([1.0, 0.0]))
     if solved is None:
         return None
     normal, tangential = map(float, solved[1])

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.snapshot import PerContact, Snapshot, solve_kkt
+from contacts.dynamics.snapshot import PerContact, Snapshot, answer, solve_kkt
 
 # Of the response to a normal force alone: p this small cannot be told from none, and the force
 # that it asks for stops slip in less time than can be told from none.
@@ -91,10 +91,8 @@ def paradoxes(
         straight = _response(snapshot, contact, 1.0, 0.0)
         if p > max(nearly, _NONE) * straight:
             continue
-        size = len(snapshot.forces)
-        free = solve_kkt(
-            snapshot.mass, snapshot.forces, np.zeros((0, size)), np.zeros((size, 0)), np.zeros(0)
-        )
+        none = np.zeros((0, len(snapshot.forces)))
+        free = solve_kkt(snapshot.mass, snapshot.forces, none, none, np.zeros(0))
         b = math.nan if free is None else float(contact.jacobian[0] @ free[0]) + contact.bias_n
         if p >= 0.0 and not b < 0.0:
             continue
@@ -112,10 +110,8 @@ def paradoxes(
 
 def _response(snapshot: Snapshot, contact: PerContact, n: float, t: float) -> float:
     """Return the normal acceleration per unit force along (n, t)."""
-    size = len(snapshot.forces)
     column = contact.jacobian.T @ np.array([n, t])
-    row = np.concatenate([contact.jacobian[0], [0.0]])[None]
-    solved = solve_kkt(snapshot.mass, np.zeros(size), row, column[:, None], np.ones(1))
+    solved = answer(snapshot, contact.jacobian[:1], column[None], np.ones(1))
     # The force that one unit of acceleration takes; none does where p = 0.
     if solved is None:
         return 0.0

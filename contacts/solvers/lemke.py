@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from contacts.solvers.saddle_point import SOLVED, saddle
+from contacts.solvers.saddle_point import SOLVED, solve_refined
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
@@ -49,8 +49,8 @@ def on_support(matrix: Array, vector: Array, positive: Bools) -> tuple[bool, Arr
         right[a] = -vector[which[a]]
         for b in range(count):
             part[a, b] = matrix[which[a], which[b]]
-    status, x = saddle(part, right, np.empty((0, count)), np.empty((count, 0)), np.empty(0))
-    if status != SOLVED:
+    x = np.empty(count)
+    if solve_refined(part, right, x) != SOLVED:
         return False, z
     z[which] = x
     return True, z

@@ -159,7 +159,7 @@ def largest_sizes(numbers: Array, begins: NDArray[np.int64], largest: Array) -> 
 def saddle(
     mass: Array, right: Array, rows: Array, columns: Array, constants: Array
 ) -> tuple[int, Array]:
-    """Solve ``mass a - columns f = right``, ``rows (a, f) = constants`` for (a, f)."""
+    """Solve ``mass a - columns^T f = right``, ``rows a = constants`` for (a, f)."""
     n, m = len(right), len(constants)
     matrix = np.zeros((n + m, n + m))
     b = np.empty(n + m)
@@ -168,10 +168,10 @@ def saddle(
         for k in range(n):
             matrix[i, k] = mass[i, k]
         for k in range(m):
-            matrix[i, n + k] = -columns[i, k]
+            matrix[i, n + k] = -columns[k, i]
     for i in range(m):
         b[n + i] = constants[i]
-        for k in range(n + m):
+        for k in range(n):
             matrix[n + i, k] = rows[i, k]
     x = np.empty(n + m)
     return solve_refined(matrix, b, x), x

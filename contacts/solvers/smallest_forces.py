@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.solvers.dependence import independent
-from contacts.solvers.saddle_point import SOLVED, saddle
+from contacts.solvers.saddle_point import SOLVED, solve_refined
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel, part
 
@@ -89,13 +89,10 @@ def _solved(
 ) -> bool:
     """Solve for the forces in given zones, refined on the factors: the stiffness squares them."""
     size = len(load)
-    y = np.zeros(size)
+    y, step = np.zeros(size), np.empty(size)
     left = load
     for _ in range(3):
-        status, step = saddle(
-            stiffness, left, np.empty((0, size)), np.empty((size, 0)), np.empty(0)
-        )
-        if status != SOLVED:
+        if solve_refined(stiffness.copy(), left.copy(), step) != SOLVED:
             return False
         y += step
         _displaced(reach, y, w)
@@ -185,7 +182,7 @@ def springs(
     size_of_load = np.abs(pushed).max()
     if size_of_load == 0.0:
         return True, forces, zones, 0.0
-    y = np.zeros(size)
+    y, step = np.zeros(size), np.empty(size)
     for _ in range(_STEPS):
         stiffness = _stiffness(scaled, zones, cones)
         determined = independent(stiffness)[0] == size
@@ -208,10 +205,7 @@ def springs(
         left = _missing(scaled, forces, pushed)
         for i in range(size):
             stiffness[i, i] += _DAMPING
-        status, step = saddle(
-            stiffness, left, np.empty((0, size)), np.empty((size, 0)), np.empty(0)
-        )
-        if status != SOLVED:
+        if solve_refined(stiffness, left.copy(), step) != SOLVED:
             return False, forces, zones, np.inf
         rise = 0.0
         for i in range(size):
