@@ -187,7 +187,6 @@ class BodyStepper(Stepper):
             initial=initial,
             tolerances={"gap": RELATIVE * length, "speed": RELATIVE * speed,
                         "force": 0.0, "plain": 0.0},
-            relative=RELATIVE,
             scales=scales,
             contacts=(),
             capture=0.0,

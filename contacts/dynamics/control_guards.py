@@ -13,7 +13,7 @@ from contacts.scene.controls import Controller, Transition
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.regions import Edge, Margin, Region, State
-from statechart.automaton.trace import Role
+from statechart.automaton.trace import Key, Role
 from statechart.charts.firing import Guard, GuardWatch, Listening, guards
 
 
@@ -57,6 +57,33 @@ def listening(scene: Scene, regions: Sequence[Region]) -> Listening:
             for name, region in scene.regions.items()
         },
     )
+
+
+class Controllers:
+    """The controllers of a scene: their states, and the guards out of these, made when asked for.
+
+    Attributes
+    ----------
+    names : tuple of str
+    initial : Key
+        The states that they start in.
+    """
+
+    def __init__(self, mechanics: Mechanics) -> None:
+        self._mechanics = mechanics
+        self._guards: dict[Key, ControlGuards] = {}
+        self.names = tuple(mechanics.scene.regions)
+        self.initial: Key = tuple(mechanics.scene.controlled.initial.values())
+
+    def named(self, states: Key) -> dict[str, str]:
+        """Return controller -> state."""
+        return dict(zip(self.names, states, strict=True))
+
+    def guards(self, states: Key) -> ControlGuards:
+        """Return the guards out of the states."""
+        if states not in self._guards:
+            self._guards[states] = ControlGuards(self._mechanics, self.named(states))
+        return self._guards[states]
 
 
 class ControlGuards:

@@ -149,7 +149,6 @@ class SceneNumbers:
             values=values,
             initial=initial,
             tolerances=tolerances,
-            relative=relative,
             short=_SHORT,
             warnings=(*warnings, *implied),
             sizes=scales.sizes,

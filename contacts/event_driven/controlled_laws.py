@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions
-from contacts.dynamics.control_guards import ControlGuards, listening, precision
+from contacts.dynamics.control_guards import Controllers, listening, precision
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
@@ -56,7 +56,7 @@ class ControlledLaws:
         self._names = tuple(self._controllers)
         self._count = len(regions) - len(self._names)
         self._under: dict[Key, SceneLaws] = {}
-        self._guarded: dict[Key, ControlGuards] = {}
+        self._states = Controllers(mechanics)
         self._courses = Courses(
             mechanics.variables, tuple(mechanics.parameters.symbols.values()), mechanics.time
         )
@@ -72,9 +72,8 @@ class ControlledLaws:
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode; transitions that are due there are taken at once."""
         assert isinstance(setup, SceneSetup)
-        key = tuple(region.initial for region in self._controllers.values())
         flow, state = self._contacts.begin(setup)
-        return self._joined(setup, Clock(), flow, key, state), state
+        return self._joined(setup, Clock(), flow, self._states.initial, state), state
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify the contacts, then ask the controllers."""
@@ -139,7 +138,7 @@ class ControlledLaws:
     def _at(self, states: Key) -> SceneLaws:
         """Return the contacts' laws as long as the controllers are in `states`."""
         if states not in self._under:
-            named = dict(zip(self._names, states, strict=True))
+            named = self._states.named(states)
             self._under[states] = self._contacts.under(
                 SnapshotTape(self._mechanics, named),
                 Conditions(self._mechanics, named),
@@ -150,7 +149,7 @@ class ControlledLaws:
         """Return the setup with the contacts' coefficients in `states`."""
         if not self._varying:
             return setup
-        named = dict(zip(self._names, states, strict=True))
+        named = self._states.named(states)
         return replace(setup, contacts=self._contacts.numbers.contacts(setup.values, named))
 
     def _due(
@@ -158,7 +157,7 @@ class ControlledLaws:
     ) -> dict[int, int]:
         """Return place -> transition whose guard is due."""
         own = flow.mode[self._count :]
-        guarded = self._guards(own)
+        guarded = self._states.guards(own)
         watched = guarded.watch.guards
         tolerances = np.array([flow.tolerances[guard.margin] for guard in watched])
         if (guarded.rows(setup, clock.high, state)[:, 0] > tolerances).all():
@@ -184,13 +183,6 @@ class ControlledLaws:
 
         return guarded.watch.due(rows, flow.tolerances, fired, relative, later)
 
-    def _guards(self, states: Key) -> ControlGuards:
-        """Return the guards out of `states`."""
-        if states not in self._guarded:
-            named = dict(zip(self._names, states, strict=True))
-            self._guarded[states] = ControlGuards(self._mechanics, named)
-        return self._guarded[states]
-
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow as the contacts' laws know it."""
         return flow._replace(mode=flow.mode[: self._count], roles=flow.roles[: self._count])
@@ -205,7 +197,7 @@ class ControlledLaws:
         pending: Mapping[str, tuple[Jump, ...]] | None = None,
     ) -> Flow:
         """Return the flow of the contacts and controllers; whether it holds is to be asked."""
-        guarded = self._guards(states)
+        guarded = self._states.guards(states)
         # The size of a guard's terms is asked for, not its value: forces of the scene's size do.
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, precision(setup))

@@ -91,7 +91,7 @@ def _factorise(factors: Array, order: NDArray[np.int64]) -> bool:
 
 
 @part
-def _substitute(factors: Array, order: NDArray[np.int64], right: Array, y: Array) -> None:
+def substitute(factors: Array, order: NDArray[np.int64], right: Array, y: Array) -> None:
     """Solve with the factors, forwards and backwards."""
     size = len(order)
     for i in range(size):
@@ -119,7 +119,7 @@ def solve_refined(scaled: Array, b: Array, x: Array) -> int:
     if not _factorise(factors, order):
         return SINGULAR
     for _ in range(3):
-        _substitute(factors, order, residual, y)
+        substitute(factors, order, residual, y)
         for i in range(size):
             x[i] += y[i]
         for i in range(size):

@@ -39,7 +39,8 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
         values = subject.values(trace, gaps, arc.states(tau), times)
         off = [state == OFF for state in arc.mode[: len(gaps)]]
         values[:, off] = np.inf
-        allowed = trace.tolerances["gap"] * (1.0 + _ROUNDING) + _rounding(trace, arc, tau)
+        size = float(np.abs(arc.coefficients[:, :, 0]).max())
+        allowed = trace.tolerances["gap"] * (1.0 + _ROUNDING) + _ROUNDING * size
         if not (values >= -allowed).all():
             m, k = np.unravel_index(int(np.argmin(values)), values.shape)
             raise AssertionError(
@@ -297,10 +298,6 @@ def _forces(scene: Scene, subject: Subject, trace: Trace) -> Iterator[tuple[Arc,
 def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
     """Yield every contact with its mode."""
     return zip(scene.contacts, moving_mode(arc.roles), strict=False)  # controllers follow
-
-
-def _rounding(trace: Trace, arc: Arc, tau: Array) -> float:
-    return _ROUNDING * float(np.abs(arc.coefficients[:, :, 0]).max())
 
 
 def _no_less(values: Array, least: Array, what: str, times: Array, state: str) -> None:

@@ -12,7 +12,7 @@ from contacts.scene.scene import Scene
 from contacts.states import OFF
 from statechart.automaton.trace import Key, Trace
 from statechart.documents.fields import FormulaText
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import Formula, parse
 from statechart.observation.observer import Observer
 
 # Of a run of many steps fewer points of each are looked at.
@@ -67,14 +67,12 @@ def cone_edges(scene: Scene, trace: Trace, mode: Key) -> dict[str, tuple[float, 
     """Return the cone's unit edge (1, mu) / hypot(1, mu) of every contact in a mode."""
     values = {name: trace.parameters[name] for name in scene.parameters}
     states = dict(zip(trace.regions, mode, strict=True))
-    controls = dict(scene.controlled.declared)
-    for region in scene.regions:
-        controls |= scene.controlled.values(region, states[region])
+    controls = scene.controlled
 
     def value(text: FormulaText) -> float:
-        formula = parse(text)
-        used = formula.names.intersection(controls)
-        return formula.value({**values, **{name: value(controls[name]) for name in used}})
+        now = states.get(controls.region_of(text) or "", "")
+        seen = dict(controls.seen_in_states(text, values, Formula.value))
+        return parse(text).value(seen[now])
 
     result = {}
     for name, contact in scene.contacts.items():

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.dynamics.control_guards import ControlGuards, listening
+from contacts.dynamics.control_guards import Controllers, listening
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.time_stepping.chunk import Chunk
@@ -27,7 +27,7 @@ from statechart.errors import EventLoop
 _MOST_TURNS = 100
 
 
-class SteppedTapes:
+class SteppedTapes(Controllers):
     """The equations of a scene in the states of its controllers, each compiled when entered.
 
     Parameters
@@ -37,27 +37,14 @@ class SteppedTapes:
     """
 
     def __init__(self, mechanics: Mechanics) -> None:
-        self._mechanics = mechanics
-        self._names = tuple(mechanics.scene.regions)
+        super().__init__(mechanics)
         self._tapes: dict[Key, SteppedTape] = {}
-        self._guards: dict[Key, ControlGuards] = {}
-        self.initial: Key = tuple(r.initial for r in mechanics.scene.regions.values())
-
-    def named(self, states: Key) -> dict[str, str]:
-        """Return controller -> state."""
-        return dict(zip(self._names, states, strict=True))
 
     def at(self, states: Key) -> SteppedTape:
         """Return the equations."""
         if states not in self._tapes:
             self._tapes[states] = SteppedTape(self._mechanics, self.named(states))
         return self._tapes[states]
-
-    def guards(self, states: Key) -> ControlGuards:
-        """Return the guards out of the states."""
-        if states not in self._guards:
-            self._guards[states] = ControlGuards(self._mechanics, self.named(states))
-        return self._guards[states]
 
 
 class StepControl:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from contacts.solvers.saddle_point import substitute
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
@@ -56,18 +57,8 @@ def _factor(matrix: Array) -> tuple[bool, Ints]:
 @kernel
 def back(factors: Array, order: Ints, right: Array) -> Array:
     """Return the solution for one right side (m,)."""
-    size = len(right)
-    x = np.empty(size)
-    for i in range(size):
-        total = right[order[i]]
-        for j in range(i):
-            total -= factors[i, j] * x[j]
-        x[i] = total
-    for i in range(size - 1, -1, -1):
-        total = x[i]
-        for j in range(i + 1, size):
-            total -= factors[i, j] * x[j]
-        x[i] = total / factors[i, i]
+    x = np.empty(len(right))
+    substitute(factors, order, right, x)
     return x
 
 

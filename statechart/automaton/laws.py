@@ -62,8 +62,6 @@ class Setup:
         Initial state.
     tolerances : mapping
         Kind of margin -> absolute tolerance, in the scene's own units.
-    relative : float
-        The relative tolerance that they follow from.
     short : float
         The laws are asked to skip the rest of a sequence of jumps that accumulate once it takes
         less than this part of the sequence's longest interval.
@@ -80,7 +78,6 @@ class Setup:
     values: NDArray[np.float64]
     initial: NDArray[np.float64]
     tolerances: Mapping[str, float]
-    relative: float
     short: float = 0.0
     warnings: tuple[str, ...] = ()
     sizes: NDArray[np.float64] | None = None

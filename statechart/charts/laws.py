@@ -100,7 +100,7 @@ class _Symbols:
                 raise DeclarationProblem(
                     f"the initial value of {name!r} is not finite", loc=("variables", name)
                 )
-        return Setup(values, initial, {"plain": 0.0}, relative, math.sqrt(relative))
+        return Setup(values, initial, {"plain": 0.0}, math.sqrt(relative))
 
 
 def _region(name: str, declared: DeclaredRegion, symbols: _Symbols) -> Region:

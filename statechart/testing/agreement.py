@@ -191,14 +191,14 @@ def _compare(
         allowed += abs(mine.t - its.t) * mine.rates
         if mine.hit != its.hit:
             _hit_otherwise(first, second, i)
-        _close(mine.numbers, its.numbers, allowed, first, reference, _place(i, mine))
+        _close(mine.numbers, its.numbers, allowed, reference, _place(i, mine))
     if any(len(story.events) != len(first.events) for story in near):
         raise Undecidable(f"the end: a change of {NUDGE:g} takes another course")
     if first.mode != second.mode:
         raise AssertionError(f"{first.mode} at the end of one run, {second.mode} of the other")
     last = _Event(("", "end", (), ()), first.end, 0.0)
     allowed = _allowed(last, [story.end for story in near], first, error, floor)
-    _close(first.end, second.end, allowed, first, reference, "the end")
+    _close(first.end, second.end, allowed, reference, "the end")
 
 
 def identical(reference: Trace, other: Trace, reading: Reading) -> bool:
@@ -312,9 +312,7 @@ def _allowed(
     return allowed + floor
 
 
-def _close(
-    mine: Array, its: Array, allowed: Array, story: _Story, trace: Trace, place: str
-) -> None:
+def _close(mine: Array, its: Array, allowed: Array, trace: Trace, place: str) -> None:
     off = np.abs(mine - its)
     worst = int(np.argmax(np.where(allowed > 0, off / np.where(allowed > 0, allowed, 1), off)))
     if not (off <= allowed).all():
