@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import Snapshot
 from contacts.impacts.work import work_of
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
@@ -172,7 +172,7 @@ class _Problem:
             len(snapshot.velocity),
             np.ascontiguousarray(snapshot.mass[np.ix_(moved, moved)]),
             np.ascontiguousarray(jacobians[:, :, moved]),
-            np.array([(laws[i].cone_n, laws[i].cone_t) for i in group]),
+            cones(tuple(laws[i] for i in group)),
             np.array(start),
             snapshot.velocity[moved],
             not any(restitution[i] > 0.0 for i in group),

@@ -315,7 +315,7 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> Iterable[Candidate
     """
     snapshot, laws, closed, still, scales, _ = case
     group = [i for i, shut in enumerate(closed) if shut]
-    edges = np.array([(laws[i].cone_n, laws[i].cone_t) for i in group])
+    edges = cones(tuple(laws[i] for i in group))
     slides = np.array([0.0 if still[i] else np.sign(snapshot.contacts[i].slip) for i in group])
     contacts, alone = delassus(snapshot.mass, snapshot.jacobians[group], snapshot.forces)
     free = snapshot.biases[group] + alone

@@ -9,8 +9,8 @@ from contacts.scene.fields import SceneFields
 from contacts.scene.parts import Path, Point
 from statechart.documents.declaration import TIME
 from statechart.documents.document import Loc
-from statechart.documents.fields import FormulaText, problem
-from statechart.errors import DeclarationProblem, FormulaError
+from statechart.documents.fields import FormulaText, value_of
+from statechart.errors import DeclarationProblem
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import Formula, parse
 
@@ -71,14 +71,10 @@ def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
         At the first formula that has no finite value.
     """
     for loc, text in _places(scene):
-        formula = parse(text)
-        if not formula.names <= values.keys():
+        if not parse(text).names <= values.keys():
             # A start that uses the number of a copy.
             continue
-        try:
-            value = formula.value(values)
-        except FormulaError as error:
-            raise problem(error, *loc) from None
+        value = value_of(text, values, *loc)
         if math.isinf(value):
             raise DeclarationProblem(f"must be finite, not {value:g}", loc=loc)
     for name, surface in scene.surfaces.items():
@@ -132,10 +128,7 @@ def _places(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
 def _within_right_angle(
     values: Mapping[str, float], text: FormulaText, loc: tuple[str, ...]
 ) -> None:
-    try:
-        value = parse(text).value(values)
-    except FormulaError as error:
-        raise problem(error, *loc) from None
+    value = value_of(text, values, *loc)
     # Beyond it the solid would be above; what is meant are degrees, or a line for a ceiling.
     if abs(value) > math.nextafter(math.pi / 2, math.inf):
         raise DeclarationProblem(
@@ -155,10 +148,7 @@ def _bounded(
     positive: bool = False,
     infinite: bool = False,
 ) -> None:
-    try:
-        value = parse(text).value(values)
-    except FormulaError as error:
-        raise problem(error, *loc) from None
+    value = value_of(text, values, *loc)
     within = 0.0 <= value <= most and not (positive and value == 0.0)
     if not within or (math.isinf(value) and not infinite):
         raise DeclarationProblem(f"must be {words}, not {value:g}", loc=loc)

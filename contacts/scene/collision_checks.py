@@ -8,8 +8,8 @@ import numpy as np
 
 from contacts.scene.fields import SceneFields
 from contacts.scene.shapes import INDEX, Shape
-from statechart.documents.fields import check_names, problem
-from statechart.errors import DeclarationProblem, FormulaError, close_matches
+from statechart.documents.fields import check_names, value_of
+from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
 
 
@@ -117,10 +117,7 @@ def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:
         for key, most in (("friction", np.inf), ("restitution", 1.0)):
             text = getattr(collision, key)
             check_names(parse(text), scene.parameters, *at, key)
-            try:
-                value = parse(text).value(values)
-            except FormulaError as error:
-                raise problem(error, *at, key) from None
+            value = value_of(text, values, *at, key)
             if not 0.0 <= value <= most:
                 raise DeclarationProblem(
                     f"must be between 0 and {most:g}, not {value:g}", loc=(*at, key)

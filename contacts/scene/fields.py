@@ -21,8 +21,8 @@ from contacts.scene.parts import (
 )
 from contacts.scene.shapes import Collision
 from statechart.documents.declaration import TIME, Declaration
-from statechart.documents.fields import FormulaText, NameText, problem
-from statechart.errors import DeclarationProblem, FormulaError
+from statechart.documents.fields import FormulaText, NameText, value_of
+from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 
 _MOST_COPIES = 1000
@@ -152,10 +152,7 @@ def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | N
         if body.copies is None:
             continue
         loc = ("bodies", name, "copies")
-        try:
-            number = parse(body.copies).value(values)
-        except FormulaError as error:
-            raise problem(error, *loc) from None
+        number = value_of(body.copies, values, *loc)
         if not (1 <= number <= _MOST_COPIES and number == int(number)):
             raise DeclarationProblem(
                 f"must be a whole number from 1 to {_MOST_COPIES}, not {number:g}", loc=loc

@@ -13,7 +13,6 @@ from contacts.states import OFF, OPEN
 from statechart.automaton.regions import Edge, Margin, Region, State
 from statechart.automaton.trace import Role
 
-# Longer conditions would drown the diagram: every state has an edge with them.
 BODY_STATES = ("free", "slide", "pin")
 """Of a body that collides by its shape."""
 BODY_CAUSES = ("touchdown", "impact", "liftoff", "slip", "stick")
@@ -29,6 +28,7 @@ BODY_EDGES = (
     Edge("slip", "pin", "slide", "all contacts slip"),
 )
 
+# Longer conditions would drown the diagram: every state has an edge with them.
 _LONGEST_GATE = 40
 _DIRECTIONS = {"slide+": 1, "slide-": -1, "slide": 0}
 

@@ -9,7 +9,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
@@ -141,8 +141,7 @@ class SteppedScene:
     def switch(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Go on with other forces and coefficients."""
         self._source = source
-        edges = [(law.cone_n, law.cone_t) for law in contacts]
-        self._cones = smoothed(np.array(edges).reshape(-1, 2))
+        self._cones = smoothed(cones(tuple(contacts)))
         self._restitution = np.array([law.restitution for law in contacts])
         allowed = [{_CODES[state] for state in law.states} for law in contacts]
         self._undeclared = np.array(

@@ -16,9 +16,9 @@ from statechart.documents.fields import (
     Part,
     RelationText,
     check_names,
-    problem,
+    value_of,
 )
-from statechart.errors import DeclarationProblem, FormulaError, close_matches
+from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import parse, parse_relation
 
@@ -81,10 +81,7 @@ class Chart(Declaration):
         """Check the initial values, too."""
         super().check_values(values)
         for name, text in self.variables.items():
-            try:
-                value = parse(text).value(values)
-            except FormulaError as error:
-                raise problem(error, "variables", name) from None
+            value = value_of(text, values, "variables", name)
             if abs(value) == float("inf"):
                 raise DeclarationProblem("must be finite", loc=("variables", name))
 

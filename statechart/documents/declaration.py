@@ -17,6 +17,7 @@ from statechart.documents.fields import (
     RelationText,
     check_names,
     problem,
+    value_of,
 )
 from statechart.documents.outputs import (
     Count,
@@ -139,10 +140,7 @@ class Declaration(Part):
         """
         if self.stop.time is None:
             return
-        try:
-            end = parse(self.stop.time).value(values)
-        except FormulaError as error:
-            raise problem(error, "stop", "time") from None
+        end = value_of(self.stop.time, values, "stop", "time")
         if not 0.0 <= end < math.inf:
             raise DeclarationProblem(
                 f"must be a finite time from 0 on, not {end:g}", loc=("stop", "time")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
@@ -119,5 +119,13 @@ def check_names(formula: Formula | Relation, known: Collection[str], *loc: str |
     """
     try:
         formula.require(known)
+    except FormulaError as error:
+        raise problem(error, *loc) from None
+
+
+def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | int) -> float:
+    """Return the value of a formula; `DeclarationProblem` at `loc` where it has none."""
+    try:
+        return parse(text).value(values)
     except FormulaError as error:
         raise problem(error, *loc) from None
