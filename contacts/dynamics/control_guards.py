@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import sympy as sp
@@ -10,29 +10,22 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.controls import Controller, Transition
-from contacts.scene.scene import Scene
 from statechart.arrays import Array
-from statechart.automaton.regions import Edge, Margin, Region, State
+from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
-from statechart.charts.firing import Guard, GuardWatch, Listening, guards
+from statechart.charts.firing import Guard, GuardWatch, guard_margins, guards
 
 
 def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:
     """Return the region of a controller."""
 
     def build(role: Role) -> State:
-        known = mechanics.observables
         return State(
-            margins=tuple(
-                Margin(guard.margin, guard.relation.margin(known))
-                for guard in guards(0, name, declared.transitions, role.state)
-            ),
+            margins=guard_margins(name, declared, role.state, mechanics.observables),
             values=mechanics.sets(name, role.state),
         )
 
-    # The first state is where a region starts.
-    states = sorted(declared.states, key=lambda state: state != declared.initial)
-    sets = {state: mechanics.scene.controlled.values(name, state) for state in states}
+    sets = {state: mechanics.scene.controlled.values(name, state) for state in declared.states}
 
     def edge(transition: Transition) -> Edge:
         before, after = sets[transition.source], sets[transition.target]
@@ -45,18 +38,7 @@ def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:
             ", ".join(f"{control} := {after[control]}" for control in changed),
         )
 
-    return Region(name, tuple(states), build, tuple(map(edge, declared.transitions)))
-
-
-def listening(scene: Scene, regions: Sequence[Region]) -> Listening:
-    """Return what the controllers of a scene wait for; `regions` are all of the scene's."""
-    return Listening(
-        regions,
-        {
-            name: [(i, t.source, t.events) for i, t in enumerate(region.transitions) if t.on]
-            for name, region in scene.regions.items()
-        },
-    )
+    return Region(name, declared.ordered, build, tuple(map(edge, declared.transitions)))
 
 
 class Controllers:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions
-from contacts.dynamics.control_guards import Controllers, listening, precision
+from contacts.dynamics.control_guards import Controllers, precision
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
@@ -28,7 +28,7 @@ from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Clock, Jump, Key, Roles
-from statechart.charts.firing import Guard, considered
+from statechart.charts.firing import Guard, Listening, considered
 
 
 class ControlledLaws:
@@ -67,7 +67,7 @@ class ControlledLaws:
             for text in (contact.friction, contact.restitution)
         )
         self._considered = {r.name: considered(r) for r in regions if r.name in self._controllers}
-        self._listening = listening(mechanics.scene, regions)
+        self._listening = Listening(regions, mechanics.scene.regions)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode; transitions that are due there are taken at once."""

@@ -6,11 +6,11 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
-from typing import Self, TypeVar
+from typing import TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from statechart.charts.transitions import BaseTransition, check_region
+from statechart.charts.transitions import BaseRegion, BaseTransition
 from statechart.documents.fields import FormulaText, NameText, Part, check_names
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import Formula, parse
@@ -30,17 +30,11 @@ class Transition(BaseTransition):
     """A transition of a controller: forces and coefficients jump at it, positions do not."""
 
 
-class Controller(Part):
+class Controller(BaseRegion):
     """A region of the scene beside its contacts: exactly one of its states is active."""
 
-    initial: str
     states: dict[NameText, ControlState] = Field(min_length=1)
     transitions: tuple[Transition, ...] = ()
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        check_region(self.initial, self.states, self.transitions)
-        return self
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from contacts.solvers.lemke import FOUND, lemke, on_support
+from contacts.solvers.lemke import FOUND, lemke, on_support, row_residual
 from statechart.arrays import Array, Bools
 from statechart.kernels.jit import kernel
 
@@ -95,29 +95,7 @@ def step_residual(matrix: Array, vector: Array, z: Array) -> float:
 
     Terms that are rounding of those in other rows of the kind (velocities, cones) do not count.
     """
-    size = len(vector)
-    w, terms = np.empty(size), np.empty(size)
-    largest = np.zeros(2)
-    for i in range(size):
-        total, sizes = vector[i], abs(vector[i])
-        for j in range(size):
-            if z[j] != 0.0:
-                term = matrix[i, j] * z[j]
-                total += term
-                sizes += abs(term)
-        if not math.isfinite(total):
-            return math.inf
-        w[i], terms[i] = total, sizes
-        kind = 1 if i % UNKNOWNS == 3 else 0
-        largest[kind] = max(largest[kind], sizes)
-    worst = 0.0
-    for i in range(size):
-        missed = abs(w[i]) if z[i] > 0.0 else -w[i]
-        kind = 1 if i % UNKNOWNS == 3 else 0
-        floor = max(terms[i], 1e-3 * ROUNDING / RESIDUAL * largest[kind])
-        if missed > worst * floor:
-            worst = missed / floor
-    return worst
+    return row_residual(matrix, vector, z, UNKNOWNS, 1e-3 * ROUNDING / RESIDUAL)
 
 
 @kernel

@@ -19,19 +19,39 @@ _CANCELLED = 1e-14
 
 
 @kernel
-def row_residual(matrix: Array, vector: Array, z: Array) -> float:
-    """Return the largest violation of a row, relative to its terms."""
-    worst = 0.0
-    for i in range(len(vector)):
-        w, terms = vector[i], abs(vector[i])
-        for j in range(len(vector)):
-            w += matrix[i, j] * z[j]
-            terms += abs(matrix[i, j] * z[j])
-        if not math.isfinite(w):
+def row_residual(
+    matrix: Array, vector: Array, z: Array, kinds: int = 1, forgiven: float = 0.0
+) -> float:
+    """Return the largest violation of a row, relative to its terms.
+
+    Parameters
+    ----------
+    matrix : (n, n), vector : (n,), z : (n,)
+    kinds : int
+        The last of so many rows is of another kind than the others (cones, and velocities).
+    forgiven : float
+        Terms below this part of the largest in rows of the kind are rounding, and do not count.
+    """
+    size = len(vector)
+    w, terms, largest = np.empty(size), np.empty(size), np.zeros(2)
+    for i in range(size):
+        total, sizes = vector[i], abs(vector[i])
+        for j in range(size):
+            if z[j] != 0.0:
+                term = matrix[i, j] * z[j]
+                total += term
+                sizes += abs(term)
+        if not math.isfinite(total):
             return math.inf
-        missed = abs(w) if z[i] > 0.0 else -w
-        if missed > worst * terms:
-            worst = missed / terms
+        w[i], terms[i] = total, sizes
+        kind = 1 if i % kinds == kinds - 1 else 0
+        largest[kind] = max(largest[kind], sizes)
+    worst = 0.0
+    for i in range(size):
+        missed = abs(w[i]) if z[i] > 0.0 else -w[i]
+        floor = max(terms[i], forgiven * largest[1 if i % kinds == kinds - 1 else 0])
+        if missed > worst * floor:
+            worst = missed / floor
     return worst
 
 

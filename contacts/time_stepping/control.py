@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.dynamics.control_guards import Controllers, listening
+from contacts.dynamics.control_guards import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.time_stepping.chunk import Chunk
@@ -22,6 +22,7 @@ from contacts.time_stepping.scene_steps import SteppedScene, SteppedTape
 from statechart.arrays import Array
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key
+from statechart.charts.firing import Listening
 from statechart.errors import EventLoop
 
 _MOST_TURNS = 100
@@ -78,7 +79,7 @@ class StepControl:
         self._controllers = mechanics.scene.regions
         self._names = tuple(self._controllers)
         self._tapes, self._numbers, self._setup, self._scene = tapes, numbers, setup, scene
-        self._listening = listening(mechanics.scene, regions)
+        self._listening = Listening(regions, mechanics.scene.regions)
         n, r = len(mechanics.q), len(mechanics.joint_rows)
         c = 2 * len(mechanics.scene.contacts)
         # Guards take the forces of joints after those of contacts.

@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from statechart.charts.transitions import BaseTransition, check_listening, check_region
+from statechart.charts.transitions import BaseRegion, BaseTransition, check_listening
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.fields import (
     FiniteText,
@@ -18,6 +18,7 @@ from statechart.documents.fields import (
     check_names,
     value_of,
 )
+from statechart.documents.outputs import Event
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import parse, parse_relation
@@ -49,18 +50,17 @@ class Transition(BaseTransition):
         """Whether the accumulation of jumps out of the state fires it."""
         return self.on == "zeno"
 
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Those of other regions."""
+        return () if self.on_zeno else super().events
 
-class Region(Part):
+
+class Region(BaseRegion):
     """States of which exactly one is active, and the transitions between them."""
 
-    initial: str
     states: dict[NameText, State] = Field(min_length=1)
     transitions: tuple[Transition, ...] = ()
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        check_region(self.initial, self.states, self.transitions)
-        return self
 
 
 class Chart(Declaration):

@@ -26,10 +26,9 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.events import happened
 from statechart.automaton.laws import Setup
-from statechart.automaton.regions import Region
+from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Jump, Key
-from statechart.charts.transitions import BaseTransition
-from statechart.documents.outputs import Event
+from statechart.charts.transitions import BaseRegion, BaseTransition
 from statechart.formulas.formula import Relation, parse_relation
 from statechart.formulas.writer import compile_tape
 
@@ -97,6 +96,16 @@ def guards(place: int, name: str, transitions: Sequence[BaseTransition], state: 
         )
         for index, transition, relation in found
     ]
+
+
+def guard_margins(
+    name: str, declared: BaseRegion, state: str, known: Mapping[str, sp.Expr]
+) -> tuple[Margin, ...]:
+    """Return the margins of the guards out of `state`."""
+    return tuple(
+        Margin(guard.margin, guard.relation.margin(known))
+        for guard in guards(0, name, declared.transitions, state)
+    )
 
 
 def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
@@ -256,17 +265,18 @@ class Listening:
     ----------
     regions : sequence of Region
         All, in the order of the keys.
-    waiting : mapping
-        Region -> its transitions that wait: (place in its declaration, state left, events).
+    declared : mapping
+        Those of them that may wait, as they are declared.
     """
 
-    def __init__(
-        self,
-        regions: Sequence[Region],
-        waiting: Mapping[str, Sequence[tuple[int, str, tuple[Event, ...]]]],
-    ) -> None:
+    def __init__(self, regions: Sequence[Region], declared: Mapping[str, BaseRegion]) -> None:
         self._regions = regions
-        self._waiting = {name: found for name, found in waiting.items() if found}
+        # Place in the declaration, state left, events.
+        self._waiting = {
+            name: [(i, t.source, t.events) for i, t in enumerate(region.transitions) if t.events]
+            for name, region in declared.items()
+            if any(t.events for t in region.transitions)
+        }
 
     def heard(
         self, pending: Mapping[str, tuple[Jump, ...]], jump: Jump

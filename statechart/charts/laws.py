@@ -25,7 +25,15 @@ from statechart.automaton.regions import Edge, Margin, Region, State, stop_margi
 from statechart.automaton.trace import Clock, Jump, Role, Roles, between
 from statechart.charts.chart import Chart, Transition
 from statechart.charts.chart import Region as DeclaredRegion
-from statechart.charts.firing import Guard, GuardWatch, Listening, considered, guards, size_of
+from statechart.charts.firing import (
+    Guard,
+    GuardWatch,
+    Listening,
+    considered,
+    guard_margins,
+    guards,
+    size_of,
+)
 from statechart.documents.declaration import TIME
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.formulas.formula import parse, parse_relation
@@ -113,19 +121,14 @@ def _region(name: str, declared: DeclaredRegion, symbols: _Symbols) -> Region:
                 symbols.rates[variable] - parse(flow).to_sympy(symbols.known)
                 for variable, flow in content.flows.items()
             ),
-            tuple(
-                Margin(guard.margin, guard.relation.margin(symbols.known))
-                for guard in guards(0, name, declared.transitions, role.state)
-            ),
+            guard_margins(name, declared, role.state, symbols.known),
             tuple(
                 Margin(f"{name}.{label}", -parse_relation(text).margin(symbols.known))
                 for label, text in content.invariants.items()
             ),
         )
 
-    # The first state is where a region starts.
-    states = sorted(declared.states, key=lambda state: state != declared.initial)
-    return Region(name, tuple(states), build, tuple(map(_edge, declared.transitions)))
+    return Region(name, declared.ordered, build, tuple(map(_edge, declared.transitions)))
 
 
 def _edge(transition: Transition) -> Edge:
@@ -165,17 +168,7 @@ class ChartLaws:
             symbols.time,
         )
         self._considered = tuple(map(considered, regions))
-        self._listening = Listening(
-            regions,
-            {
-                name: [
-                    (index, transition.source, transition.events)
-                    for index, transition in enumerate(region.transitions)
-                    if transition.on is not None and not transition.on_zeno
-                ]
-                for name, region in chart.regions.items()
-            },
-        )
+        self._listening = Listening(regions, chart.regions)
 
     @cached_property
     def _zeno(self) -> tuple[Mapping[str, int], ...]:

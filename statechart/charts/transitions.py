@@ -47,38 +47,42 @@ class BaseTransition(Part):
         return self
 
 
-def check_region(
-    initial: str, states: Collection[str], transitions: Sequence[BaseTransition]
-) -> None:
-    """Check that a region's states exist, and that its transitions can be told apart.
+class BaseRegion(Part):
+    """States of which exactly one is active, and the transitions between them."""
 
-    For the validators of regions.
+    initial: str
+    states: Mapping[str, Part]
+    transitions: tuple[BaseTransition, ...] = ()
 
-    Raises
-    ------
-    DeclarationProblem
-        At the first that does not, or cannot.
-    """
-    named: list[tuple[str, tuple[str | int, ...]]] = [(initial, ("initial",))]
-    for index, transition in enumerate(transitions):
-        named.append((transition.source, ("transitions", index, "from")))
-        named.append((transition.target, ("transitions", index, "to")))
-    for state, loc in named:
-        if state not in states:
-            raise DeclarationProblem(
-                f"no state {state!r}", advice=close_matches(state, states), loc=loc
-            )
-    seen: set[tuple[str, str, str]] = set()
-    for index, transition in enumerate(transitions):
-        edge = (transition.name, transition.source, transition.target)
-        if edge in seen:
-            raise DeclarationProblem(
-                f"a second transition {transition.name!r} from {transition.source!r} "
-                f"to {transition.target!r}",
-                advice="give it another name",
-                loc=("transitions", index, "name"),
-            )
-        seen.add(edge)
+    @property
+    def ordered(self) -> tuple[str, ...]:
+        """The states; the first is where the region starts."""
+        return tuple(sorted(self.states, key=lambda state: state != self.initial))
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        """Check that states exist, and that transitions can be told apart."""
+        named: list[tuple[str, tuple[str | int, ...]]] = [(self.initial, ("initial",))]
+        for index, transition in enumerate(self.transitions):
+            named.append((transition.source, ("transitions", index, "from")))
+            named.append((transition.target, ("transitions", index, "to")))
+        for state, loc in named:
+            if state not in self.states:
+                raise DeclarationProblem(
+                    f"no state {state!r}", advice=close_matches(state, self.states), loc=loc
+                )
+        seen: set[tuple[str, str, str]] = set()
+        for index, transition in enumerate(self.transitions):
+            edge = (transition.name, transition.source, transition.target)
+            if edge in seen:
+                raise DeclarationProblem(
+                    f"a second transition {transition.name!r} from {transition.source!r} "
+                    f"to {transition.target!r}",
+                    advice="give it another name",
+                    loc=("transitions", index, "name"),
+                )
+            seen.add(edge)
+        return self
 
 
 def check_listening(
