@@ -32,6 +32,17 @@ def declared_state(state: str) -> str:
     return "slide" if state in SLIDING else state
 
 
+def cause_of(before: str, after: str) -> str:
+    """Return what the change of a contact's state is called that no impact makes."""
+    if OFF in (before, after):
+        return "enable" if before == OFF else "disable"
+    if before == "free":
+        return "touchdown"
+    if after in ("free", "pin"):
+        return "liftoff" if after == "free" else "stick"
+    return "slip" if before == "pin" else "reverse"
+
+
 STATES = {
     FREE: "free",
     PIN: "pin",

@@ -15,7 +15,7 @@ from contacts.modes.classification import Choice, choose
 from contacts.modes.fast_classification import ENDLESS
 from contacts.modes.painleve import paradoxes
 from contacts.scene.parts import Resolution
-from contacts.states import OFF, declared_state
+from contacts.states import OFF, cause_of, declared_state
 from statechart.automaton.trace import Key
 from statechart.errors import DeclarationProblem, NoConsistentMode
 
@@ -145,13 +145,6 @@ def check_declared(
 def cause(names: Sequence[str], source: Key, target: Key, skipping: bool) -> tuple[str, str]:
     """Return (region, cause) of the first contact that changes."""
     for name, before, after in zip(names, source, target, strict=True):
-        if before == after:
-            continue
-        if before == "free":
-            return name, "zeno" if skipping else "touchdown"
-        if after == "free":
-            return name, "liftoff"
-        if after == "pin":
-            return name, "stick"
-        return name, "slip" if before == "pin" else "reverse"
+        if before != after:
+            return name, "zeno" if skipping and before == "free" else cause_of(before, after)
     return names[0], "zeno"

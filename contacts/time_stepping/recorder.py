@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
+from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES, cause_of
 from contacts.time_stepping.chunk import Chunk
 from statechart.arrays import Array, Ints
 from statechart.automaton.laws import roles_in
@@ -258,17 +258,9 @@ class Recorder:
         self.row, self.key = row, target
 
     def _cause(self, before: int, after: int, struck: bool) -> str:
-        if OFF_CODE in (before, after):
-            return "enable" if before == OFF_CODE else "disable"
-        if before == FREE:
-            return "touchdown"
-        if struck:
-            return self.again
-        if after == FREE:
-            return "liftoff"
-        if after == PIN:
-            return "stick"
-        return "slip" if before == PIN else "reverse"
+        found = cause_of(STATES[before], STATES[after])
+        lasting = found in ("liftoff", "stick", "slip", "reverse")
+        return self.again if struck and lasting else found
 
 
 def _defined(rows: Array) -> Array:
