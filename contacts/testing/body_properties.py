@@ -16,7 +16,7 @@ from contacts.scene.scene import Scene
 from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, step_ends
 from statechart.arrays import Array
 from statechart.automaton.trace import Trace
-from statechart.testing.properties import Property
+from statechart.testing.properties import Property, each
 from statechart.testing.subject import Case, Subject
 
 _ROUNDING = 1e-13
@@ -138,32 +138,30 @@ def assert_energy_of_steps(numbers: BodyNumbers, subject: Subject, trace: Trace)
     no_growth(points, 100.0 * _ROUNDING * size + rate * trace.step, rate)
 
 
-def body_properties(scene: Scene) -> tuple[Property, ...]:
+def _numbers(subject: Subject, trace: Trace) -> BodyNumbers:
+    model = subject.model
+    assert isinstance(model, Scene)
+    values = {name: trace.parameters[name] for name in model.parameters}
+    single = model.model_copy(update={"bodies": model.single_bodies()})
+    return body_numbers(single, owners_of(model), model.values(values))
+
+
+def body_properties() -> tuple[Property, ...]:
     """Return what holds for every scene of colliding bodies."""
 
-    def each(check: Callable[[BodyNumbers, Subject, Trace], None]) -> Callable[[Case], None]:
-        def holds(case: Case) -> None:
-            model, trace = case.subject.model, case.trace
-            assert isinstance(model, Scene)
-            values = {name: trace.parameters[name] for name in model.parameters}
-            single = model.model_copy(update={"bodies": model.single_bodies()})
-            numbers = body_numbers(single, owners_of(model), model.values(values))
-            check(numbers, case.subject, trace)
-
-        return holds
+    def of(check: Callable[[BodyNumbers, Trace], None]) -> Callable[[Case], None]:
+        return each(lambda subject, trace: check(_numbers(subject, trace), trace))
 
     return (
+        Property("no body is deeper than a step takes it", of(assert_depths)),
+        Property("no force without contact", of(assert_free_fall)),
+        Property("impulses push, within friction", of(assert_impulses_of_bodies)),
         Property(
-            "no body is deeper than a step takes it",
-            each(lambda numbers, _, trace: assert_depths(numbers, trace)),
+            "energy grows by no more than the scheme's bound",
+            each(
+                lambda subject, trace: assert_energy_of_steps(
+                    _numbers(subject, trace), subject, trace
+                )
+            ),
         ),
-        Property(
-            "no force without contact",
-            each(lambda numbers, _, trace: assert_free_fall(numbers, trace)),
-        ),
-        Property(
-            "impulses push, within friction",
-            each(lambda numbers, _, trace: assert_impulses_of_bodies(numbers, trace)),
-        ),
-        Property("energy grows by no more than the scheme's bound", each(assert_energy_of_steps)),
     )

@@ -7,6 +7,7 @@ automaton that was run. See `statechart.testing` for how to use them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 import sympy as sp
@@ -23,7 +24,7 @@ from statechart.arrays import Array
 from statechart.automaton.laws import moving_mode
 from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.testing.agreement import Reading, assert_same, identical
-from statechart.testing.properties import Property, dense
+from statechart.testing.properties import Property, dense, each
 from statechart.testing.subject import Case, Subject
 
 # Errors of the energy add up to at most so many times steps times tolerance.
@@ -205,26 +206,26 @@ def properties(scene: Scene) -> tuple[Property, ...]:
     if scene.collisions:
         from contacts.testing.body_properties import body_properties
 
-        return (*body_properties(scene), *_relations(scene))
+        return (*body_properties(), *_relations(scene))
     mechanics = Mechanics(scene)
     none = "" if scene.contacts else "the scene has no contacts"
     free = any("free" in contact.kinds for contact in scene.contacts.values())
     return (
-        Property("no contact is inside its surface", _each(scene, assert_gaps), none),
-        Property("V >= 0 and |H| <= mu V", _each(scene, assert_cone), none),
+        Property("no contact is inside its surface", each(partial(assert_gaps, scene)), none),
+        Property("V >= 0 and |H| <= mu V", each(partial(assert_cone, scene)), none),
         Property(
             "no force without contact",
-            _each(scene, assert_no_force_when_free),
+            each(partial(assert_no_force_when_free, scene)),
             none or ("" if free else "no contact can be free"),
         ),
         Property(
             "impulses push, within friction",
-            _each(scene, assert_impulses),
+            each(partial(assert_impulses, scene)),
             none or ("" if free else "no contact can be free"),
         ),
         Property(
             "energy never grows",
-            _each(scene, lambda _, subject, trace: assert_energy(mechanics, subject, trace)),
+            each(partial(assert_energy, mechanics)),
         ),
         *_relations(scene),
     )
@@ -266,17 +267,6 @@ def _relation(
             assert_same(trace, image, case.sensitivity, reading=reading)
 
     return Property(name, holds)
-
-
-def _each(scene: Scene, check: Callable[[Scene, Subject, Trace], None]) -> Callable[[Case], None]:
-    def holds(case: Case) -> None:
-        for trace in case.traces.values():
-            try:
-                check(scene, case.subject, trace)
-            except AssertionError as error:
-                raise AssertionError(f"{trace.engine}: {error}") from None
-
-    return holds
 
 
 def _points(trace: Trace) -> Iterator[tuple[Arc, Array, Array]]:

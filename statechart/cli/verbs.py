@@ -167,8 +167,7 @@ def trade(arguments: argparse.Namespace) -> int:
         _print_json(report(study))
     else:
         print(text(study), end="")
-    if pieces.failed:
-        print(f"left out: {pieces.text()}", file=sys.stderr)
+    _say_left_out(pieces)
     if not study.complete:
         again = "the same command goes on" if arguments.output is not None else "-o DIR keeps it"
         print(f"interrupted; {again}", file=sys.stderr)
@@ -276,8 +275,7 @@ def check(arguments: argparse.Namespace) -> int:
         print(report.text(), end="")
         if written is not None:
             print(f"{written} reproduces it")
-    if pieces.failed:
-        print(f"left out: {pieces.text()}", file=sys.stderr)
+    _say_left_out(pieces)
     return 0 if report.passed else 1
 
 
@@ -349,6 +347,11 @@ def _assigned(option: str, pairs: Iterable[tuple[str, float]]) -> dict[str, floa
 def _warn(warnings: Iterable[str]) -> None:
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
+
+
+def _say_left_out(pieces: Pieces) -> None:
+    if pieces.failed:
+        print(f"left out: {pieces.text()}", file=sys.stderr)
 
 
 def _print_json(value: object) -> None:

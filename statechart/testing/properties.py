@@ -269,7 +269,9 @@ def _assert_same_steps(trace: Trace, shorter: Trace) -> None:
     assert same.all(), f"step {int(np.argmin(same))} of {len(same)} is another in a longer run"
 
 
-def _each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
+def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
+    """Return the check of every run of a case."""
+
     def holds(case: Case) -> None:
         for trace in case.traces.values():
             try:
@@ -292,16 +294,16 @@ def generic(subject: Subject) -> tuple[Property, ...]:
     return (
         Property("runs come to their end", assert_ended),
         Property("runs start as declared", assert_start),
-        Property("events are ordered in time", _each(lambda _, trace: assert_ordered(trace))),
+        Property("events are ordered in time", each(lambda _, trace: assert_ordered(trace))),
         Property(
             "every jump is an edge",
-            _each(lambda subject, trace: assert_edges(subject.automaton, trace)),
+            each(lambda subject, trace: assert_edges(subject.automaton, trace)),
         ),
-        Property("arcs are continuous", _each(lambda _, trace: assert_continuous(trace))),
-        Property("no guard is passed", _each(assert_margins), skipped=stepped),
+        Property("arcs are continuous", each(lambda _, trace: assert_continuous(trace))),
+        Property("no guard is passed", each(assert_margins), skipped=stepped),
         Property(
             "declared invariants hold",
-            _each(assert_invariants),
+            each(assert_invariants),
             skipped="no invariants are declared" if no_invariants else "",
         ),
         Property("engines agree", assert_engines_agree, skipped=alone),

@@ -20,6 +20,7 @@ from statechart.engines.request import planned
 from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
 from statechart.execution.perturbation import loosened
 from statechart.execution.simulator import Simulator
+from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
@@ -253,36 +254,33 @@ class Case:
     def shorter(self, until: float) -> Trace:
         """Return the run of the most accurate engine up to `until`."""
         simulator = next(iter(self.subject.observers.values())).simulator
-        limit = self.subject.model.settings.max_jumps
-        return _ended(simulator.run(self.parameters, until=until, max_jumps=limit, throw=False))
+        return self._made(simulator, self.parameters, until)
 
     def loosened(self, relative: float) -> Trace:
         """Return the run of the most accurate engine whose modes are chosen as at `relative`."""
         subject = self.subject
-        trace = subject.loosened(relative).run(
-            self.parameters,
-            until=subject.end(self.parameters),
-            max_jumps=subject.model.settings.max_jumps,
-            throw=False,
-        )
-        return _ended(trace)
+        return self._made(subject.loosened(relative), self.parameters, subject.end(self.parameters))
+
+    def _made(
+        self,
+        simulator: Simulator | SteppingSimulator,
+        parameters: Mapping[str, float],
+        until: float,
+    ) -> Trace:
+        """Return a run, unless the user interrupted it: that ends all of them."""
+        limit = self.subject.model.settings.max_jumps
+        trace = simulator.run(parameters, until=until, max_jumps=limit, throw=False)
+        if trace.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        return trace
 
     def _run(self, name: str, parameters: Mapping[str, float]) -> Trace | None:
         subject = self.subject
-        limit = subject.model.settings.max_jumps
-        trace = subject.observers[name].simulator.run(
-            parameters, until=subject.end(parameters), max_jumps=limit, throw=False
-        )
+        simulator = subject.observers[name].simulator
+        trace = self._made(simulator, parameters, subject.end(parameters))
         if trace.outcome is not Outcome.UNSUPPORTED:
-            return _ended(trace)
+            return trace
         # Taylor series do not exist for every formula.
         subject.missing[name] = trace.message
         del subject.observers[name]
         return None
-
-
-def _ended(trace: Trace) -> Trace:
-    """Return a run, unless the user interrupted it: that ends all of them."""
-    if trace.outcome is Outcome.INTERRUPTED:
-        raise KeyboardInterrupt
-    return trace
