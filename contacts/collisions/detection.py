@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
 FOUND = 5
@@ -39,7 +38,7 @@ def place(vertices: Array, x: float, y: float, angle: float) -> Array:
 @kernel
 def against_surface(
     body: Array, centre: Array, radius: float, surface: Array, within: float, found: Array
-) -> tuple[int, NDArray[np.int64]]:
+) -> tuple[int, Ints]:
     """Find the points of a body near a straight surface; return their number and features.
 
     Parameters
@@ -95,7 +94,7 @@ def _farthest(one: Array, other: Array) -> tuple[float, int]:
 @kernel
 def _clipped(
     one: Array, edge: int, other: Array, within: float, flip: bool, found: Array
-) -> tuple[int, NDArray[np.int64]]:
+) -> tuple[int, Ints]:
     features = np.empty(len(found), np.int64)
     j = (edge + 1) % len(one)
     ex, ey = one[j, 0] - one[edge, 0], one[j, 1] - one[edge, 1]
@@ -144,7 +143,7 @@ def _clipped(
 
 
 @kernel
-def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int, NDArray[np.int64]]:
+def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int, Ints]:
     """Take the nearest corners of polygons whose facing edges do not overlap."""
     features = np.zeros(len(found), np.int64)
     best, a, b = math.inf, 0, 0
@@ -164,7 +163,7 @@ def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int,
 @kernel
 def _disc_and_polygon(
     centre: Array, radius: float, polygon: Array, flip: bool, within: float, found: Array
-) -> tuple[int, NDArray[np.int64]]:
+) -> tuple[int, Ints]:
     features = np.zeros(len(found), np.int64)
     best, edge = -math.inf, 0
     for i in range(len(polygon)):
@@ -202,7 +201,7 @@ def between(
     other_radius: float,
     within: float,
     found: Array,
-) -> tuple[int, NDArray[np.int64]]:
+) -> tuple[int, Ints]:
     """Find the points where two bodies are near each other; return their number and features.
 
     Parameters

@@ -10,11 +10,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.solvers.contact_lcp_kernels import STEEPEST, UNKNOWNS
 from contacts.solvers.step_impulses import capped
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
 _SWEEPS = 2000
@@ -47,7 +46,7 @@ class Touching(NamedTuple):
     wanted: Array
     before: Array
     free: Array
-    rebounds: NDArray[np.bool_]
+    rebounds: Bools
     loose: Array
 
 
@@ -184,8 +183,8 @@ def swept(
     members: Ints,
     touching: Touching,
     pushes: Array,
-    sliding: NDArray[np.bool_],
-    guesses: NDArray[np.bool_],
+    sliding: Bools,
+    guesses: Bools,
 ) -> bool:
     """Solve an island by sweeps from the impulses of the step before.
 
@@ -234,9 +233,9 @@ def swept_steady(
     members: Ints,
     touching: Touching,
     pushes: Array,
-    sliding: NDArray[np.bool_],
-    guesses: NDArray[np.bool_],
-    hit: NDArray[np.bool_],
+    sliding: Bools,
+    guesses: Bools,
+    hit: Bools,
     steady: Array,
 ) -> None:
     """Write what is force of the impulses of a swept island: see `steady_impulses`."""

@@ -6,14 +6,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.collisions.body_step import BodyNumbers
 from contacts.dynamics.contact_law import edge
 from contacts.scene.fields import copies
 from contacts.scene.scene import Scene
 from contacts.solvers.step_impulses import smoothed
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 
@@ -112,7 +111,7 @@ def _straight(
 
 def _materials(
     scene: Scene, owners: Sequence[str], number: Callable[[str | int | float], float]
-) -> tuple[NDArray[np.int64], Array]:
+) -> tuple[Ints, Array]:
     """Return which law bodies touch each other and surfaces by (b, b + s), and the laws (m, 3)."""
     names = list(scene.bodies)
     used = {name for collision in scene.collisions.values() for name in collision.surfaces}

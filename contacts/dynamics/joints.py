@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales
 from contacts.solvers.redundancy import connected
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools
 
 # Of a unit combination: whose share is less takes no part.
 _SHARE = 1e-3
@@ -67,7 +66,7 @@ class JointNumbers(NamedTuple):
     rates: Array
     biases: Array
     jacobian: Array
-    redundant: NDArray[np.bool_]
+    redundant: Bools
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ class Motions:
     acceleration: Array
 
 
-def blocks(pattern: NDArray[np.bool_]) -> tuple[Block, ...]:
+def blocks(pattern: Bools) -> tuple[Block, ...]:
     """Return the parts that joints link; `pattern` (m, n) is where the Jacobian has entries."""
     labels = connected(pattern.T @ pattern)
     found = []

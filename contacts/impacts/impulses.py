@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import Snapshot
@@ -27,7 +26,7 @@ from contacts.solvers.redundancy import connected, mode_columns, smallest
 from contacts.solvers.saddle_point import SOLVED
 from contacts.solvers.step_impulses import into_cone
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 
 # Enumeration can prove that there is one solution or several; beyond this it costs too much.
 _ENUMERATED = 4
@@ -112,7 +111,7 @@ def collisions(
     return tuple(problem.shared_out(c, len(laws)) for c in found)
 
 
-def coupled(snapshot: Snapshot, group: Sequence[int]) -> NDArray[np.int64]:
+def coupled(snapshot: Snapshot, group: Sequence[int]) -> Ints:
     """Label the coordinates (n,): those with one label feel each other's impulses."""
     linked = snapshot.mass != 0.0
     for i in group:
@@ -141,7 +140,7 @@ class _Problem:
     """
 
     group: list[int]
-    moved: NDArray[np.int64]
+    moved: Ints
     size: int
     mass: Array
     jacobians: Array
@@ -233,7 +232,7 @@ class _Problem:
         # of the impulses, though their own terms are zero.
         return after, np.maximum(terms, _ROUNDED * terms.max(axis=(-2, -1), keepdims=True))
 
-    def _violations(self, table: NDArray[np.int64], changes: Array, impulses: Array) -> Array:
+    def _violations(self, table: Ints, changes: Array, impulses: Array) -> Array:
         """Return the largest violation of each combination, relative to its terms."""
         after, terms = self._after(changes)
         relative = np.divide(after, terms, out=np.zeros_like(after), where=terms > 0.0)
@@ -288,7 +287,7 @@ class _Problem:
         relative = np.divide(missed, terms, out=np.zeros_like(terms), where=terms > 0.0)
         return np.asarray(relative.max(axis=-1))
 
-    def _independent(self, code: NDArray[np.int64]) -> bool:
+    def _independent(self, code: Ints) -> bool:
         """Whether the impulses of a combination are determined by the geometry alone.
 
         Elimination does not notice in rounding that two contacts are one; its impulses are then

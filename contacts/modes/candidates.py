@@ -12,7 +12,6 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.scales import Scales
@@ -23,7 +22,7 @@ from contacts.solvers.lcp import LcpStatus, solve_lcp
 from contacts.solvers.mode_solver import AGAINST, INTO, OUTSIDE, PULLS, solve_modes
 from contacts.solvers.saddle_point import CONTRADICTORY, REDUNDANT, SOLVED, UNDETERMINED
 from contacts.states import CODES, FREE, PIN
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import roles_in
 from statechart.automaton.trace import Roles
 
@@ -128,7 +127,7 @@ class _Solved(Iterable["Candidate | Undetermined"]):
         self,
         laws: Sequence[ContactLaw],
         combinations: Sequence[tuple[str, ...]],
-        outcomes: NDArray[np.int64],
+        outcomes: Ints,
         accelerations: Array,
         forces: Array,
         verdicts: Array,
@@ -194,7 +193,7 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> Iterable[Candida
 
 
 def _solved(
-    case: Case, combinations: Sequence[tuple[str, ...]], codes: NDArray[np.int64]
+    case: Case, combinations: Sequence[tuple[str, ...]], codes: Ints
 ) -> Iterable[Candidate | Undetermined]:
     snapshot, laws, closed, still, scales, tie = case
     edges = cones(tuple(laws))
@@ -231,7 +230,7 @@ def _solved(
 def _explain(
     case: Case,
     edges: Array,
-    codes: NDArray[np.int64],
+    codes: Ints,
     found: list[Candidate | Undetermined],
     redundant: Sequence[int],
 ) -> None:
@@ -245,7 +244,7 @@ def _explain(
         if candidate.violation <= max(tie, _SAME_MOTION):
             moving.append((k, candidate))
     taken: list[Candidate] = []
-    failed: list[tuple[Candidate, NDArray[np.int64]]] = []
+    failed: list[tuple[Candidate, Ints]] = []
     for k, candidate in sorted(moving, key=lambda item: openness(item[1])):
         if any(same_motion(one, candidate, scales) for one in taken):
             found[k] = candidate.states, _LESS
@@ -268,20 +267,20 @@ def _explain(
         taken.append(shared)
 
 
-def _within(code: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
+def _within(code: Ints, other: Ints) -> bool:
     """Whether what every contact may bear in one mode it may bear in the other."""
     return bool(((code == other) | (code == FREE) | (other == PIN)).all())
 
 
 @lru_cache(maxsize=1024)
-def _flags(marks: tuple[bool, ...]) -> NDArray[np.bool_]:
+def _flags(marks: tuple[bool, ...]) -> Bools:
     return np.array(marks, dtype=np.bool_)
 
 
 @lru_cache(maxsize=1024)
 def _combinations(
     options: tuple[Sequence[str], ...],
-) -> tuple[tuple[tuple[str, ...], ...], NDArray[np.int64]]:
+) -> tuple[tuple[tuple[str, ...], ...], Ints]:
     """Return every combination of states, in names and as the kernel numbers them."""
     combinations = tuple(product(*options))
     return combinations, np.array([[CODES[state] for state in s] for s in combinations], np.int64)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import cones
 from contacts.dynamics.projection import landing
@@ -17,7 +16,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.solvers.mode_solver import solve_modes
 from contacts.states import CODES, FREE, OFF, OPEN, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
-from statechart.arrays import Array, Ints32
+from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.trace import Key
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
@@ -72,7 +71,7 @@ def fast_mode(
 
 
 @lru_cache(maxsize=1024)
-def _allowed(states: tuple[tuple[str, ...], ...]) -> NDArray[np.bool_]:
+def _allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
     """Return (c, 5): whether a contact's region has the state of that code."""
     allowed = np.zeros((len(states), len(_NAMES)), np.bool_)
     for i, several in enumerate(states):
@@ -83,7 +82,7 @@ def _allowed(states: tuple[tuple[str, ...], ...]) -> NDArray[np.bool_]:
 
 
 @lru_cache(maxsize=1024)
-def _kept(flow: Key | None, count: int) -> tuple[bool, NDArray[np.int64]]:
+def _kept(flow: Key | None, count: int) -> tuple[bool, Ints]:
     """Return whether a flow led here, and in which state it kept every contact."""
     if flow is None:
         return False, np.full(count, FREE)
@@ -106,10 +105,10 @@ def usual(
     state: Array,
     parameters: Array,
     time: float,
-    allowed: NDArray[np.bool_],
+    allowed: Bools,
     cones: Array,
     under_way: bool,
-    kept: NDArray[np.int64],
+    kept: Ints,
     near: float,
     creep: float,
     close: float,
@@ -118,7 +117,7 @@ def usual(
     force_scale: float,
     acceleration_scale: float,
     numbers: Array,
-    taken: NDArray[np.int64],
+    taken: Ints,
 ) -> bool:
     """Classify every contact; False where the instant is not a usual one.
 

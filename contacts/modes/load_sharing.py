@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.dynamics.snapshot import Snapshot
 from contacts.scene.modes import OWN, Bearing
@@ -23,7 +22,7 @@ from contacts.solvers.mode_solver import judge_forces
 from contacts.solvers.redundancy import mode_columns, sharing
 from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
 from contacts.states import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 from statechart.automaton.trace import Role, Roles
 
 _ZONES = {INSIDE: "inside", UPPER: "upper", LOWER: "lower", APEX: "apex"}
@@ -78,7 +77,7 @@ class Share:
 
 
 def share(
-    code: NDArray[np.int64], snapshot: Snapshot, cones: Array, forces: Array, inward: float
+    code: Ints, snapshot: Snapshot, cones: Array, forces: Array, inward: float
 ) -> Share | None:
     """Return the smallest forces within the cones that act like `forces`; None: there are none.
 
@@ -143,7 +142,7 @@ def share(
     )
 
 
-def _rows(code: NDArray[np.int64], jacobians: Array) -> tuple[str, ...]:
+def _rows(code: Ints, jacobians: Array) -> tuple[str, ...]:
     """Return which constraints of each contact the others do not imply."""
     own = [(k, d) for k, c in enumerate(code) if c != FREE for d in range(2 if c == PIN else 1)]
     count, order, _ = independent(np.array([jacobians[k, d] for k, d in own]))

@@ -6,10 +6,9 @@ What is near is a pure number: a part of rows and columns that are brought to a 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.solvers.saddle_point import SMALLEST, largest_size, power_of_two
-from statechart.arrays import Array, Bools
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
 CANCELLING = 1e-10
@@ -26,9 +25,7 @@ leaving its way on to rounding."""
 
 
 @kernel
-def independent(
-    rows: Array, near: float = CANCELLING
-) -> tuple[int, NDArray[np.int64], NDArray[np.int64]]:
+def independent(rows: Array, near: float = CANCELLING) -> tuple[int, Ints, Ints]:
     """Return the rank, and the orders of rows and columns: the first `rank` are independent.
 
     Elimination with complete pivoting, rows and then columns scaled by powers of two; the first

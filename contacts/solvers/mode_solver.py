@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.solvers.dependence import independent
 from contacts.solvers.saddle_point import (
@@ -17,7 +16,7 @@ from contacts.solvers.saddle_point import (
     solve_refined,
 )
 from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel, part
 
 INTO, PULLS, OUTSIDE, AGAINST = range(4)
@@ -50,9 +49,9 @@ def _judge(
     accelerations: Array,
     jacobians: Array,
     biases: Array,
-    code: NDArray[np.int64],
-    closed: NDArray[np.bool_],
-    still: NDArray[np.bool_],
+    code: Ints,
+    closed: Bools,
+    still: Bools,
     scale: float,
 ) -> None:
     """Judge the motion of a combination."""
@@ -67,9 +66,7 @@ def _judge(
 
 
 @kernel
-def judge_forces(
-    verdict: Array, forces: Array, cones: Array, code: NDArray[np.int64], scale: float
-) -> None:
+def judge_forces(verdict: Array, forces: Array, cones: Array, code: Ints, scale: float) -> None:
     """Judge the forces of a combination; see `solve_modes`."""
     for c in range(len(code)):
         V, H = forces[c, 0], forces[c, 1]
@@ -87,8 +84,8 @@ def judge_forces(
 def _write_rows(
     rows: Array,
     columns: Array,
-    first: NDArray[np.int64],
-    bearing: NDArray[np.int64],
+    first: Ints,
+    bearing: Ints,
     matrix: Array,
 ) -> None:
     """Write the leading rows and columns of a saddle point, by their orders, beside the mass."""
@@ -116,12 +113,12 @@ def solve_modes(
     jacobians: Array,
     biases: Array,
     cones: Array,
-    codes: NDArray[np.int64],
-    closed: NDArray[np.bool_],
-    still: NDArray[np.bool_],
+    codes: Ints,
+    closed: Bools,
+    still: Bools,
     force_scale: float,
     acceleration_scale: float,
-    status: NDArray[np.int64],
+    status: Ints,
     accelerations: Array,
     forces: Array,
     verdicts: Array,

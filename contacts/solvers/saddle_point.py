@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel, part
 
 SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY, UNDETERMINED = range(6)
@@ -57,7 +56,7 @@ def _equilibrate(scaled: Array, b: Array) -> Array:
 
 
 @part
-def _factorise(factors: Array, order: NDArray[np.int64]) -> bool:
+def _factorise(factors: Array, order: Ints) -> bool:
     """Eliminate with partial pivoting, in place; False where no pivot is left.
 
     A pivot that its own rounding could have made of zero is none: running error analysis
@@ -91,7 +90,7 @@ def _factorise(factors: Array, order: NDArray[np.int64]) -> bool:
 
 
 @part
-def substitute(factors: Array, order: NDArray[np.int64], right: Array, y: Array) -> None:
+def substitute(factors: Array, order: Ints, right: Array, y: Array) -> None:
     """Solve with the factors, forwards and backwards."""
     size = len(order)
     for i in range(size):
@@ -145,7 +144,7 @@ def solve_refined(scaled: Array, b: Array, x: Array) -> int:
 
 
 @kernel
-def largest_sizes(numbers: Array, begins: NDArray[np.int64], largest: Array) -> None:
+def largest_sizes(numbers: Array, begins: Ints, largest: Array) -> None:
     """Write the largest finite absolute value of each group of numbers; 0 where it has none."""
     for group in range(len(largest)):
         size = 0.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.solvers.contact_lcp_kernels import (
     LOOSEST,
@@ -18,7 +17,7 @@ from contacts.solvers.contact_lcp_kernels import (
     step_residual,
 )
 from contacts.solvers.redundancy import connected
-from statechart.arrays import Array, Bools
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
 
@@ -48,7 +47,7 @@ def _known(
 
 
 @kernel
-def coupled_contacts(delassus: Array) -> NDArray[np.int64]:
+def coupled_contacts(delassus: Array) -> Ints:
     """Label the contacts (m,): those with one label feel each other's impulses."""
     m = len(delassus) // 2
     linked = np.zeros((m, m), np.bool_)
@@ -62,7 +61,7 @@ def coupled_contacts(delassus: Array) -> NDArray[np.int64]:
 @kernel
 def solve_impacts(
     delassus: Array,
-    groups: NDArray[np.int64],
+    groups: Ints,
     before: Array,
     free: Array,
     wanted: Array,
@@ -263,7 +262,7 @@ def steady_impulses(
 
 @kernel
 def relieve(
-    groups: NDArray[np.int64],
+    groups: Ints,
     cones: Array,
     z: Array,
     pushes: Array,

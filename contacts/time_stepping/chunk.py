@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.solvers.contact_lcp import contact_problem, four_unknowns
 from contacts.solvers.contact_lcp_kernels import LOOSEST, problem, step_residual
@@ -65,8 +64,8 @@ class Chunk(NamedTuple):
     states: Array
     solved: Array
     codes: Ints
-    struck: NDArray[np.bool_]
-    shared: NDArray[np.bool_]
+    struck: Bools
+    shared: Bools
     impulses: Array
     gaps: Array
     approach: Array

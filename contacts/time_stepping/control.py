@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.dynamics.control_guards import Controllers
 from contacts.dynamics.mechanics import Mechanics
@@ -19,7 +18,7 @@ from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.scene_steps import SteppedScene, SteppedTape
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.firing import Listening
@@ -90,7 +89,7 @@ class StepControl:
         """Return the steps up to the first after which the controllers are to be asked."""
         times: Array = start + chunk.h * np.arange(1, len(chunk.codes) + 1, dtype=float)
         due = self._due(times, chunk.states[1:], chunk.solved, chunk.h)
-        asked: NDArray[np.bool_] = np.any(due, axis=1)
+        asked: Bools = np.any(due, axis=1)
         if self._listening.waits(self._names, self.states):
             asked |= recorder.changes(chunk)
         if not asked[:-1].any():
@@ -156,11 +155,11 @@ class StepControl:
             + ", ".join(self.states)
         )
 
-    def _due(self, times: Array, states: Array, solved: Array, h: float) -> NDArray[np.bool_]:
+    def _due(self, times: Array, states: Array, solved: Array, h: float) -> Bools:
         """Return which guards (m, g) are due."""
         guards = self._tapes.guards(self.states)
         rows = guards.table(self._setup, times, states, solved[:, self._order])
         margin, rate = rows[..., 0], rows[..., 1]
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
-        due: NDArray[np.bool_] = (margin < 0.0) & ~passing
+        due: Bools = (margin < 0.0) & ~passing
         return due

@@ -27,14 +27,13 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import TERMS, Recorder
 from contacts.time_stepping.stops import StopConditions
 from statechart import interrupts
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.trace import (
     FAR_TOO_MANY,
     LARGEST,
@@ -124,8 +123,8 @@ class Stepping:
     controls: Key
     again: str
     forces: int | None
-    sticks: NDArray[np.bool_]
-    angles: NDArray[np.bool_]
+    sticks: Bools
+    angles: Bools
     stops: Tape
     stop_names: tuple[str, ...]
     energy: Tape
@@ -150,7 +149,7 @@ class Begun(NamedTuple):
 
     setup: SceneSetup
     stepped: Stepped
-    codes: NDArray[np.int64]
+    codes: Ints
     warnings: tuple[str, ...]
     control: Control | None = None
     failure: SimulationError | None = None

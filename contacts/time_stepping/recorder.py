@@ -14,11 +14,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES, cause_of
 from contacts.time_stepping.chunk import Chunk
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import roles_in
 from statechart.automaton.trace import Arc, Clock, Jump, Key
 
@@ -51,7 +50,7 @@ class Recorder:
     regions: Sequence[str]
     start: Ints
     controls: Key
-    sticks: NDArray[np.bool_]
+    sticks: Bools
     again: str
     forces: int | None
     energy: Callable[[Array, float], float]
@@ -71,7 +70,7 @@ class Recorder:
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
         shown = self._shown(chunk.codes)
-        hit: NDArray[np.bool_] = np.any(chunk.struck, axis=1)
+        hit: Bools = np.any(chunk.struck, axis=1)
         changed = self._changed(shown) | hit
         self._raw = chunk.codes[-1]
         after = np.concatenate([[False], hit[:-1]])
@@ -87,7 +86,7 @@ class Recorder:
                 self._note_shared(chunk.shared[first:last])
                 self._flow(chunk, first, last)
 
-    def changes(self, chunk: Chunk) -> NDArray[np.bool_]:
+    def changes(self, chunk: Chunk) -> Bools:
         """Return the steps (k,) in which `add` will record jumps."""
         return self._changed(self._shown(chunk.codes)) | np.any(chunk.struck, axis=1)
 
@@ -125,11 +124,11 @@ class Recorder:
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
         return np.where((codes == PIN) & slid & self.sticks, before, codes)
 
-    def _changed(self, shown: Ints) -> NDArray[np.bool_]:
-        found: NDArray[np.bool_] = np.any(shown != np.vstack([self.row, shown[:-1]]), axis=1)
+    def _changed(self, shown: Ints) -> Bools:
+        found: Bools = np.any(shown != np.vstack([self.row, shown[:-1]]), axis=1)
         return found
 
-    def _note_shared(self, shared: NDArray[np.bool_]) -> None:
+    def _note_shared(self, shared: Bools) -> None:
         if shared.any():
             names = {self.regions[i] for i in np.flatnonzero(shared.any(axis=0)).tolist()}
             names.update(self.indeterminate.get(self.key, ()))

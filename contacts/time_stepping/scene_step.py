@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.redundancy import shared_forces
@@ -38,7 +37,7 @@ from contacts.time_stepping.chunk import (
 )
 from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
 from contacts.time_stepping.forces import borne_mode, jammed, resting
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
@@ -52,25 +51,25 @@ _SETTLING = 3
 
 @kernel
 def step_scene(
-    code: NDArray[np.int32],
+    code: Ints32,
     constants: Array,
-    outputs: NDArray[np.int32],
+    outputs: Ints32,
     damped: bool,
     parameters: Array,
     cones: Array,
     restitution: Array,
     plastic: bool,
-    held: NDArray[np.int64],
-    slips: NDArray[np.int64],
+    held: Ints,
+    slips: Ints,
     joints: int,
     near: float,
     start: float,
     level: Array,
-    closed: NDArray[np.bool_],
-    fresh: NDArray[np.int64],
-    off: NDArray[np.bool_],
-    light: NDArray[np.bool_],
-    bases: NDArray[np.bool_],
+    closed: Bools,
+    fresh: Ints,
+    off: Bools,
+    light: Bools,
+    bases: Bools,
     given: Array,
     softened: bool,
     chunk: Chunk,

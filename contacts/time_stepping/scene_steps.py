@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.mechanics import Mechanics
@@ -18,7 +17,7 @@ from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import BAD_INERTIA, Chunk, softened_remark, stepped
 from contacts.time_stepping.equations import CONTACT
 from contacts.time_stepping.scene_step import step_scene
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode
 from statechart.formulas.tape import Tape
 
@@ -94,12 +93,12 @@ class _Memory:
     """What lasts from step to step; see `contacts.time_stepping.scene_step.step_scene`."""
 
     level: Array
-    closed: NDArray[np.bool_]
-    fresh: NDArray[np.int64]
-    off: NDArray[np.bool_]
-    light: NDArray[np.bool_]
-    bases: NDArray[np.bool_]
-    codes: NDArray[np.int64]
+    closed: Bools
+    fresh: Ints
+    off: Bools
+    light: Bools
+    bases: Bools
+    codes: Ints
     least_gap: Array
     least: Array
 
@@ -120,7 +119,7 @@ class SteppedScene:
         Contacts that are off at the start.
     """
 
-    def __init__(self, source: SteppedTape, setup: SceneSetup, off: NDArray[np.bool_]) -> None:
+    def __init__(self, source: SteppedTape, setup: SceneSetup, off: Bools) -> None:
         count = len(setup.contacts)
         self._values, self._near = setup.values, setup.tolerances["gap"]
         self.switch(source, setup.contacts)
@@ -210,7 +209,7 @@ class SteppedScene:
         self._note(chunk.gaps, forces, chunk.codes)
         return chunk
 
-    def _declared(self, codes: NDArray[np.int64], start: float, h: float) -> int:
+    def _declared(self, codes: Ints, start: float, h: float) -> int:
         """Return how many steps take declared modes; replace a stick that only passes.
 
         Raises
@@ -237,7 +236,7 @@ class SteppedScene:
             )
         return k
 
-    def _note(self, gaps: Array, forces: Array, codes: NDArray[np.int64]) -> None:
+    def _note(self, gaps: Array, forces: Array, codes: Ints) -> None:
         if not len(gaps):
             return
         memory = self._memory

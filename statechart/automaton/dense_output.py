@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from statechart.arrays import Array
 from statechart.formulas.tape import Tape, contiguous
 from statechart.kernels.polynomials import integrate_outputs, sample_states
 
@@ -16,7 +17,7 @@ def lowest(
     parameters: ArrayLike,
     start: float,
     per_step: int = 16,
-) -> NDArray[np.float64]:
+) -> Array:
     """Return the least value of every output on a grid.
 
     Parameters
@@ -53,7 +54,7 @@ def integrals(
     start: float,
     t_from: float,
     t_to: float,
-) -> NDArray[np.float64]:
+) -> Array:
     """Integrate every output over local time, by Gauss and Legendre with 16 nodes in a step.
 
     Parameters
@@ -88,7 +89,7 @@ def integrals(
     )
 
 
-def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> NDArray[np.float64]:
+def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> Array:
     """Evaluate the polynomials.
 
     Parameters
@@ -122,7 +123,7 @@ def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> NDArray[np.fl
 
 def checked_arc(
     tape: Tape, times: ArrayLike, coeffs: ArrayLike, parameters: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array, Array]:
     """Return an arc's arrays and the parameters as kernels want them; their shapes fit the tape."""
     times, coeffs, parameters = contiguous(times), contiguous(coeffs), contiguous(parameters)
     tape.require(parameters)

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.automaton.regions import Region
@@ -75,12 +74,12 @@ class Setup:
         Roles of a flow -> its mode, solved for the parameters of the run; set by the executor.
     """
 
-    values: NDArray[np.float64]
-    initial: NDArray[np.float64]
+    values: Array
+    initial: Array
     tolerances: Mapping[str, float]
     short: float = 0.0
     warnings: tuple[str, ...] = ()
-    sizes: NDArray[np.float64] | None = None
+    sizes: Array | None = None
     horizon: float = float("inf")
     modes: Callable[[Roles], Mode] | None = None
 
@@ -132,13 +131,13 @@ class Flow(NamedTuple):
     notes: tuple[str, ...] = ()
     held: Mapping[str, Clock] = _NOTHING
     tolerances: Mapping[str, float] = _NOTHING
-    terms: NDArray[np.float64] | None = None
-    summed: NDArray[np.float64] | None = None
+    terms: Array | None = None
+    summed: Array | None = None
     pending: Mapping[str, tuple[Jump, ...]] = _NOTHING
-    start: NDArray[np.float64] | None = None
+    start: Array | None = None
 
     @property
-    def sizes(self) -> NDArray[np.float64] | None:
+    def sizes(self) -> Array | None:
         """How large the terms of each variable are; its rounding is relative to them."""
         return None if self.terms is None else np.abs(self.terms).sum(axis=1)
 
@@ -190,7 +189,7 @@ class Instant(NamedTuple):
 class Laws(Protocol):
     """What happens at the instants between flows; the executor knows nothing else."""
 
-    def begin(self, setup: Setup) -> tuple[Flow, NDArray[np.float64]]:
+    def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode and the state to start from."""
         ...
 
@@ -225,9 +224,7 @@ class Laws(Protocol):
         """
         ...
 
-    def constraints(
-        self, setup: Setup, roles: Roles, start: float, anchor: NDArray[np.float64]
-    ) -> Constraints:
+    def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return what the states of a flow satisfy.
 
         The flow begins in the state `anchor` at the time `start`.

@@ -8,7 +8,6 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.errors import TooLong
@@ -148,9 +147,9 @@ class Arc:
     roles: Roles
     start: Clock
     j: int
-    times: NDArray[np.float64]
-    coefficients: NDArray[np.float64]
-    solved: NDArray[np.float64] | None = None
+    times: Array
+    coefficients: Array
+    solved: Array | None = None
 
     @property
     def duration(self) -> float:
@@ -162,13 +161,13 @@ class Arc:
         """When the arc ends."""
         return self.start.later(self.duration)
 
-    def states(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
+    def states(self, local: Array) -> Array:
         """Return the states (m, n) at local times `local` (m,), 0 <= local <= duration."""
         from statechart.automaton.dense_output import sample
 
         return sample(self.coefficients, self.times, np.ascontiguousarray(local, dtype=float))
 
-    def unknowns(self, local: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def unknowns(self, local: Array) -> Array | None:
         """Return the unknowns (m, u) at local times, where they are known as numbers."""
         if self.solved is None:
             return None
@@ -214,8 +213,8 @@ class Jump:
     cause: str
     source: Key
     target: Key
-    before: NDArray[np.float64]
-    after: NDArray[np.float64]
+    before: Array
+    after: Array
     fired: tuple[str, ...] = ()
     impulse: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     path: tuple[str, ...] = ()
@@ -276,8 +275,8 @@ class Trace:
     parameters: Mapping[str, float]
     arcs: tuple[Arc, ...]
     jumps: tuple[Jump, ...]
-    initial: NDArray[np.float64]
-    final: NDArray[np.float64]
+    initial: Array
+    final: Array
     start_mode: Key
     final_mode: Key
     t_end: float
@@ -295,7 +294,7 @@ class Trace:
     undetermined: Mapping[Key, tuple[str, ...]] | None = None
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Array:
         """Values (p,) of the parameters."""
         return np.fromiter(self.parameters.values(), float, len(self.parameters))
 

@@ -15,12 +15,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from statechart.arrays import Array, Ints32
 from statechart.kernels.tapes import tape_table, tape_values
 
 
-def contiguous(array: ArrayLike) -> NDArray[np.float64]:
+def contiguous(array: ArrayLike) -> Array:
     """Return the array as the kernels want it: float64, contiguous, aligned, writeable.
 
     Any other kind of array would be another type to numba, and compiled for once more.
@@ -50,20 +51,20 @@ class Tape:
         Variables that are read at all; `n_variables` stands for the time.
     """
 
-    code: NDArray[np.int32]
-    constants: NDArray[np.float64]
-    outputs: NDArray[np.int32]
+    code: Ints32
+    constants: Array
+    outputs: Ints32
     n_variables: int
     n_parameters: int
     n_fixed: int
-    reads: NDArray[np.int32]
+    reads: Ints32
 
     @cached_property
-    def program(self) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int32]]:
+    def program(self) -> tuple[Ints32, Array, Ints32]:
         """What kernels run: code, constants, outputs."""
         return self.code, self.constants, self.outputs
 
-    def values(self, state: ArrayLike, parameters: ArrayLike, time: float) -> NDArray[np.float64]:
+    def values(self, state: ArrayLike, parameters: ArrayLike, time: float) -> Array:
         """Return the outputs at one point.
 
         Parameters
@@ -91,9 +92,7 @@ class Tape:
         self.require(parameters)
         return self.at(state, parameters, float(time))
 
-    def at(
-        self, state: NDArray[np.float64], parameters: NDArray[np.float64], time: float
-    ) -> NDArray[np.float64]:
+    def at(self, state: Array, parameters: Array, time: float) -> Array:
         """Return `values` for arrays that are float64, contiguous and of the right length.
 
         For inner loops: nothing is checked, and a wrong shape reads beyond the arrays.
@@ -102,9 +101,7 @@ class Tape:
         tape_values(*self.program, state, parameters, time, result)
         return result
 
-    def table(
-        self, states: ArrayLike, parameters: ArrayLike, times: ArrayLike
-    ) -> NDArray[np.float64]:
+    def table(self, states: ArrayLike, parameters: ArrayLike, times: ArrayLike) -> Array:
         """Return the outputs at many points.
 
         Parameters
@@ -137,7 +134,7 @@ class Tape:
             self.code, self.constants, self.outputs, self.n_fixed, states, parameters, times
         )
 
-    def require(self, parameters: NDArray[np.float64]) -> None:
+    def require(self, parameters: Array) -> None:
         """Raise `ValueError` if the parameters are not as many as the tape has."""
         if parameters.shape != (self.n_parameters,):
             raise ValueError(
