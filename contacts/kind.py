@@ -45,7 +45,7 @@ def automaton(scene: Scene) -> Automaton:
         names=mechanics.variable_names,
         variables=mechanics.variables,
         parameter_names=parameters.names,
-        parameters=tuple(parameters.symbols.values()),
+        parameters=parameters.ordered,
         time=mechanics.time,
         unknowns=(*mechanics.a, *mechanics.unknown_forces),
         rates=(*mechanics.v, *mechanics.a),

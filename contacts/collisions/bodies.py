@@ -63,7 +63,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
         names=mechanics.variable_names,
         variables=mechanics.variables,
         parameter_names=mechanics.parameters.names,
-        parameters=tuple(mechanics.parameters.symbols.values()),
+        parameters=mechanics.parameters.ordered,
         time=mechanics.time,
         unknowns=mechanics.a,
         rates=(*mechanics.v, *mechanics.a),

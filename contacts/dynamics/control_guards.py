@@ -96,7 +96,7 @@ class ControlGuards:
                 **dict.fromkeys(forces, unknown),
             },
             inputs=(*mechanics.variables, *mechanics.a, *forces, unknown),
-            parameters=tuple(mechanics.parameters.symbols.values()),
+            parameters=mechanics.parameters.ordered,
             time=mechanics.time,
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)

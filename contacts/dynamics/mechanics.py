@@ -79,7 +79,7 @@ class Mechanics(Geometry):
         return compile_tape(
             outputs,
             variables=(*self.variables, *unknowns),
-            parameters=tuple(self.parameters.symbols.values()),
+            parameters=self.parameters.ordered,
             time=self.time,
             definitions=definitions,
         )

@@ -57,9 +57,7 @@ class ControlledLaws:
         self._count = len(regions) - len(self._names)
         self._under: dict[Key, SceneLaws] = {}
         self._states = Controllers(mechanics)
-        self._courses = Courses(
-            mechanics.variables, tuple(mechanics.parameters.symbols.values()), mechanics.time
-        )
+        self._courses = Courses(mechanics.variables, mechanics.parameters.ordered, mechanics.time)
         region_of = mechanics.scene.controlled.region_of
         self._varying = any(
             region_of(text) is not None

@@ -66,7 +66,7 @@ def automaton(chart: Chart) -> Automaton:
         names=tuple(chart.variables),
         variables=tuple(symbols.variables.values()),
         parameter_names=symbols.parameters.names,
-        parameters=tuple(symbols.parameters.symbols.values()),
+        parameters=symbols.parameters.ordered,
         time=symbols.time,
         unknowns=tuple(symbols.rates.values()),
         rates=tuple(symbols.rates.values()),
@@ -164,7 +164,7 @@ class ChartLaws:
         self._updates: dict[tuple[int, int], Tape] = {}
         self._courses = Courses(
             tuple(symbols.variables.values()),
-            tuple(symbols.parameters.symbols.values()),
+            symbols.parameters.ordered,
             symbols.time,
         )
         self._considered = tuple(map(considered, regions))
@@ -296,7 +296,7 @@ class ChartLaws:
                 known,
                 rates,
                 inputs=tuple(variables.values()),
-                parameters=tuple(self._symbols.parameters.symbols.values()),
+                parameters=self._symbols.parameters.ordered,
                 time=self._symbols.time,
             )
         return self._watches[roles]
@@ -322,7 +322,7 @@ class ChartLaws:
             tape = self._updates[place, index] = compile_tape(
                 [*values, *(size_of(value, before) for value in values)],
                 variables=(*variables, *before.values()),
-                parameters=tuple(self._symbols.parameters.symbols.values()),
+                parameters=self._symbols.parameters.ordered,
                 time=self._symbols.time,
             )
         found = tape.values(np.concatenate([state, sizes]), setup.values, clock.high)

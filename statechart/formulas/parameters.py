@@ -47,7 +47,7 @@ class Parameters:
         self.symbols: dict[str, sp.Symbol] = dict(declared)
         for i, name in enumerate(extra):
             self.symbols[name] = sp.Symbol(f"d{i}", real=True)
-        self.names = tuple(self.symbols)
+        self.names, self.ordered = tuple(self.symbols), tuple(self.symbols.values())
         self._declared = tuple(declared)
         self._derived = tuple(extra.values())
         self._further = tuple(further(self.symbols))
