@@ -12,6 +12,7 @@ from statechart.automaton.regions import Mode
 from statechart.engines.engine import Begin, Engine, FlowWatch, Steps
 from statechart.engines.path import Path
 from statechart.errors import OutOfBudget
+from statechart.formulas.tape import Tape
 
 
 class Allowance:
@@ -63,10 +64,15 @@ class Limited(Engine):
     def __init__(self, engine: Engine, allowance: Allowance) -> None:
         self._engine, self._allowance = engine, allowance
         self.name, self.method, self.tolerance = engine.name, engine.method, engine.tolerance
+        self.allowed = engine.allowed
 
-    def compile(self, automaton: Automaton, mode: Mode) -> object:
+    def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> object:
         """Compile (see `Engine`)."""
-        return self._engine.compile(automaton, mode)
+        return self._engine.compile(automaton, mode, rates)
+
+    def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:
+        """Raise `Unsupported` where the method cannot go on (see `Engine`)."""
+        self._engine.check(stepper, state, parameters, time)
 
     def steps(
         self,
@@ -83,5 +89,5 @@ class Limited(Engine):
         self._allowance.check(watch.start + path.times.item(path.count))
         self._engine.sizes = self.sizes
         made = self._engine.steps(stepper, path, watch, state, until, count, begin, end)
-        self.evaluations = self._engine.evaluations
+        self.evaluations, self.floor = self._engine.evaluations, self._engine.floor
         return made

@@ -26,6 +26,7 @@ class Begin(Enum):
     NEW = "another flow, or another run"
     MOVED = "the same flow, its state projected since"
     ON = "the same flow, where it was left"
+    BACK = "the same flow, from before where it was left"
 
 
 class FlowWatch(NamedTuple):
@@ -95,6 +96,9 @@ class Engine(ABC):
         How large each variable is in the model's own scales, where it says so; set for each run.
     floor : (n,) array or float
         Errors of a variable that is smaller are relative to this; set for each flow.
+    allowed : float
+        Of what a variable is and moves in a step, how far the slope of the step may be off its
+        rate. The slope of a dense output is of a lower order than the step.
     """
 
     name: str
@@ -103,10 +107,14 @@ class Engine(ABC):
     evaluations: int = 0
     sizes: Array | None = None
     floor: Array | float = 0.0
+    allowed: float
 
     @abstractmethod
-    def compile(self, automaton: Automaton, mode: Mode) -> object:
-        """Return what `steps` needs to integrate `mode`."""
+    def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> object:
+        """Return what `steps` needs to integrate `mode`, whose rates are also on a tape."""
+
+    def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:  # noqa: B027
+        """Raise `Unsupported` where the method cannot go on from a state, whatever its steps."""
 
     @abstractmethod
     def steps(

@@ -36,6 +36,9 @@ _MOST = 512
 # To the power -20, the order of the method, and some more for the derivatives of a surface, this is
 # near the largest float. Asked for only where a step fails.
 _LEAST_BASE = 1e-12
+# Slopes may be off their rates by so much in parts of the motion, or in tolerances: ten times what
+# the shipped models show.
+_SLOPE, _ORDERS = 1e-12, 1e3
 _SHOWN = 80  # characters of a formula in a message
 
 
@@ -86,8 +89,9 @@ class Taylor(Engine):
         self.method = LONG_DOUBLE if extended else "taylor"
         self._number: type[Any] = np.longdouble if extended else float
         self.tolerance = max(tolerance, float(np.finfo(self._number).eps))
+        self.allowed = max(_SLOPE, _ORDERS * self.tolerance)
 
-    def compile(self, automaton: Automaton, mode: Mode) -> _Stepper:
+    def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
         """Compile the rates; identical modes come from heyoka's cache on disk."""
         extended = self._number is not float
         convert = _Converter(automaton, dict(mode.definitions))
@@ -130,6 +134,17 @@ class Taylor(Engine):
             automaton.tape([power.base for power in convert.singular], mode),
         )
 
+    def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:
+        """Raise `Unsupported` where a power that is not a whole one meets a base of zero."""
+        assert isinstance(stepper, _Stepper)
+        bases = stepper.bases.values(state, parameters, time)
+        for power, base in zip(stepper.powers, bases.tolist(), strict=True):
+            if not base > _LEAST_BASE:
+                raise Unsupported(
+                    f"{power} has no Taylor series at t = {time:.17g}, where its base is "
+                    f"{base:.3g}; use engine: scipy"
+                )
+
     def steps(
         self,
         stepper: object,
@@ -163,14 +178,14 @@ class Taylor(Engine):
             made, last, h, left = self._loop(stepper, path, watch, state, until, count, moved, end)
         start = watch.start + reached
         if last == first:
-            _check_powers(stepper, state, watch.parameters, start)
+            self.check(stepper, state, watch.parameters, start)
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
         if h == 0.0 and left > 0.0 and (made.found is None or made.found.verdict is Verdict.NONE):
             # What came before the step that underflowed stands, and may hold an event.
             if path.times.item(last) == path.times.item(last - 1):
                 last -= 1
             if last == first:
-                _check_powers(stepper, state, watch.parameters, start)
+                self.check(stepper, state, watch.parameters, start)
                 raise StepFailure(f"the step near t = {start:.17g} underflowed")
         path.count = last
         return made
@@ -216,17 +231,6 @@ class Taylor(Engine):
         )
         search = None if found[0] == OFF else as_search(found)
         return Steps(finished, begins, begun, boxes, search), last, h, left
-
-
-def _check_powers(stepper: _Stepper, state: Array, parameters: Array, time: float) -> None:
-    """Raise `Unsupported` where a power that is not a whole one meets a base of zero."""
-    bases = stepper.bases.values(state, parameters, time)
-    for power, base in zip(stepper.powers, bases.tolist(), strict=True):
-        if not base > _LEAST_BASE:
-            raise Unsupported(
-                f"{power} has no Taylor series at t = {time:.17g}, where its base is {base:.3g}; "
-                "use engine: scipy"
-            )
 
 
 def _one_by_one(

@@ -28,10 +28,6 @@ LEAST_MOTION = 1e-6
 _ROUGH, _ROUNDING = 1e-3, 0.25
 # Where the rate itself ends no length of a step helps, and none is made.
 HALVINGS = 40
-# A step whose last terms are below this part of its tolerance has a length for another reason, and
-# is looked at inside, too: what is periodic may agree at its end.
-_MISSING = 1e-3
-_INSIDE = (0.382, 0.146, 0.056)
 
 Integrator = tuple[int, Array, Array, Array, Array, float]
 """heyoka's, its step linked: address, state (n,), parameters (p,), clock (2,) with the time since
@@ -39,51 +35,19 @@ the integration began and its rounding, series (n, d + 1), tolerance."""
 
 
 @part
-def _stray(row: Array, h: float, series: Array, s: float) -> float:
-    """How far the slope at `s` of a step is off the rate there, in parts of the motion."""
+def _stray(row: Array, h: float, series: Array) -> float:
+    """How far the slope at the end of a step is off the rate there, in parts of the motion."""
     worst, size = 0.0, LEAST_MOTION
     for v in range(row.shape[0]):
-        slope, reach, power = 0.0, abs(row[v, 0]), 1.0
+        slope, reach = 0.0, abs(row[v, 0])
         for k in range(1, row.shape[1]):
-            slope += k * row[v, k] * power
+            slope += k * row[v, k]
             reach += k * abs(row[v, k])
-            power *= s
         off = abs(slope - h * series[v, 1])
         if off != off:
             return math.inf
         worst, size = max(worst, off), max(size, reach)
     return worst / size
-
-
-@part
-def _inside(integrator: Integrator, coeffs: Array, step: int, h: float) -> float:
-    """How far a step without last terms strays inside, if by more than allowed; else 0."""
-    address, _, parameters, clock, series, tolerance = integrator
-    row = coeffs[step]
-    n, last = row.shape[0], row.shape[1] - 1
-    size, tail = 0.0, 0.0
-    for v in range(n):
-        size = max(size, abs(row[v, 0]))
-        tail = max(tail, abs(row[v, last]), abs(row[v, last - 1]))
-    if tail > _MISSING * tolerance * size:
-        return 0.0
-    state, now, none, rates = np.empty(n), np.empty(2), np.zeros(1), np.empty(series.shape)
-    for s in _INSIDE:
-        for v in range(n):
-            state[v] = horner(coeffs, step, v, s)
-        # The clock stands at the end of the step.
-        now[0], now[1] = clock[0] - (1.0 - s) * h, 0.0
-        call_step(address, state, parameters, now, none, rates)
-        off = _stray(row, h, rates, s)
-        if off > _allowed(tolerance):
-            return off
-    return 0.0
-
-
-@part
-def _allowed(tolerance: float) -> float:
-    """How far a step may stray."""
-    return max(STRAY, _ORDERS * tolerance)
 
 
 @part
@@ -139,7 +103,7 @@ def _taylor_steps(
         Length of the last step, and what was left before it.
     """
     address, state, parameters, clock, series, tolerance = integrator
-    n, allowed = series.shape[0], _allowed(tolerance)
+    n, allowed = series.shape[0], max(STRAY, _ORDERS * tolerance)
     step, here, begun = np.empty(1), np.empty(n), np.empty(n)
     left, total, taken = duration, 0.0, 0
     longest, off, halvings, done = math.inf, math.inf, 0, False
@@ -150,9 +114,7 @@ def _taylor_steps(
         call_step(address, state, parameters, clock, step, series)
         if taken > 0:
             last = first + taken - 1
-            before, off = off, _stray(coeffs[last], h, series, 1.0)
-            if off <= allowed:
-                off = _inside(integrator, coeffs, last, h)
+            before, off = off, _stray(coeffs[last], h, series)
             falls = halvings == 0 or off > _ROUGH or off <= _ROUNDING * before
             if off > allowed and falls:
                 halvings += 1

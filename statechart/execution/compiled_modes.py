@@ -25,6 +25,8 @@ class CompiledMode:
         Equations and margins.
     guards : Tape
         Outputs: the margins, in order.
+    rates : Tape
+        Outputs: the rates of all variables.
     watched : tuple of (str, str)
         Name and kind of every margin.
     names : tuple of str
@@ -35,6 +37,7 @@ class CompiledMode:
 
     mode: Mode
     guards: Tape
+    rates: Tape
     watched: tuple[tuple[str, str], ...]
     names: tuple[str, ...]
     stepper: object
@@ -70,22 +73,24 @@ class CompiledModes:
             found = next((made for made in self._compiled.values() if made.mode is mode), None)
             if found is None:
                 bare = uncaptured(roles)
-                stepper = None if bare == roles else self.compiled(bare, zeros).stepper
-                found = self._compile(mode, stepper)
+                found = self._compile(mode, None if bare == roles else self.compiled(bare, zeros))
                 key = moving_mode(roles)
                 if HELD not in key:
                     self._built.add(key)
             self._compiled[roles, zeros] = found
         return found
 
-    def _compile(self, mode: Mode, stepper: object) -> CompiledMode:
-        """Put guards on tape; without a `stepper`, let the engine compile the rates."""
+    def _compile(self, mode: Mode, bare: CompiledMode | None) -> CompiledMode:
+        """Put guards on tape; let the engine compile the rates unless they are those of `bare`."""
         automaton = self.automaton
         guards = automaton.tape([margin.expression for margin in mode.margins], mode)
         watched = tuple((margin.name, margin.kind) for margin in mode.margins)
         names = tuple(margin.name for margin in mode.margins)
-        stepper = stepper or self.engine.compile(automaton, mode)
-        return CompiledMode(mode, guards, watched, names, stepper)
+        if bare is not None:
+            return CompiledMode(mode, guards, bare.rates, watched, names, bare.stepper)
+        rates = automaton.tape(mode.rates, mode)
+        stepper = self.engine.compile(automaton, mode, rates)
+        return CompiledMode(mode, guards, rates, watched, names, stepper)
 
     def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
         """Return the mode of `roles`, solved for zero parameters at the places `zeros`."""

@@ -16,7 +16,8 @@ from statechart.engines.path import Path
 from statechart.errors import NonFinite, SimulationError, StepFailure, TooLong, Undecided
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.series import size_at
-from statechart.kernels.polynomials import cut_steps, sample_states
+from statechart.kernels.polynomials import cut_steps, local_time, sample_states
+from statechart.kernels.resolution import unseen
 
 _FIRST_CHUNK = 4
 # A chunk may end this far off its constraints, in tolerances; inside it may be farther.
@@ -26,7 +27,14 @@ _BLIND = 1e3
 # What a step half as long is off as much as this part of, comes of errors and rounding far from
 # where the run began.
 _STAYS = 0.75
-# Of the way to where a step left its constraints unseen.
+# Boxes in which a step is looked at for what it missed of its rates.
+_LOOKS = 256
+# What a step misses of smooth rates falls by more than this as it is halved; beyond the second, in
+# parts of the motion, it is not rounding.
+_FALLS, _ROUGH = 0.25, 1e-3
+# Variables count as so large at least, in their sizes.
+_LEAST = 1e-6
+# Of the way to where a step left its constraints unseen, or missed its rates.
 _NEARER = 0.5
 # So many steps tell how many the rest takes; of more than this, days at a microsecond each.
 _LOOKED_AT, _TOO_MANY = 4096, 1e12
@@ -101,6 +109,10 @@ class Advance:
     # How far the last step was off that was made again; steps and time when their pace was told.
     _seen: float = field(init=False)
     _mark: tuple[int, float] = field(init=False)
+    # Where the last step began that missed its rates, where it did and by how much; what is known
+    # as rounding.
+    _missed: tuple[float, float, float] = field(init=False)
+    _rounded: float = field(init=False)
 
     def run(self) -> Advance:
         """Flow; return this, also where the flow could not be continued."""
@@ -119,6 +131,7 @@ class Advance:
         self._count, self._begin = _FIRST_CHUNK, Begin.NEW
         self._end = min(self.horizon, self.duration)
         self._seen, self._mark = math.inf, (0, 0.0)
+        self._missed, self._rounded = (-1.0, 0.0, 0.0), 0.0
 
     def _chunk(self) -> None:
         """Make steps and prove them; then go on, end at an event, or make them again."""
@@ -161,7 +174,7 @@ class Advance:
                 last,
             )
             self.boxes += found.boxes
-        blind = _blind(watch, path, first, last, found)
+        blind = _blind(watch, path, first, last, found) or self._unseen(first, last, found)
         if _BLIND < off <= _STAYS * self._seen and watch.constraints.within is not None:
             blind, self._seen = (self._kept, local), off
         if blind is not None:
@@ -184,7 +197,47 @@ class Advance:
             )
         left = cut_steps(path.times, path.coefficients, path.count, self._reached, ended)
         self.state = ended if left > 0 else self.initial
-        self._count, self._begin = 1, Begin.MOVED
+        self._count, self._begin = 1, Begin.BACK
+
+    def _unseen(self, first: int, last: int, found: Search) -> tuple[int, float] | None:
+        """Return the step, up to what was found in them, that misses its rates, and where."""
+        watch, path, rates = self.watch, self.path, self.compiled.rates
+        where = found.crossing or found.undecided
+        while True:
+            step, s, off, _ = unseen(
+                *rates.program,
+                rates.reads,
+                rates.n_fixed,
+                watch.parameters,
+                watch.start,
+                path.times,
+                path.coefficients,
+                first,
+                last if where is None else where.step + 1,
+                _floors(self.engine, len(self.initial)),
+                max(self.engine.allowed, self._rounded),
+                _LOOKS,
+            )
+            if step < 0:
+                return None
+            begun, at = path.times.item(step), local_time(path.times, step, s)
+            last_begun, last_at, before = self._missed
+            self._missed = begun, at, off
+            again = begun == last_begun
+            if again and _FALLS * before < off < _ROUGH:
+                # What a step half as long misses as much of is rounding.
+                self._rounded, first = 2.0 * off, step
+            elif begun < begun + _NEARER * (at - begun) and not (again and at >= last_at):
+                return step, at
+            else:
+                self._give_up(begun, path.coefficients[step, :, 0])
+                return None
+
+    def _give_up(self, time: float, state: Array) -> None:
+        """Leave the flow to the integrator's own errors from where no step is short enough."""
+        watch = self.watch
+        self.engine.check(self.compiled.stepper, state, watch.parameters, watch.start + time)
+        self._rounded = math.inf
 
     def _widened(self, found: Search) -> bool:
         """Begin again with wider tolerances, where what was found is not a fall but noise."""
@@ -224,6 +277,13 @@ class Advance:
         if not moved:
             self._count = min(self._count + self._count // 2, LONGEST_CHUNK)
         self._begin = Begin.MOVED if moved or finished else Begin.ON
+
+
+def _floors(engine: Engine, variables: int) -> Array:
+    """Return how small each variable can be and still count."""
+    floors = np.empty(variables)
+    floors[:] = _LEAST if engine.sizes is None else _LEAST * engine.sizes
+    return np.maximum(floors, engine.floor)
 
 
 def _check_pace(steps: int, took: float, left: float) -> None:

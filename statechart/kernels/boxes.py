@@ -31,11 +31,11 @@ def prepare(coeffs: Array, step: int, reads: Ints32, bounds: Array) -> bool:
     return finite
 
 
-@kernel
-def enclose(
+@part
+def place(
     along: Along, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
 ) -> None:
-    """Jets of all registers over the places [m - w, m + w] of a step.
+    """Jets of the variables and of time over the places [m - w, m + w] of a step.
 
     A polynomial p is enclosed by p(m) +- w |p'(m)| +- w^2/2 |p''(m)| +- w^3/6 B with B the bound
     of its third derivative, and its derivatives likewise: three sums instead of a whole shift.
@@ -43,7 +43,7 @@ def enclose(
     of Numerical Algorithms", 2002, 5.1), its derivatives through 2 k + 2 and 2 k + 4; the sums of
     absolute values are taken at m, so that they are small near the start of a long step.
     """
-    code, base, first, last, reads, times, coeffs, start = along
+    _, _, _, _, reads, times, coeffs, start = along
     for r in range(reads.shape[0]):
         v = reads[r]
         row = jets[v]
@@ -79,6 +79,15 @@ def enclose(
             row[2], row[3] = whole(wide((p1 - radius, p1 + radius), EPS))
             radius = grow * (r2 + w * b3)
             row[4], row[5] = whole(wide((p2 - radius, p2 + radius), EPS))
+
+
+@kernel
+def enclose(
+    along: Along, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
+) -> None:
+    """Jets of all registers over the places [m - w, m + w] of a step."""
+    code, base, first, last = along[:4]
+    place(along, step, bounds, m, w, order, jets)
     run_jets(code, first, last, base, jets, order)
 
 

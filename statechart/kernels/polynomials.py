@@ -24,7 +24,7 @@ def horner(coeffs: Array, step: int, v: int, s: float) -> float:
     return value
 
 
-@part
+@kernel
 def local_time(times: Array, step: int, s: float) -> float:
     """Local time of the place s in a step; exact at both ends."""
     if s >= 1.0:

@@ -1,0 +1,321 @@
+"""What a polynomial over a step may have missed of a tape that is run along it.
+
+A function is *resolved* on a box if its singularities are as far from the range of its argument
+as that is wide or, where it has none, if it does not turn twice in that range. What is composed of
+resolved functions alone is as smooth as the box is long, and a few places tell what it does there
+(how fast polynomials converge follows from how far the singularities are: L. N. Trefethen,
+"Approximation Theory and Approximation Practice", 2013, chapter 8). Of anything else, between
+places, only the range is known. So every register has a *roughness* beside its range: how far it
+may be from what is composed of resolved functions.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from statechart.arrays import Array, Ints32
+from statechart.kernels.boxes import Along, place, prepare
+from statechart.kernels.intervals import INF, Interval
+from statechart.kernels.jets import run_jets
+from statechart.kernels.jit import kernel, part
+from statechart.kernels.polynomials import horner, local_time
+from statechart.kernels.tapes import (
+    ABS,
+    ACOS,
+    ADD,
+    ASIN,
+    ATAN,
+    COS,
+    COSH,
+    DIV,
+    EXP,
+    MAX,
+    MIN,
+    MUL,
+    NEG,
+    POW,
+    POWI,
+    SIGN,
+    SIN,
+    SINH,
+    SQUARE,
+    SUB,
+    TAN,
+    TANH,
+    filled,
+    run_tape,
+)
+
+# The range of an argument may be so many times as wide as its distance from a singularity.
+_ROOM = 2.0
+# Likewise where there is none, in what a function grows by a factor e or turns by a radian.
+_TURN = 4.0
+
+
+@part
+def _away(a: Interval) -> float:
+    """Distance of an interval from zero."""
+    return max(a[0], -a[1], 0.0)
+
+
+@part
+def _size(a: Interval) -> float:
+    return max(-a[0], a[1])
+
+
+@part
+def _resolved(op: int, exponent: int, a: Interval) -> bool:
+    """Whether a function of one operand is resolved on an interval."""
+    low, high = a
+    span = high - low
+    if span == 0.0:
+        return True
+    if op in (SIN, COS, EXP, SINH, COSH):
+        return span <= _TURN
+    if op == TANH:
+        return span <= _ROOM * math.hypot(_away(a), 0.5 * math.pi)
+    if op == ATAN:
+        return span <= _ROOM * math.hypot(_away(a), 1.0)
+    if op in (ABS, SIGN):
+        return low >= 0.0 or high <= 0.0
+    if op == TAN:
+        turn = math.floor(low / math.pi - 0.5)
+        begin = (turn + 0.5) * math.pi
+        return span <= _ROOM * min(low - begin, begin + math.pi - high)
+    if op in (ASIN, ACOS):
+        return span <= _ROOM * min(low + 1.0, 1.0 - high)
+    if op == POWI:
+        n, near, size = float(exponent), _away(a), _size(a)
+        return n * span <= 2.0 * _TURN * size or (near > 0.0 and n * math.log(size / near) <= _TURN)
+    return span <= _ROOM * low  # SQRT, LOG
+
+
+@part
+def _power_resolved(x: Interval, y: Interval) -> bool:
+    """Whether x**y is resolved."""
+    low, high = x
+    if not low > 0.0:
+        return high == low and y[0] == y[1]
+    logs = max(abs(math.log(low)), abs(math.log(high)))
+    return (
+        high - low <= _ROOM * low
+        and _size(y) * math.log(high / low) <= _TURN
+        and (y[1] - y[0]) * logs <= _TURN
+    )
+
+
+@part
+def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> None:
+    """Fill in the roughness, column 2, of operations whose ranges stand in columns 0 and 1."""
+    for k in range(first, last):
+        op, i = code[k, 0], code[k, 1]
+        a, p = (jets[i, 0], jets[i, 1]), jets[i, 2]
+        f = jets[base + k, 0], jets[base + k, 1]
+        width = f[1] - f[0]
+        if op in (NEG, SQUARE) or op > POW:
+            if op == NEG:
+                rough = p
+            elif op == SQUARE:
+                rough = p * (2.0 * _size(a) + p)
+            elif not _resolved(op, code[k, 2], a):
+                rough = width
+            else:
+                # What is resolved is not far from straight.
+                rough = 4.0 * p * width / (a[1] - a[0]) if p > 0.0 else 0.0
+        else:
+            j = code[k, 2]
+            b, q = (jets[j, 0], jets[j, 1]), jets[j, 2]
+            if op in (ADD, SUB):
+                rough = p + q
+            elif op == MUL:
+                rough = 0.0
+                if p > 0.0:
+                    rough += p * (_size(b) + q)
+                if q > 0.0:
+                    rough += q * _size(a)
+            elif op == DIV:
+                near = _away(b)
+                if b[1] - b[0] <= _ROOM * near:
+                    rough = (p + q * _size(f)) / near if p > 0.0 or q > 0.0 else 0.0
+                else:
+                    rough = width
+            elif op in (MIN, MAX):
+                rough = max(p, q)
+                if a[1] > b[0] and b[1] > a[0]:
+                    rough += min(a[1] - b[0], b[1] - a[0])
+            elif op == POW:
+                seen = p == 0.0 and q == 0.0 and _power_resolved(a, b)
+                rough = 0.0 if seen else width
+            else:
+                span = max(a[1] - a[0], b[1] - b[0])
+                seen = p == 0.0 and q == 0.0
+                seen = seen and span <= _ROOM * math.hypot(_away(a), _away(b))
+                rough = 0.0 if seen else width
+        jets[base + k, 2] = min(rough, width) if rough == rough else INF
+
+
+@kernel
+def unseen(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
+    n_fixed: int,
+    parameters: Array,
+    start: float,
+    times: Array,
+    coeffs: Array,
+    first: int,
+    last: int,
+    floors: Array,
+    allowed: float,
+    budget: int,
+) -> tuple[int, float, float, int]:
+    """First box of the steps [first, last) whose polynomials may not follow the rates.
+
+    Parameters
+    ----------
+    code, constants, outputs, reads, n_fixed
+        Tape of the rates of all variables.
+    parameters, start, times, coeffs
+        As in `statechart.kernels.search.search`.
+    floors : (n,) array
+        What is smaller counts as so large.
+    allowed : float
+        Of what a variable is and moves in a step, how far what is missed may move it.
+    budget : int
+        Most boxes of a step.
+
+    Returns
+    -------
+    step : int
+        -1 if there is none.
+    s : float
+        Where the box ends.
+    off : float
+        How far the polynomials are off the rates in it, as for `allowed`; infinite if that is not
+        known.
+    boxes : int
+        Looked at.
+    """
+    n, count = coeffs.shape[1], _PLACES.shape[0]
+    base, regs = filled(code, constants, parameters, n, count)
+    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    run_tape(code, 0, n_fixed, base, regs, count)
+    jets = np.zeros((regs.shape[0], 6))
+    for r in range(n + 1, base + n_fixed):
+        jets[r, 0] = jets[r, 1] = regs[r, 0]
+        if not abs(regs[r, 0]) < INF:
+            jets[r, 0], jets[r, 1] = -INF, INF
+    bounds, sizes = np.zeros(n), np.empty(n)
+    lefts, rights = np.empty(64), np.empty(64)
+    boxes = 0
+    for step in range(first, last):
+        h = times[step + 1] - times[step]
+        if not h > 0.0:
+            continue
+        prepare(coeffs, step, reads, bounds)
+        for v in range(n):
+            reach = abs(coeffs[step, v, 0])
+            for k in range(1, coeffs.shape[2]):
+                reach += k * abs(coeffs[step, v, k])
+            sizes[v] = max(reach, floors[v])
+        top, looked = 1, 0
+        lefts[0], rights[0] = 0.0, 1.0
+        while top > 0:
+            top -= 1
+            a, b = lefts[top], rights[top]
+            m, looked = 0.5 * (a + b), looked + 1
+            place(along, step, bounds, m, max(b - m, m - a), 0, jets)
+            for v in reads:
+                jets[v, 2] = 0.0
+            run_jets(code, n_fixed, code.shape[0], base, jets, 0)
+            _roughen(code, n_fixed, code.shape[0], base, jets)
+            rough = 0.0
+            for v in range(n):
+                moved = h * (b - a) * jets[outputs[v], 2]
+                if not moved <= _SHARE * allowed * sizes[v]:
+                    rough = INF
+            if rough > 0.0:
+                if b - a <= _NARROW:
+                    continue
+                if looked >= budget:
+                    return step, b, INF, boxes + looked
+                lefts[top], rights[top] = m, b
+                lefts[top + 1], rights[top + 1] = a, m
+                top += 2
+                continue
+            off, worst = _defect(along, outputs, step, a, b, h, sizes, regs)
+            if not off <= allowed:
+                off -= _rounding(along, outputs, step, bounds, worst, h, sizes, jets)
+            if not off <= allowed:
+                return step, b, off, boxes + looked
+        boxes += looked
+    return -1, 0.0, 0.0, boxes
+
+
+# A box that is looked at no closer may miss this part of what is allowed in a step.
+_SHARE = 1.0 / 64.0
+# Of a step: what is rough in so narrow a box is left to the integrator.
+_NARROW = 2.0**-48
+# Where in a box the slope of a polynomial is compared with the rate.
+_PLACES = np.array([0.146, 0.382, 0.764])
+
+
+@part
+def _defect(
+    along: Along,
+    outputs: Ints32,
+    step: int,
+    a: float,
+    b: float,
+    h: float,
+    sizes: Array,
+    regs: Array,
+) -> tuple[float, float]:
+    """How far the slopes in a box are off the rates, at the worst of a few places, and where."""
+    code, base, first, last, reads, times, coeffs, start = along
+    n, worst, where = coeffs.shape[1], 0.0, a
+    for j in range(_PLACES.shape[0]):
+        s = a + _PLACES[j] * (b - a)
+        for v in reads:
+            regs[v, j] = (
+                start + local_time(times, step, s) if v == n else horner(coeffs, step, v, s)
+            )
+    run_tape(code, first, last, base, regs, _PLACES.shape[0])
+    for j in range(_PLACES.shape[0]):
+        s = a + _PLACES[j] * (b - a)
+        for v in range(n):
+            slope = 0.0
+            for k in range(coeffs.shape[2] - 1, 0, -1):
+                slope = slope * s + k * coeffs[step, v, k]
+            off = abs(slope - h * regs[outputs[v], j])
+            if off == 0.0:
+                continue
+            off = off / sizes[v] if off == off else INF
+            if off > worst:
+                worst, where = off, s
+    return worst, where
+
+
+@part
+def _rounding(
+    along: Along,
+    outputs: Ints32,
+    step: int,
+    bounds: Array,
+    s: float,
+    h: float,
+    sizes: Array,
+    jets: Array,
+) -> float:
+    """How far the rates at one place of a step may be off in floats, as for `allowed`."""
+    code, base, first, last = along[:4]
+    place(along, step, bounds, s, 0.0, 0, jets)
+    run_jets(code, first, last, base, jets, 0)
+    worst = 0.0
+    for v in range(sizes.shape[0]):
+        worst = max(worst, h * (jets[outputs[v], 1] - jets[outputs[v], 0]) / sizes[v])
+    return worst if worst < INF else 0.0
