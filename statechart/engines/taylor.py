@@ -27,6 +27,7 @@ from statechart.engines.path import Path
 from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, taylor_flow
 from statechart.errors import NonFinite, StatechartError, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
+from statechart.formulas.writer import exponential_joined
 from statechart.kernels.polynomials import append_steps
 
 # Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB.
@@ -314,7 +315,11 @@ class _Converter:
         if node.is_Add:
             return functools.reduce(operator.add, (self(a) for a in node.args))
         if node.is_Mul:
-            return functools.reduce(operator.mul, (self(a) for a in node.args))
+            factors, exponent = exponential_joined(node.args)
+            parts = [self(a) for a in factors]
+            if exponent is not None:
+                parts.append(hy.exp(self(exponent)))
+            return functools.reduce(operator.mul, parts)
         if node.is_Pow:
             return self._power(*node.args)
         if node.func is sp.Abs and not node.free_symbols - self._parameters.keys():

@@ -29,6 +29,8 @@ _UNARY: dict[type[sp.Basic], str] = {
 }
 # SymPy makes these of its own accord, tan(x + pi/2) for one.
 _RECIPROCAL: dict[type[sp.Basic], str] = {sp.cot: "tan", sp.sec: "cos", sp.csc: "sin"}
+# What is smaller, or larger than its inverse, may overflow in a product with an exponential.
+_SMALL = sp.Float("1e-60")
 _COMMUTATIVE = {OPCODES[name] for name in ("add", "mul", "min", "max", "hypot")}
 
 
@@ -146,9 +148,11 @@ class _Writer:
 
     def _product(self, node: sp.Expr) -> int:
         number, factors = node.as_coeff_mul()
-        factors = _powers_joined(factors)
+        factors, exponent = exponential_joined(_powers_joined(factors))
         above: list[int] = []
         below: list[int] = []
+        if exponent is not None:
+            above.append(self._emit("exp", self.register(exponent)))
         for factor in factors:
             if factor.is_Pow and factor.exp.is_Number and factor.exp.is_negative:
                 below.append(self.register(sp.Pow(factor.base, -factor.exp)))
@@ -275,6 +279,29 @@ def _powers_joined(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
         base, exponent = factor.as_base_exp() if factor.is_Pow else (factor, sp.S.One)
         exponents[base] = exponents.get(base, sp.S.Zero) + exponent
     return [sp.Pow(base, exponent) for base, exponent in exponents.items()]
+
+
+def exponential_joined(
+    factors: Sequence[sp.Expr],
+) -> tuple[Sequence[sp.Expr], sp.Expr | None]:
+    """Return the factors of a product without a number that is no float but for an exponential.
+
+    SymPy makes exp(x + 3000.0) a product of two exponentials, whose first is beyond all floats.
+
+    Returns
+    -------
+    factors : sequence of Expr
+        Those left.
+    exponent : Expr or None
+        Of the exponential that the number was joined to.
+    """
+    numbers = [n for n in factors if n.is_Float and n and not _SMALL < abs(n) < 1 / _SMALL]
+    exponentials = [factor for factor in factors if isinstance(factor, sp.exp)]
+    if not numbers or not exponentials:
+        return factors, None
+    number, first = numbers[0], exponentials[0]
+    left = [factor for factor in factors if factor is not number and factor is not first]
+    return [*left, sp.sign(number)], first.args[0] + sp.log(abs(number))
 
 
 def _negative(term: sp.Expr) -> bool:
