@@ -196,6 +196,7 @@ def _apart(one: Result, other: Result) -> float:
         one.outputs,
         other.outputs,
         sizes_of_outputs=sizes,
+        endless=one.endless | other.endless,
         brief=ACCURACY,
     )[0]
 

@@ -16,6 +16,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import quad, solve_ivp
@@ -114,7 +115,7 @@ def _in_time(
         ends = [0.0, *near, END]
         return math.fsum(
             quad(g, a, b, epsabs=1e-14, epsrel=1e-13, limit=500)[0]
-            for a, b in zip(ends, ends[1:], strict=False)
+            for a, b in pairwise(ends)
             if b > a
         )
 
@@ -178,9 +179,9 @@ def _path(
     step = 1e-4 * w
 
     def speed(t: float) -> float:
-        return (path(t - 2 * step) - 8 * path(t - step) + 8 * path(t + step) - path(t + 2 * step)) / (
-            12 * step
-        )
+        return (
+            path(t - 2 * step) - 8 * path(t - step) + 8 * path(t + step) - path(t + 2 * step)
+        ) / (12 * step)
 
     def rates(t: float, z: np.ndarray) -> list[float]:
         u, c, s = speed(t), math.cos(z[0]), math.sin(z[0])

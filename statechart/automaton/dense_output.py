@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 
 from statechart.arrays import Array
 from statechart.formulas.tape import Tape, contiguous
-from statechart.kernels.polynomials import integrate_outputs, sample_states
+from statechart.kernels.polynomials import sample_states
+from statechart.kernels.resolution import integrate_outputs
 
 
 def lowest(
@@ -54,8 +55,11 @@ def integrals(
     start: float,
     t_from: float,
     t_to: float,
-) -> Array:
-    """Integrate every output over local time, by Gauss and Legendre with 16 nodes in a step.
+) -> tuple[Array, Array]:
+    """Integrate every output over local time, by Gauss and Legendre with 16 nodes in a piece.
+
+    Pieces are steps, halved until every output is resolved in them: what is narrower than a step
+    is found by its enclosure, and a kink ends in a piece as wide as rounding.
 
     Parameters
     ----------
@@ -66,8 +70,10 @@ def integrals(
 
     Returns
     -------
-    ndarray, shape (n_out,)
+    totals : ndarray, shape (n_out,)
         Integrals, in the output's unit times that of time.
+    ends : ndarray
+        Local times at which the pieces end.
 
     Raises
     ------
@@ -76,10 +82,9 @@ def integrals(
     """
     times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
     return integrate_outputs(
-        tape.code,
-        tape.constants,
-        tape.outputs,
+        *tape.program,
         tape.reads,
+        tape.n_fixed,
         times,
         coeffs,
         parameters,

@@ -334,10 +334,15 @@ class Trace:
 
 
 def sizes(trace: Trace) -> Array:
-    """Return the largest magnitude (n,) of every variable at the ends of arcs and jumps."""
-    states = [trace.initial, trace.final]
-    states += [state for jump in trace.jumps for state in (jump.before, jump.after)]
-    return np.abs(np.array(states)).max(axis=0)
+    """Return the largest magnitude (n,) of every variable where steps begin or are half done."""
+    states = [np.array([trace.initial, trace.final])]
+    for arc in trace.arcs:
+        half = 0.5 ** np.arange(arc.coefficients.shape[2])
+        states += [arc.coefficients[:, :, 0], arc.coefficients @ half]
+    found = np.abs(np.concatenate(states)).max(axis=0)
+    for jump in trace.jumps:
+        found = np.maximum(found, np.abs(jump.after))
+    return found
 
 
 def between(start: Clock, end: Clock) -> float:

@@ -35,6 +35,8 @@ from statechart.formulas.writer import compile_tape
 # Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts
 # at zero and rises from there with slope zero undecided.
 _UNDERFLOW = 1e-290
+# A few roundings, of an instant and of what it is compared with.
+_OF_TIME = 8.0 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,8 +180,10 @@ class GuardWatch:
         self.guards = tuple(watched)
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in inputs}
         outputs: list[sp.Expr] = []
+        timed: list[bool] = []
         for guard in self.guards:
             margin = guard.relation.margin(known)
+            timed.append(margin.free_symbols <= {time, *parameters})
             first = _along(margin, rates, time)
             second = _along(first, rates, time)
             outputs += [margin, first, second]
@@ -187,6 +191,7 @@ class GuardWatch:
         self._tape = compile_tape(
             outputs, variables=(*inputs, *sizes.values()), parameters=parameters, time=time
         )
+        self._timed = np.array(timed, np.bool_)
 
     def at(self, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
         """Return (g, 6): margin, its first and second derivative in time, sizes of their terms."""
@@ -199,11 +204,15 @@ class GuardWatch:
         return self._tape.table(rows, setup.values, times).reshape(len(inputs), -1, 6)
 
     def tolerances(self, rows: Array, relative: float) -> dict[str, float]:
-        """Return margin -> how near zero it is on its boundary: `relative` to its terms."""
-        sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0).tolist()
+        """Return margin -> how near zero it is on its boundary: `relative` to its terms.
+
+        A guard of time alone is as exact as time, whatever the tolerance of the run.
+        """
+        sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0)
+        parts = np.where(self._timed, min(relative, _OF_TIME), relative) * sizes
         return {
-            guard.margin: max(relative * size, _UNDERFLOW)
-            for guard, size in zip(self.guards, sizes, strict=True)
+            guard.margin: max(part, _UNDERFLOW)
+            for guard, part in zip(self.guards, parts.tolist(), strict=True)
         }
 
     def due(

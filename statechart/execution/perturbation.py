@@ -12,6 +12,8 @@ from statechart.automaton.laws import Setup
 
 # A few units in the last place: what a run of many steps adds up to.
 _LEAST = 8.0 * float(np.finfo(float).eps)
+# Errors of what is smaller, in the sizes of the variables, are relative to this.
+_SMALL = 1e-3
 # Two ends of a body may hit the ground in turn, ever faster, and be closed together once gaps are
 # below their tolerance: which one is last then depends on it. Half way, by ratio, to the next
 # tolerance of an estimate, as two tolerances may have the same one for the last.
@@ -19,15 +21,19 @@ _WIDER = 4.5
 
 
 def nudged(automaton: Automaton) -> Automaton:
-    """Return the automaton with every initial value larger by the same small part, and `widened`.
+    """Return the automaton with every initial value larger by a small part, and `widened`.
 
-    That part is the tolerance of the run, or a few roundings where that is more. One factor for
-    all keeps symmetric starts symmetric, and zeros zero. The tolerance of gaps is larger, too.
+    That part is the tolerance of the run, or a few roundings where that is more: of the value or,
+    where that is small, of the size of its variable, as the errors of its integration are. Zeros
+    stay zero, and symmetric starts symmetric. The tolerance of gaps is larger, too.
     """
 
     def setup(overrides: Mapping[str, float], relative: float) -> Setup:
         own = automaton.setup(overrides, relative)
-        initial = own.initial * (1.0 + max(relative, _LEAST))
+        size = np.abs(own.initial)
+        if own.sizes is not None:
+            size = np.maximum(size, _SMALL * own.sizes)
+        initial = own.initial + np.sign(own.initial) * size * max(relative, _LEAST)
         tolerances = _wider(own.tolerances, force=2.0, gap=_WIDER)
         return replace(own, initial=initial, tolerances=tolerances)
 

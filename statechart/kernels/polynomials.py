@@ -1,4 +1,4 @@
-"""The polynomials of an arc's steps: made, cut, sampled, integrated over."""
+"""The polynomials of an arc's steps: made, cut, sampled."""
 
 from __future__ import annotations
 
@@ -6,13 +6,8 @@ import math
 
 import numpy as np
 
-from statechart.arrays import Array, Ints32
+from statechart.arrays import Array
 from statechart.kernels.jit import kernel, part
-from statechart.kernels.tapes import filled, run_tape
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_NODES = (_NODES + 1.0) / 2.0
-_WEIGHTS = _WEIGHTS / 2.0
 
 
 @part
@@ -30,43 +25,6 @@ def local_time(times: Array, step: int, s: float) -> float:
     if s >= 1.0:
         return times[step + 1]
     return times[step] + s * (times[step + 1] - times[step])
-
-
-@kernel
-def integrate_outputs(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    times: Array,
-    coeffs: Array,
-    parameters: Array,
-    start: float,
-    t_from: float,
-    t_to: float,
-) -> Array:
-    """Integral of every output over local time [t_from, t_to], 16 Gauss nodes in a step."""
-    nodes, n = _NODES.shape[0], coeffs.shape[1]
-    base, regs = filled(code, constants, parameters, n, nodes)
-    result = np.zeros(outputs.shape[0])
-    for step in range(coeffs.shape[0]):
-        low, high = max(t_from, times[step]), min(t_to, times[step + 1])
-        if not low < high:
-            continue
-        span = times[step + 1] - times[step]
-        for j in range(nodes):
-            s = (low - times[step] + _NODES[j] * (high - low)) / span
-            for v in reads:
-                regs[v, j] = (
-                    start + local_time(times, step, s) if v == n else horner(coeffs, step, v, s)
-                )
-        run_tape(code, 0, code.shape[0], base, regs, nodes)
-        for i in range(outputs.shape[0]):
-            total = 0.0
-            for j in range(nodes):
-                total += _WEIGHTS[j] * regs[outputs[i], j]
-            result[i] += total * (high - low)
-    return result
 
 
 @kernel

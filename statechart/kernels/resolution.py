@@ -156,6 +156,46 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
         jets[base + k, 2] = min(rough, width) if rough == rough else INF
 
 
+@part
+def _ready(along: Along, regs: Array) -> Array:
+    """Return registers of jets with what does not change along the steps filled in."""
+    code, base, fixed, _, _, _, coeffs, _ = along
+    n = coeffs.shape[1]
+    run_tape(code, 0, fixed, base, regs, regs.shape[1])
+    jets = np.zeros((regs.shape[0], 6))
+    for r in range(n + 1, base + fixed):
+        jets[r, 0] = jets[r, 1] = regs[r, 0]
+        if not abs(regs[r, 0]) < INF:
+            jets[r, 0], jets[r, 1] = -INF, INF
+    return jets
+
+
+@part
+def _look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
+    """Fill in ranges and roughness of all registers over the box [a, b] of a step."""
+    code, base, first, last, reads = along[:5]
+    m = 0.5 * (a + b)
+    place(along, step, bounds, m, max(b - m, m - a), 0, jets)
+    for v in reads:
+        jets[v, 2] = 0.0
+    run_jets(code, first, last, base, jets, 0)
+    _roughen(code, first, last, base, jets)
+
+
+@part
+def _at(along: Along, step: int, a: float, b: float, places: Array, regs: Array) -> None:
+    """Run the tape at places in the box [a, b] of a step, given in parts of it."""
+    code, base, first, last, reads, times, coeffs, start = along
+    n = coeffs.shape[1]
+    for j in range(places.shape[0]):
+        s = a + places[j] * (b - a)
+        for v in reads:
+            regs[v, j] = (
+                start + local_time(times, step, s) if v == n else horner(coeffs, step, v, s)
+            )
+    run_tape(code, first, last, base, regs, places.shape[0])
+
+
 @kernel
 def unseen(
     code: Ints32,
@@ -203,12 +243,7 @@ def unseen(
     n, count = coeffs.shape[1], _PLACES.shape[0]
     base, regs = filled(code, constants, parameters, n, count)
     along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
-    run_tape(code, 0, n_fixed, base, regs, count)
-    jets = np.zeros((regs.shape[0], 6))
-    for r in range(n + 1, base + n_fixed):
-        jets[r, 0] = jets[r, 1] = regs[r, 0]
-        if not abs(regs[r, 0]) < INF:
-            jets[r, 0], jets[r, 1] = -INF, INF
+    jets = _ready(along, regs)
     bounds, sizes = np.zeros(n), np.empty(n)
     lefts, rights = np.empty(64), np.empty(64)
     boxes = 0
@@ -228,11 +263,7 @@ def unseen(
             top -= 1
             a, b = lefts[top], rights[top]
             m, looked = 0.5 * (a + b), looked + 1
-            place(along, step, bounds, m, max(b - m, m - a), 0, jets)
-            for v in reads:
-                jets[v, 2] = 0.0
-            run_jets(code, n_fixed, code.shape[0], base, jets, 0)
-            _roughen(code, n_fixed, code.shape[0], base, jets)
+            _look(along, step, bounds, a, b, jets)
             rough = 0.0
             for v in range(n):
                 moved = h * (b - a) * jets[outputs[v], 2]
@@ -276,15 +307,9 @@ def _defect(
     regs: Array,
 ) -> tuple[float, float]:
     """How far the slopes in a box are off the rates, at the worst of a few places, and where."""
-    code, base, first, last, reads, times, coeffs, start = along
-    n, worst, where = coeffs.shape[1], 0.0, a
-    for j in range(_PLACES.shape[0]):
-        s = a + _PLACES[j] * (b - a)
-        for v in reads:
-            regs[v, j] = (
-                start + local_time(times, step, s) if v == n else horner(coeffs, step, v, s)
-            )
-    run_tape(code, first, last, base, regs, _PLACES.shape[0])
+    coeffs, worst, where = along[6], 0.0, a
+    n = coeffs.shape[1]
+    _at(along, step, a, b, _PLACES, regs)
     for j in range(_PLACES.shape[0]):
         s = a + _PLACES[j] * (b - a)
         for v in range(n):
@@ -319,3 +344,80 @@ def _rounding(
     for v in range(sizes.shape[0]):
         worst = max(worst, h * (jets[outputs[v], 1] - jets[outputs[v], 0]) / sizes[v])
     return worst if worst < INF else 0.0
+
+
+# An integral or an extreme may miss this part of the largest value that was met.
+_EXACT = 1e-15
+# Most pieces of a step: what has more is finer than anybody would integrate.
+_PIECES = 1 << 16
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_NODES = (_NODES + 1.0) / 2.0
+_WEIGHTS = _WEIGHTS / 2.0
+
+
+@kernel
+def integrate_outputs(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
+    n_fixed: int,
+    times: Array,
+    coeffs: Array,
+    parameters: Array,
+    start: float,
+    t_from: float,
+    t_to: float,
+) -> tuple[Array, Array]:
+    """Integral of every output over local time [t_from, t_to], and where the pieces end.
+
+    A piece is what is left of a step halved until all outputs are resolved in it, kinks down to
+    rounding; it is integrated with 16 Gauss nodes.
+    """
+    n, count = coeffs.shape[1], _NODES.shape[0]
+    base, regs = filled(code, constants, parameters, n, count)
+    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    jets, bounds = _ready(along, regs), np.zeros(n)
+    result, largest = np.zeros(outputs.shape[0]), np.zeros(outputs.shape[0])
+    lefts, rights = np.empty(64), np.empty(64)
+    ends, pieces = np.empty(2 * coeffs.shape[0] + 1), 0
+    for step in range(coeffs.shape[0]):
+        low, high = max(t_from, times[step]), min(t_to, times[step + 1])
+        if not low < high:
+            continue
+        span = times[step + 1] - times[step]
+        prepare(coeffs, step, reads, bounds)
+        top, looked = 1, 0
+        lefts[0], rights[0] = (low - times[step]) / span, (high - times[step]) / span
+        while top > 0:
+            top -= 1
+            a, b = lefts[top], rights[top]
+            looked += 1
+            _at(along, step, a, b, _NODES, regs)
+            _look(along, step, bounds, a, b, jets)
+            halve = False
+            for i in range(outputs.shape[0]):
+                undefined = False
+                for j in range(count):
+                    value = abs(regs[outputs[i], j])
+                    undefined = undefined or value != value
+                    largest[i] = max(largest[i], value)
+                missed = (b - a) * jets[outputs[i], 2]
+                halve = halve or not (undefined or missed <= _EXACT * largest[i])
+            if halve and b - a > _NARROW and looked < _PIECES:
+                m = 0.5 * (a + b)
+                lefts[top], rights[top] = m, b
+                lefts[top + 1], rights[top + 1] = a, m
+                top += 2
+                continue
+            for i in range(outputs.shape[0]):
+                total = 0.0
+                for j in range(count):
+                    total += _WEIGHTS[j] * regs[outputs[i], j]
+                result[i] += total * (b - a) * span
+            if pieces == ends.shape[0]:
+                ends = np.append(ends, np.empty(pieces))
+            ends[pieces] = high if top == 0 else local_time(times, step, b)
+            pieces += 1
+    return result, ends[:pieces]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
 from types import MappingProxyType
@@ -41,8 +41,8 @@ class Difference:
     times : float
         Of the times of the events that both have and of the end, relative to the end.
     named : mapping of str to float
-        Of every output, relative to its size (see `statechart.observation.outputs.Outputs.sizes`).
-        Counts are not compared, as a Zeno sequence has any number of jumps.
+        Of every output, relative to its size (see `statechart.observation.outputs.Outputs.sizes`);
+        of a list, of its length, too.
     diverged : float or None
         When they first took different modes or ended for different reasons; None if they did
         not.
@@ -71,6 +71,7 @@ def compare(
     fine_outputs: Mapping[str, Output],
     *,
     sizes_of_outputs: Mapping[str, Output] = MappingProxyType({}),
+    endless: Collection[str] = (),
     brief: float = 0.0,
 ) -> Difference:
     """Compare two runs; a number that is not finite in both must be the same.
@@ -83,6 +84,8 @@ def compare(
         Their outputs.
     sizes_of_outputs : mapping
         From `Outputs.sizes` of one of the runs; what it does not have is as large as itself.
+    endless : collection of str
+        Outputs whose number of events has no limit: only those that both runs have are compared.
     brief : float
         As in `paired`.
     """
@@ -108,7 +111,9 @@ def compare(
         name: max(
             (
                 _relative(a, b, max(abs(a), abs(b), size), nothing)
-                for a, b, size in _numbers(one, fine_outputs[name], sizes_of_outputs.get(name, 0.0))
+                for a, b, size in _numbers(
+                    one, fine_outputs[name], sizes_of_outputs.get(name, 0.0), name in endless
+                )
             ),
             default=0.0,
         )
@@ -129,6 +134,7 @@ def difference(
     fine_outputs: Mapping[str, Output],
     *,
     sizes_of_outputs: Mapping[str, Output] = MappingProxyType({}),
+    endless: Collection[str] = (),
     brief: float = 0.0,
 ) -> tuple[float, float | None]:
     """Return the largest relative difference of two runs, and when they took different modes.
@@ -141,6 +147,7 @@ def difference(
         coarse_outputs,
         fine_outputs,
         sizes_of_outputs=sizes_of_outputs,
+        endless=endless,
         brief=brief,
     )
     return found.largest, found.diverged
@@ -319,15 +326,24 @@ def _repeats(jump: Jump, end: Jump) -> bool:
     return jump.region == end.region and not _accumulates(jump)
 
 
-def _numbers(one: Output, other: Output, size: Output) -> Iterable[tuple[float, float, float]]:
+def _numbers(
+    one: Output, other: Output, size: Output, endless: bool
+) -> Iterable[tuple[float, float, float]]:
+    """Yield what is compared of an output: numbers of two runs, and their size."""
     if isinstance(one, list) and isinstance(other, list):
         sizes = size if isinstance(size, list) else [0.0] * len(one)
+        if not endless:
+            yield float(len(one)), float(len(other)), 1.0
         # Where one run resolves fewer, its last is the one behind which it skips the others.
         count = len(one) if len(one) == len(other) else min(len(one), len(other)) - 1
-        return islice(zip(one, other, sizes, strict=False), max(count, 0))
-    if isinstance(one, float) and isinstance(other, float):
-        return [(one, other, size if isinstance(size, float) else 0.0)]
-    return []
+        yield from islice(zip(one, other, sizes, strict=False), max(count, 0))
+    elif isinstance(one, int) and isinstance(other, int):
+        if not endless:
+            yield float(one), float(other), 1.0
+    elif isinstance(one, float) and isinstance(other, float):
+        yield one, other, size if isinstance(size, float) else 0.0
+    elif (one is None) != (other is None):
+        yield math.nan, 0.0, 0.0  # what happened in one run alone
 
 
 def _relative(a: float, b: float, scale: float, nothing: float) -> float:

@@ -7,7 +7,7 @@ its simulator, so that the next run finds its programs ready.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -250,8 +250,16 @@ class Observer:
         """
         expressions = self._all(formulas)
         where = tuple([tuple(d.items()) for d in during]) if during else ((),) * len(expressions)
-        values, modes = trace.values, None
         total = np.zeros(len(expressions))
+        for places, found, _ in self._integrated(trace, expressions, where):
+            total[places] += found
+        return total
+
+    def _integrated(
+        self, trace: Trace, expressions: tuple[sp.Expr, ...], where: tuple[_Where, ...]
+    ) -> Iterator[tuple[list[int], Array, Array]]:
+        """Yield, an arc each, which expressions count there, their integrals, ends of pieces."""
+        values, modes = trace.values, None
         for arc in trace.arcs:
             active = self._actives.get((arc.mode, where, expressions))
             if active is None:
@@ -269,7 +277,7 @@ class Observer:
             elif active.needed:
                 modes = modes or self._modes(trace)
                 mode = modes(arc.roles)
-            total[active.places] += integrals(
+            found, ends = integrals(
                 tape or self._tape(_seen(active.expressions, mode), mode),
                 arc.times,
                 coefficients,
@@ -278,13 +286,13 @@ class Observer:
                 0.0,
                 arc.duration,
             )
-        return total
+            yield active.places, found, ends
 
     def extremes(self, trace: Trace, formula: FormulaLike) -> tuple[float, float]:
         """Return the least and the greatest value of a formula over all arcs.
 
-        A smooth extreme is right to rounding if it is at least a sixteenth of a step wide. Places
-        where the formula is undefined do not count; both are not a number if it is everywhere.
+        Places where the formula is undefined do not count; both are not a number if it is
+        everywhere.
         """
         expressions = (self.expression(formula),)
         if not trace.arcs:
@@ -294,7 +302,8 @@ class Observer:
         def evaluate(arcs: Sequence[Arc], local: Sequence[Array]) -> Array:
             return self._table(trace, expressions, along(arcs, local))[:, 0]
 
-        return extremes(trace.arcs, evaluate)
+        pieces = [ends for _, _, ends in self._integrated(trace, expressions, ((),))]
+        return extremes(trace.arcs, pieces, evaluate)
 
     def _all(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
         return tuple([self.expression(formula) for formula in formulas])

@@ -84,11 +84,25 @@ class Outputs:
             found |= zip(self._integrals, totals.tolist(), strict=True)
         return {name: found[name] for name in self._names}
 
+    def endless(self, trace: Trace) -> frozenset[str]:
+        """Return the outputs that count or list events of which a Zeno sequence has no end.
+
+        How many of them a run resolves follows from its tolerance.
+        """
+        summed = [jump for jump in trace.jumps if jump.skipped > 0.0]
+        regions = self.observer.automaton.regions
+        several = [(name, events) for name, _, when, events in self._at if when == "each"]
+        return frozenset(
+            name
+            for name, events in (*several, *self._counts)
+            if any(happened(regions, jump, event) for jump in summed for event in events)
+        )
+
     def sizes(self, trace: Trace) -> dict[str, OutputValue]:
         """Return how large outputs are, in the form of `of`: what their errors are relative to.
 
-        Of a value, the largest magnitude that its formula had at the start, at the jumps up to
-        its moment and then: where a body comes back to zero, the value there is rounding. The
+        Of a value, the largest magnitude that its formula had where a step began, up to its
+        moment, and then: where a body comes back to zero, the value there is rounding. The
         others are as large as themselves, and left out.
         """
         found: dict[str, OutputValue] = {}
@@ -97,7 +111,7 @@ class Outputs:
             chosen = {id(jump) for jump in self._chosen(trace, when, events)}
             sizes = [
                 size
-                for jump, size in zip(trace.jumps, largest[1:].tolist(), strict=True)
+                for jump, size in zip(trace.jumps, largest[1:-1].tolist(), strict=True)
                 if id(jump) in chosen
             ]
             found[name] = sizes if when == "each" else sizes[0] if sizes else None
@@ -107,7 +121,7 @@ class Outputs:
         return found
 
     def _largest(self, trace: Trace, formula: str | int | float) -> NDArray[np.float64]:
-        """Return the largest magnitude (m + 1,) of a formula at the start, and up to every jump."""
+        """Return the largest magnitude (m + 2,) of a formula at the start, up to jumps, in all."""
         values = [self.observer.initial(trace, [formula])]
         if trace.jumps:
             sides = [
@@ -115,7 +129,10 @@ class Outputs:
                 for before in (True, False)
             ]
             values.append(np.fmax(*map(np.abs, sides)))
-        magnitudes = np.abs(np.concatenate(values))
+        magnitudes = np.abs(np.concatenate([*values, [0.0]]))
+        if trace.arcs:
+            along = self.observer.sample(trace, (str(formula),), per_step=1)
+            np.fmax.at(magnitudes, along.j + 1, np.abs(along.columns[str(formula)]))
         magnitudes[~np.isfinite(magnitudes)] = 0.0
         return np.maximum.accumulate(magnitudes)
 

@@ -15,7 +15,7 @@ from statechart.automaton.trace import Arc, Key, Roles, Trace
 Evaluate = Callable[[Sequence[Arc], Sequence[Array]], Array]
 """Values at local times of arcs, one array of times an arc; one value a time, in order."""
 
-# Grid on which extremes are looked for, per step of the integrator, before they are refined.
+# Grid on which extremes are looked for, in every piece of a step, before they are refined.
 _GRID = 16
 # Each round divides the bracket by 8; after 9 it is 1e-8 of a step, where a smooth extreme
 # differs from its neighbourhood by 1e-16.
@@ -61,9 +61,21 @@ class Points:
     unknowns: Array | None = None
 
 
-def extremes(arcs: Sequence[Arc], evaluate: Evaluate) -> tuple[float, float]:
-    """Return the least and the greatest value over arcs; see `Observer.extremes`."""
-    local = [subdivided(arc, _GRID) for arc in arcs]
+def extremes(
+    arcs: Sequence[Arc], pieces: Sequence[Array], evaluate: Evaluate
+) -> tuple[float, float]:
+    """Return the least and the greatest value over arcs; see `Observer.extremes`.
+
+    Parameters
+    ----------
+    arcs : sequence of Arc
+        Where they are looked for.
+    pieces : sequence of arrays
+        An arc each, local times where its pieces end: nothing in one is narrower than it.
+    evaluate : callable
+        Gives the values.
+    """
+    local = [_divided(np.append(0.0, ends), _GRID) for ends in pieces]
     values = evaluate(arcs, local)
     least = _least(arcs, local, values, evaluate, 1.0)
     return least, -_least(arcs, local, -values, evaluate, -1.0)
@@ -109,8 +121,10 @@ def _refined(arc: Arc, left: float, right: float, evaluate: Evaluate, sign: floa
 def subdivided(arc: Arc, per_step: float) -> Array:
     """Return local times: `per_step` intervals in every step, both ends of the arc included."""
     every = max(1, math.ceil(1.0 / per_step))
-    ends = np.append(arc.times[:-1:every], arc.times[-1])
-    count = math.ceil(per_step)
+    return _divided(np.append(arc.times[:-1:every], arc.times[-1]), math.ceil(per_step))
+
+
+def _divided(ends: Array, count: int) -> Array:
     inner = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(count) / count)
     return np.append(inner.ravel(), ends[-1])
 

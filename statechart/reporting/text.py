@@ -64,6 +64,9 @@ def _head(report: Mapping[str, Any]) -> str:
             f"  it took {runs}, {cost['steps']} steps, {cost['seconds']:.2g} s; first tolerance "
             f"{report['asked']['basis']}"
         )
+        if report["asked"]["not_judged"]:
+            names = ", ".join(report["asked"]["not_judged"])
+            lines.append(f"  not judged: {names} (of events without end)")
     if report["condition"] is not None:
         condition = float(report["condition"])
         lines.append(f"  times of events magnify errors of the state by up to {condition:.2g}")

@@ -31,7 +31,13 @@ def compared(result: Result, others: Mapping[str, Result]) -> list[dict[str, Any
     """
     rows: list[dict[str, Any]] = []
     for choice, other in others.items():
-        apart, diverged = difference(result.trace, other.trace, result.outputs, other.outputs)
+        apart, diverged = difference(
+            result.trace,
+            other.trace,
+            result.outputs,
+            other.outputs,
+            endless=result.endless | other.endless,
+        )
         report = other.report()
         rows.append(
             {

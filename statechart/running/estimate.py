@@ -11,7 +11,7 @@ from typing import NamedTuple
 from statechart.automaton.trace import Outcome, Trace
 from statechart.engines.request import TIGHTER
 from statechart.errors import DeclarationError
-from statechart.observation.difference import difference
+from statechart.observation.difference import compare
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import OutputValue as Output
@@ -32,6 +32,9 @@ _LONGER = 1.5
 
 Once = Callable[[float, bool], tuple[Observer, Trace]]
 """Runs a model once, at a tolerance; True: from a start that is off by it."""
+
+# How far below a run is another, that tells how many events there are.
+_FAR = TIGHTER**2
 
 # Runs that say nothing of their error, and why they ended.
 _UNTOLD = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
@@ -70,6 +73,9 @@ class Answer:
         Of all runs.
     warnings : tuple of str
         Why the estimate is not what was asked for; empty where it is.
+    not_judged : tuple of str
+        Outputs that the estimate leaves out: they count or list the events of a Zeno sequence,
+        which have no end. Of lists, what both runs have is compared.
     """
 
     observer: Observer
@@ -77,34 +83,41 @@ class Answer:
     estimate: float | None
     cost: Cost
     warnings: tuple[str, ...] = ()
+    not_judged: tuple[str, ...] = ()
 
 
 class _Made(NamedTuple):
-    """A run, its outputs and how large they are."""
+    """A run, its outputs, how large they are, and those that have any number of events."""
 
     trace: Trace
     outputs: Mapping[str, Output]
     sizes: Mapping[str, Output]
+    endless: frozenset[str]
 
     @classmethod
     def of(cls, observer: Observer, trace: Trace) -> _Made:
         outputs = Outputs(observer)
-        return cls(trace, outputs.of(trace), outputs.sizes(trace))
+        return cls(trace, outputs.of(trace), outputs.sizes(trace), outputs.endless(trace))
 
 
 class _Runs:
     """Runs that are made one after the other; what they took, and how the last two differ."""
 
     def __init__(
-        self, once: Once, clock: Callable[[], float], accuracy: float | None = None
+        self,
+        once: Once,
+        clock: Callable[[], float],
+        floor: float,
+        accuracy: float | None = None,
     ) -> None:
-        self._accuracy = accuracy
+        self._accuracy, self._floor = accuracy, floor
         self._brief = accuracy or BRIEF
         self._once, self._clock, self._began = once, clock, clock()
         self._last: _Made | None = None
         self.runs = self.steps = self.evaluations = 0
         self.estimate: float | None = None
         self.diverged = ""
+        self.endless: frozenset[str] = frozenset()
 
     def make(self, tolerance: float, *, nudged: bool = False) -> tuple[Observer, Trace]:
         observer, trace = self._once(tolerance, nudged)
@@ -129,6 +142,8 @@ class _Runs:
             well = trace.tolerance if self._accuracy is None else self._accuracy
             if estimate <= well or (last and estimate < math.inf):
                 estimate = max(estimate, self._magnified(now))
+            if estimate <= well:
+                estimate = max(estimate, self._counted(now))
             self.estimate = estimate
         self._last = now
 
@@ -146,26 +161,51 @@ class _Runs:
             found, now, "with gaps and from starts that differ by the tolerance"
         )
 
+    def _counted(self, now: _Made) -> float:
+        """Return the difference from a far tighter run; 0 where no events are counted or listed.
+
+        Impacts that follow each other within the tolerance are one, and two runs whose tolerances
+        are near each other may agree on that.
+        """
+        counted = [k for k, v in now.outputs.items() if isinstance(v, int | list)]
+        tolerance = max(now.trace.tolerance * _FAR, self._floor)
+        if set(counted) <= now.endless or not tolerance < now.trace.tolerance:
+            return 0.0
+        observer, trace = self.make(tolerance)
+        if trace.outcome in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
+            return 0.0
+        return self._difference(now, _Made.of(observer, trace), "at the tolerances far apart, to")
+
     def _difference(self, one: _Made, other: _Made, how: str) -> float:
-        found, diverged = difference(
+        # How many events of a Zeno sequence are resolved follows from the tolerance.
+        self.endless = one.endless | other.endless
+        found = compare(
             one.trace,
             other.trace,
             one.outputs,
             other.outputs,
             sizes_of_outputs=other.sizes,
+            endless=self.endless,
             brief=self._brief,
         )
-        self.diverged = (
-            ""
-            if diverged is None
-            else f"runs {how} {other.trace.tolerance:.2g} take different modes: accuracy is "
-            f"undefined from t = {diverged:.17g} on"
-        )
-        return found
+        runs, self.diverged = f"runs {how} {other.trace.tolerance:.2g}", ""
+        if found.diverged is not None:
+            self.diverged = (
+                f"{runs} take different modes: accuracy is undefined from "
+                f"t = {found.diverged:.17g} on"
+            )
+        elif found.outputs == math.inf:
+            names = [name for name, off in found.named.items() if off == math.inf]
+            self.diverged = f"{runs} have {', '.join(names)} the one, and not the other"
+        return found.largest
 
     @property
     def seconds(self) -> float:
         return self._clock() - self._began
+
+    @property
+    def not_judged(self) -> tuple[str, ...]:
+        return tuple(sorted(self.endless))
 
     @property
     def cost(self) -> Cost:
@@ -196,7 +236,7 @@ def tighten(
         Tells the time in seconds.
     """
     tolerance = max(accuracy * _BELOW if first is None else first, floor / TIGHTER)
-    runs = _Runs(once, clock, accuracy)
+    runs = _Runs(once, clock, floor, accuracy)
     observer, trace = runs.make(tolerance)
     if trace.outcome is Outcome.UNSUPPORTED:
         return Answer(observer, trace, None, runs.cost)
@@ -217,7 +257,8 @@ def tighten(
         or f"the accuracy {accuracy:g} was not reached: at the least tolerance of the engine the "
         f"estimated error is {runs.estimate:.2g}"
     )
-    return Answer(observer, trace, runs.estimate, runs.cost, (missed,) if missed else ())
+    warnings = (missed,) if missed else ()
+    return Answer(observer, trace, runs.estimate, runs.cost, warnings, runs.not_judged)
 
 
 def within(
@@ -251,7 +292,7 @@ def within(
     """
     tolerance, stride = (_FIRST, _STRIDE) if first is None else (first, TIGHTER)
     tolerance = max(tolerance, floor)
-    runs = _Runs(once, clock)
+    runs = _Runs(once, clock, floor)
     answer: Answer | None = None
     while True:
         began = runs.seconds
@@ -263,7 +304,7 @@ def within(
         if not cut:
             runs.compare(observer, trace)
         warnings = (runs.diverged,) if runs.diverged else ()
-        answer = Answer(observer, trace, runs.estimate, runs.cost, warnings)
+        answer = Answer(observer, trace, runs.estimate, runs.cost, warnings, runs.not_judged)
         if cut or tolerance <= floor or runs.seconds + _LONGER * took > budget:
             break
         tolerance = max(tolerance * stride, floor)

@@ -32,11 +32,14 @@ class Asked:
         What the first tolerance was chosen by.
     cost : Cost
         Of all runs.
+    not_judged : tuple of str
+        Outputs that the estimate leaves out: how often a Zeno sequence bounces has no answer.
     """
 
     setting: Setting
     basis: str
     cost: Cost
+    not_judged: tuple[str, ...] = ()
 
     def reached(self, estimate: float | None) -> bool:
         """Whether `estimate` is what was asked for: of an accuracy, any of a budget."""
@@ -50,6 +53,7 @@ class Asked:
             "reached": self.reached(estimate),
             "basis": self.basis,
             "cost": asdict(self.cost),
+            "not_judged": list(self.not_judged),
         }
 
 
@@ -101,6 +105,11 @@ class Result:
     def outputs(self) -> Mapping[str, Output]:
         """The outputs that the model declares."""
         return self.runner.observers.outputs(self.observer).of(self.trace)
+
+    @property
+    def endless(self) -> frozenset[str]:
+        """The outputs that count or list events of which a Zeno sequence has no end."""
+        return self.runner.observers.outputs(self.observer).endless(self.trace)
 
     @cached_property
     def conditions(self) -> tuple[float | None, ...]:

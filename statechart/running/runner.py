@@ -155,7 +155,7 @@ class Runner:
         observer, trace, estimate = answer.observer, answer.trace, answer.estimate
         asked = None
         if self._searching:
-            asked = Asked(self.setting, self._plan.basis, answer.cost)
+            asked = Asked(self.setting, self._plan.basis, answer.cost, answer.not_judged)
         if answer.warnings:
             trace = replace(trace, warnings=(*trace.warnings, *answer.warnings))
         if self._reason:

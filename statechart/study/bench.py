@@ -52,12 +52,20 @@ class Run:
     trace: Trace
     outputs: Mapping[str, Output]
     sizes: Mapping[str, Output]
+    endless: frozenset[str]
 
     @classmethod
     def of(cls, setting: Setting, observer: Observer, trace: Trace) -> Run:
         """Evaluate the outputs of a trace."""
         outputs = Outputs(observer)
-        return cls(setting, observer, trace, outputs.of(trace), outputs.sizes(trace))
+        return cls(
+            setting,
+            observer,
+            trace,
+            outputs.of(trace),
+            outputs.sizes(trace),
+            outputs.endless(trace),
+        )
 
     def brief(self, other: Run) -> float:
         """Return for which part of the run the modes of another may differ from this reference's.
@@ -256,6 +264,7 @@ class Bench:
             reference.outputs,
             run.outputs,
             sizes_of_outputs=reference.sizes,
+            endless=reference.endless | run.endless,
             brief=reference.brief(run),
         )
         pairs, _ = paired(reference.trace, run.trace, brief=reference.brief(run))

@@ -91,9 +91,13 @@ def test_the_accuracy_asked_for_is_estimated_and_kept(name: str) -> None:
     rough = run(name, accuracy=1e-5, engine="scipy")
     assert rough.error_estimate is not None
     assert rough.error_estimate <= 1e-5
-    error, diverged = difference(exact.trace, rough.trace, exact.outputs, rough.outputs)
+    error, diverged = difference(
+        exact.trace, rough.trace, exact.outputs, rough.outputs, endless=exact.endless
+    )
     assert diverged is None
     assert error <= 1e-5
+    assert rough.asked is not None
+    assert set(rough.asked.not_judged) == exact.endless
 
 
 def test_an_accuracy_beyond_reach_is_given_up_with_what_was_reached() -> None:
@@ -119,9 +123,15 @@ def test_the_difference_of_runs_is_relative_to_each_quantity() -> None:
     trace = result.trace
     shifted = replace(trace, final=trace.final * np.array([1.0, 1.0 + 1e-6, 1.0, 1.0]))
     error, _ = difference(trace, shifted, {}, {})
-    largest = max(abs(trace.initial[1]), abs(trace.final[1]))
-    assert error == pytest.approx(1e-6 * abs(trace.final[1]) / largest, rel=1e-5)
+    # The largest value on the way counts, not those at the ends.
+    largest = result.observer.extremes(trace, trace.variables[1])
+    size = max(map(abs, largest))
+    assert error == pytest.approx(1e-6 * abs(trace.final[1]) / size, rel=2e-2)
     assert difference(trace, trace, {"a": 1.0}, {"a": 1.5})[0] == pytest.approx(1 / 3)
+    assert difference(trace, trace, {"a": 3}, {"a": 4})[0] == 0.25
+    assert difference(trace, trace, {"a": 3}, {"a": 4}, endless=["a"])[0] == 0.0
+    assert difference(trace, trace, {"a": [1.0]}, {"a": [1.0, 2.0]})[0] == 0.5
+    assert difference(trace, trace, {"a": None}, {"a": 1.0})[0] == math.inf
     assert difference(trace, trace, {"a": 1.0}, {"a": math.nan})[0] == math.inf
 
 
