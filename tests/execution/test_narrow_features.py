@@ -1,0 +1,132 @@
+"""Forces, paths and controls that change in a fraction of a step are seen by every integrator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from statechart import Outcome, Runner, run
+from statechart.documents.yaml_reader import read_text
+
+FALL = """\
+kind: scene
+name: thrust
+parameters: {{w: 0.1, t0: 2, F: 10}}
+gravity: 9.81
+bodies: {{b: {{mass: 1, start: {{y: 100, dx: 3}}}}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts: {{c: {{point: {{body: b}}, surface: floor, friction: 0.3, restitution: 0.5}}}}
+{push}
+stop: {{time: 4}}
+outputs: {{vy: {{value: b.dy}}}}
+"""
+FORCE = "forces: {{burn: {{body: b, force: [0, 'F*{shape}']}}}}"
+CONTROL = (
+    "controls: {{lift: 0}}\n"
+    "regions: {{r: {{initial: s, states: {{s: {{sets: {{lift: 'F*{shape}'}}}}}}}}}}\n"
+    "forces: {{burn: {{body: b, force: [0, lift]}}}}"
+)
+# What changes, and its integral from 0 to 4.
+SHAPES: dict[str, Callable[[float, float], float]] = {
+    "(1+tanh((time-t0)/w))/2": lambda t0, w: 4.0 - t0 + 0.5 * w * math.exp(-2.0 * t0 / w),
+    "exp(-((time-t0)/w)**2)": lambda t0, w: (
+        0.5 * w * math.sqrt(math.pi) * (math.erf((4.0 - t0) / w) + math.erf(t0 / w))
+    ),
+    "1/(1+((time-t0)/w)**2)": lambda t0, w: w * (math.atan((4.0 - t0) / w) + math.atan(t0 / w)),
+}
+CHOICES: list[tuple[dict[str, object], float]] = [
+    ({"engine": "taylor"}, 1e-12),
+    ({"engine": "scipy", "method": "DOP853", "tolerance": 1e-8}, 1e-6),
+    ({"engine": "scipy", "method": "RK45", "tolerance": 1e-6}, 1e-4),
+    ({"engine": "scipy", "method": "Radau", "tolerance": 1e-6}, 1e-4),
+    ({"engine": "scipy", "method": "LSODA", "tolerance": 1e-6}, 1e-4),
+]
+
+
+@pytest.mark.parametrize(("choice", "near"), CHOICES)
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("push", [FORCE, CONTROL], ids=["force", "control"])
+def test_a_force_that_a_step_could_pass_over_is_seen(
+    push: str, shape: str, choice: dict[str, object], near: float
+) -> None:
+    runner = Runner(read_text(FALL.format(push=push.format(shape=shape))), **choice)  # type: ignore[arg-type]
+    for w in (0.1, 1e-2, 1e-4):
+        for t0 in (2.0, 3.1234):
+            # The switch is too far from both ends of the run for the tails of tanh to count.
+            exact = -39.24 + 10.0 * SHAPES[shape](t0, w)
+            assert runner.run({"w": w, "t0": t0}).outputs["vy"] == pytest.approx(
+                exact, abs=40.0 * near
+            )
+
+
+@given(
+    shape=st.sampled_from(sorted(SHAPES)),
+    power=st.floats(-4.0, -1.0),
+    t0=st.floats(1.0, 3.0),
+    push=st.floats(-30.0, 30.0),
+)
+def test_the_accuracy_asked_for_counts_what_is_narrow(
+    shape: str, power: float, t0: float, push: float
+) -> None:
+    w = 10.0**power
+    text = FALL.format(push=FORCE.format(shape=shape)).replace("y: 100", "y: 1000")
+    found = run(
+        read_text(text),
+        parameters={"w": w, "t0": t0, "F": push},
+        engine="scipy",
+        method="DOP853",
+        accuracy=1e-6,
+    )
+    assert found.error_estimate is not None
+    assert found.error_estimate <= 1e-6
+    exact = -39.24 + push * SHAPES[shape](t0, w)
+    assert found.outputs["vy"] == pytest.approx(exact, abs=40.0 * 1e-6)
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("w", [1e-1, 1e-3])
+def test_a_gust_at_a_place_is_felt_by_what_flies_through_it(engine: str, w: float) -> None:
+    # Work done is the integral of force over way, whatever the time it takes.
+    push = FORCE.format(shape="0*time").replace("[0, 'F*0*time']", "['F/(1+((b.x-4)/w)**2)', 0]")
+    text = FALL.format(push=push).replace("value: b.dy", "value: b.dx**2/2")
+    found = run(read_text(text + "  \n"), parameters={"w": w}, engine=engine)
+    x = found.trace.final[0]
+    work = 10.0 * w * (math.atan((x - 4.0) / w) + math.atan(4.0 / w))
+    assert found.outputs["vy"] == pytest.approx(4.5 + work, rel=1e-8)
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_a_pivot_that_jerks_hands_on_its_angular_momentum(engine: str) -> None:
+    # The pivot moves by 0.01 in a few w and rests again: what is left as w goes to nothing is the
+    # jump of the pivot alone, and half way through it the rod turns as fast as the pivot moves.
+    text = """
+kind: scene
+name: jerk
+parameters: {w: 1e-3}
+gravity: 0
+bodies: {b: {mass: 1, inertia: 0.5, start: {x: 0, y: -1}}}
+joints: {j: {point: {body: b, at: [0, 1]}, to: ['0.01*(1+tanh((time-2)/w))/2', 0]}}
+stop: {time: 4}
+outputs: {turned: {value: b.angle}, rate: {value: b.dangle}}
+"""
+    found = run(read_text(text), engine=engine)
+    # (I + m l**2) angle' = -m l u' cos(angle), exact as angle -> 0.
+    assert found.outputs["turned"] == pytest.approx(-0.01 / 1.5, rel=1e-4)
+    assert found.outputs["rate"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_rate_that_has_no_value_beyond_a_place_ends_the_run_in_words() -> None:
+    text = FALL.format(push="forces: {f: {body: b, force: [-sqrt(b.x), 0]}}")
+    found = run(read_text(text), engine="scipy", throw=False)
+    assert found.trace.outcome in (Outcome.HORIZON, Outcome.STEP_FAILURE, Outcome.NON_FINITE)
+
+
+def test_a_switch_whose_exponential_is_no_float_is_one() -> None:
+    # exp(-(time-t0)/w) is a product whose one factor is beyond all floats.
+    text = FALL.format(push="forces: {f: {body: b, force: [0, '10/(1+exp(-(time-2)/1e-3))']}}")
+    for engine in ("taylor", "scipy"):
+        assert run(read_text(text), engine=engine).outputs["vy"] == pytest.approx(-19.24, rel=1e-8)
