@@ -70,6 +70,7 @@ class _Stepper:
     begun: Array  # scratch
     powers: tuple[str, ...]  # without a series where their base is zero
     bases: Tape
+    rates: Tape
 
 
 class Taylor(Engine):
@@ -133,6 +134,7 @@ class Taylor(Engine):
             np.empty(len(states)),
             tuple(sp.sstr(power.xreplace(names))[:_SHOWN] for power in convert.singular),
             automaton.tape([power.base for power in convert.singular], mode),
+            rates,
         )
 
     def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:
@@ -180,6 +182,11 @@ class Taylor(Engine):
         start = watch.start + reached
         if last == first:
             self.check(stepper, state, watch.parameters, start)
+            if np.isfinite(stepper.rates.values(state, watch.parameters, start)).all():
+                raise Unsupported(
+                    f"the Taylor series of the rates overflows at t = {start:.17g}, though they "
+                    "do not; use engine: scipy"
+                )
             raise NonFinite(f"the state or its rate is not finite near t = {start:.17g}")
         if h == 0.0 and left > 0.0 and (made.found is None or made.found.verdict is Verdict.NONE):
             # What came before the step that underflowed stands, and may hold an event.
@@ -284,6 +291,7 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     sp.sinh: hy.sinh,
     sp.cosh: hy.cosh,
     sp.tanh: hy.tanh,
+    sp.sech: lambda x: 1.0 / hy.cosh(x),
 }
 
 

@@ -110,7 +110,7 @@ class Execution:
         except SimulationError as error:
             flow = self.flow
             where = "at the start" if flow is None else self.automaton.label(flow.mode)
-            self._end(Outcome[error.outcome], f"mode {where}: {error}")
+            self._end(Outcome[error.outcome], f"mode {where}: {error}" if where else str(error))
         return self._trace()
 
     def _end(self, outcome: Outcome, message: str) -> None:

@@ -32,6 +32,8 @@ _LOOKS = 256
 # What a step misses of smooth rates falls by more than this as it is halved; beyond the second, in
 # parts of the motion, it is not rounding.
 _FALLS, _ROUGH = 0.25, 1e-3
+# After so many steps of which it is not known what they miss, they are no longer asked.
+_UNKNOWN = 4096
 # Variables count as so large at least, in their sizes.
 _LEAST = 1e-6
 # Of the way to where a step left its constraints unseen, or missed its rates.
@@ -110,9 +112,10 @@ class Advance:
     _seen: float = field(init=False)
     _mark: tuple[int, float] = field(init=False)
     # Where the last step began that missed its rates, where it did and by how much; what is known
-    # as rounding.
+    # as rounding; in how many steps it was not known what they miss.
     _missed: tuple[float, float, float] = field(init=False)
     _rounded: float = field(init=False)
+    _unknown: int = field(init=False)
 
     def run(self) -> Advance:
         """Flow; return this, also where the flow could not be continued."""
@@ -131,7 +134,7 @@ class Advance:
         self._count, self._begin = _FIRST_CHUNK, Begin.NEW
         self._end = min(self.horizon, self.duration)
         self._seen, self._mark = math.inf, (0, 0.0)
-        self._missed, self._rounded = (-1.0, 0.0, 0.0), 0.0
+        self._missed, self._rounded, self._unknown = (-1.0, 0.0, 0.0), 0.0, 0
 
     def _chunk(self) -> None:
         """Make steps and prove them; then go on, end at an event, or make them again."""
@@ -227,7 +230,12 @@ class Advance:
             if again and _FALLS * before < off < _ROUGH:
                 # What a step half as long misses as much of is rounding.
                 self._rounded, first = 2.0 * off, step
-            elif begun < begun + _NEARER * (at - begun) and not (again and at >= last_at):
+            elif (
+                begun < begun + _NEARER * (at - begun)
+                and not (again and at >= last_at)
+                and self._unknown <= _UNKNOWN
+            ):
+                self._unknown += off == math.inf
                 return step, at
             else:
                 self._give_up(begun, path.coefficients[step, :, 0])

@@ -101,7 +101,31 @@ def _finished(expression: sp.Expr, node: Node, source: Source) -> sp.Expr:
 
     if expression.has(sympy.nan, sympy.zoo, sympy.I):
         source.fail("it has no real value", node.offset, "look for a division by zero")
+    if expression.has(sympy.exp, sympy.cosh):
+        return expression.replace(_is_reciprocal, _bounded)
     return expression
+
+
+def _is_reciprocal(part: sp.Expr) -> bool:
+    return bool(part.is_Pow and part.exp.is_Integer and part.exp.is_negative)
+
+
+def _bounded(power: sp.Expr) -> sp.Expr:
+    """Return 1 / (a + b exp(x)) and 1 / cosh(x) to a power as what nowhere is inf / inf.
+
+    Nor are their derivatives then; with a and b > 0 the first is (1 - tanh((x + log(b/a))/2))/2/a.
+    """
+    import sympy
+
+    base, exponent = power.args
+    if base.func is sympy.cosh:
+        return sympy.sech(base.args[0]) ** -exponent
+    number, rest = base.as_coeff_Add()
+    factor, other = rest.as_coeff_Mul()
+    if not (number.is_positive and factor.is_positive and other.func is sympy.exp):
+        return power
+    at = (other.args[0] + sympy.log(factor / number)) / 2
+    return ((1 - sympy.tanh(at)) / (2 * number)) ** -exponent
 
 
 @dataclass(frozen=True)

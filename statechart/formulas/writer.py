@@ -27,8 +27,13 @@ _UNARY: dict[type[sp.Basic], str] = {
     sp.Abs: "abs",
     sp.sign: "sign",
 }
-# SymPy makes these of its own accord, tan(x + pi/2) for one.
-_RECIPROCAL: dict[type[sp.Basic], str] = {sp.cot: "tan", sp.sec: "cos", sp.csc: "sin"}
+# SymPy makes these of its own accord, tan(x + pi/2) for one, and formulas the last.
+_RECIPROCAL: dict[type[sp.Basic], str] = {
+    sp.cot: "tan",
+    sp.sec: "cos",
+    sp.csc: "sin",
+    sp.sech: "cosh",
+}
 # What is smaller, or larger than its inverse, may overflow in a product with an exponential.
 _SMALL = sp.Float("1e-60")
 _COMMUTATIVE = {OPCODES[name] for name in ("add", "mul", "min", "max", "hypot")}

@@ -18,6 +18,7 @@ EPS = 2.0**-52
 TINY = 1e-300  # above the subnormal numbers, which some processors handle a hundred times slower
 LIBM = 4.0 * EPS
 INF = math.inf
+LARGEST = 1.7976931348623157e308
 
 WHOLE, ZERO, ONE = (-INF, INF), (0.0, 0.0), (1.0, 1.0)
 HALF, MINUS_ONE = (0.5, 0.5), (-1.0, -1.0)
@@ -123,8 +124,8 @@ def power(a: Interval, exponent: int) -> Interval:
 
 @part
 def exp(a: Interval) -> Interval:
-    """Exponential function."""
-    p, q = wide((math.exp(a[0]), math.exp(a[1])), LIBM)
+    """Exponential function; what is beyond all floats lies above the largest."""
+    p, q = wide((min(math.exp(a[0]), LARGEST), math.exp(a[1])), LIBM)
     return max(0.0, p), q
 
 
@@ -161,14 +162,16 @@ def wave(a: Interval, sine: bool) -> Interval:
 @part
 def sinh(a: Interval) -> Interval:
     """Hyperbolic sine."""
-    return wide((math.sinh(a[0]), math.sinh(a[1])), LIBM)
+    low, high = min(math.sinh(a[0]), LARGEST), max(math.sinh(a[1]), -LARGEST)
+    return wide((low, high), LIBM)
 
 
 @part
 def cosh(a: Interval) -> Interval:
     """Hyperbolic cosine."""
     p, q = math.cosh(a[0]), math.cosh(a[1])
-    p, q = wide((1.0 if a[0] <= 0.0 <= a[1] else min(p, q), max(p, q)), LIBM)
+    least = 1.0 if a[0] <= 0.0 <= a[1] else min(p, q, LARGEST)
+    p, q = wide((least, max(p, q)), LIBM)
     return max(1.0, p), q
 
 
