@@ -40,13 +40,15 @@ from contacts.time_stepping.chunk import (
     pressed_guess,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, part
 
 MEMORY = 5
 """What is kept of a contact from step to step: level, lasting, impulses, number of its basis."""
 
 # Points of contact that a pair can have: a polygon on a surface has as many as corners.
 _POINTS = 16
+# What passes another within this part of their radii between two looks has missed it.
+_CORE = 0.9
 # Islands of more contacts are swept.
 _DENSE = 40
 
@@ -60,6 +62,8 @@ class BodyNumbers(NamedTuple):
         Corners of all bodies in their frames, and where those of a body begin; none of discs.
     radii, sizes : (b,)
         Of discs; and how far a body reaches from its centre.
+    cores : (b,)
+        And how far it reaches at least.
     inverse : (b, 3)
         1/mass, 1/mass, 1/moment of inertia.
     gravity : (2,)
@@ -75,11 +79,31 @@ class BodyNumbers(NamedTuple):
     firsts: Ints
     radii: Array
     sizes: Array
+    cores: Array
     inverse: Array
     gravity: Array
     surfaces: Array
     pairs: Ints
     materials: Array
+
+
+@part
+def _overlap(
+    centres: Array, velocities: Array, b: int, c: int, apart: float
+) -> tuple[float, float]:
+    """When two bodies that move in straight lines are nearer than `apart`; inf, inf if never.
+
+    They are at `centres` at the time zero.
+    """
+    x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
+    u, v = velocities[b, 0] - velocities[c, 0], velocities[b, 1] - velocities[c, 1]
+    # |r + v t|^2 = apart^2
+    square, half, rest = u * u + v * v, x * u + y * v, x * x + y * y - apart * apart
+    inside = half * half - square * rest
+    if not inside > 0.0:
+        return math.inf, math.inf
+    root = math.sqrt(inside)
+    return (-half - root) / square, (-half + root) / square
 
 
 @kernel
@@ -112,8 +136,8 @@ def step_bodies(
     chunk : Chunk
         To be filled, per body instead of per contact; the unknowns are accelerations alone.
     """
-    vertices, firsts, radii, sizes, inverse, gravity, surfaces, pairs, materials = numbers
-    h, states, solved, codes, struck, _, impulses, gaps, approach, closing = chunk
+    vertices, firsts, radii, sizes, cores, inverse, gravity, surfaces, pairs, materials = numbers
+    h, states, solved, codes, struck, _, impulses, gaps, approach, closing, passed = chunk
     state = states[0].copy()
     b_count, s_count = len(sizes), len(surfaces)
     n = 3 * b_count
@@ -151,7 +175,7 @@ def step_bodies(
             speed = math.hypot(old[b, 0], old[b, 1]) + sizes[b] * abs(old[b, 2]) + fall
             reach[b] = 2.0 * h * speed
         m, at_old = 0, 0
-        approach[k] = closing[k] = 0.0
+        approach[k] = closing[k] = passed[k] = 0.0
         for b in range(b_count):
             gaps[k, b] = math.inf
             struck[k, b] = False
@@ -168,6 +192,10 @@ def step_bodies(
                     away = math.hypot(centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1])
                     if away > sizes[b] + sizes[c] + within:
                         continue
+                    # Of what grazes the approach is slow, and within the error of the step.
+                    begin, end = _overlap(centres, old, b, c, _CORE * (cores[b] + cores[c]))
+                    if -h < begin and end < 0.0:
+                        passed[k] = max(passed[k], (end - begin) / h)
                     count, features = between(
                         mine, centres[b], radii[b], world[firsts[c] : firsts[c + 1]],
                         centres[c], radii[c], within, found,
@@ -216,6 +244,10 @@ def step_bodies(
                     part, level, above = arriving(
                         gap, level, lasting, nearing, free[m, 0], slow, 0.5 + BESIDE, h
                     )
+                    if part == HIT and gap > 0.0 and c < b_count and radii[b] * radii[c] > 0.0:
+                        # Discs that are near and fast may pass beside each other.
+                        touch, _ = _overlap(centres, old, b, c, radii[b] + radii[c])
+                        part = HIT if touch <= h else APART
                     if part == APART:
                         continue
                     hit[m] = part == HIT

@@ -48,7 +48,7 @@ def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]
         return parse(text).value(known)
 
     corners: list[list[float]] = []
-    firsts, radii, sizes, inverse = [0], [], [], []
+    firsts, radii, sizes, cores, inverse = [0], [], [], [], []
     for name, body in scene.bodies.items():
         shape, radius = body.shape, 0.0
         mine: list[list[float]] = []
@@ -66,6 +66,7 @@ def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]
         firsts.append(len(corners))
         radii.append(radius)
         sizes.append(max([math.hypot(*corner) for corner in mine], default=radius))
+        cores.append(_core(mine) if mine else radius)
         inverse.append([1.0 / mass, 1.0 / mass, 1.0 / inertia])
     declared = scene.gravity
     pairs, materials = _materials(scene, owners, number)
@@ -74,6 +75,7 @@ def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]
         np.array(firsts, dtype=np.int64),
         np.array(radii),
         np.array(sizes),
+        np.array(cores),
         np.array(inverse),
         np.array(
             [number(part) for part in declared]
@@ -91,6 +93,13 @@ def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]
         pairs,
         materials,
     )
+
+
+def _core(corners: Sequence[Sequence[float]]) -> float:
+    """Return how far a convex polygon reaches around its origin at least; 0 if that is outside."""
+    ends = zip(corners, [*corners[1:], corners[0]], strict=True)
+    cross = [(x * v - y * u) / math.hypot(u - x, v - y) for (x, y), (u, v) in ends]
+    return max(0.0, min(cross), min(-turn for turn in cross))
 
 
 def _straight(

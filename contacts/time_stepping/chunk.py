@@ -58,6 +58,9 @@ class Chunk(NamedTuple):
         At the midpoints.
     approach, closing : (k,) array
         The fastest approach of an impact; the largest gap, of either sign, that a step closes.
+    passed : (k,) array
+        Where something passed another between the middle of the step before and that of this one:
+        the part of a step in which they overlapped.
     """
 
     h: float
@@ -70,6 +73,7 @@ class Chunk(NamedTuple):
     gaps: Array
     approach: Array
     closing: Array
+    passed: Array
 
     @classmethod
     def room(cls, h: float, state: Array, unknowns: int, regions: int, count: int) -> Chunk:
@@ -85,6 +89,7 @@ class Chunk(NamedTuple):
             np.zeros((count, regions), dtype=np.bool_),
             np.zeros((count, regions, 2)),
             np.full((count, regions), np.inf),
+            np.zeros(count),
             np.zeros(count),
             np.zeros(count),
         )

@@ -285,7 +285,7 @@ class _Run:
         size = self.setup.scales.length
         turned = np.abs(chunk.states[1:, n:]) * np.where(self.stepping.angles, h, 0.0)
         turn: Array = np.max(turned, axis=1, initial=0.0)
-        wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size)
+        wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
         if not wrong.any():
             return None
         k = int(np.argmax(wrong))
@@ -293,6 +293,11 @@ class _Run:
             return k, StepTooLarge(
                 f"a body turns by {turn[k] / math.pi:.3g} half-turns in one step of {h:g}; take "
                 f"{0.1 * h / turn[k]:.1g} or less"
+            )
+        if chunk.passed[k] > 0.0:
+            return k, StepTooLarge(
+                f"something passes through another within one step of {h:g}; take "
+                f"{0.5 * h * chunk.passed[k]:.1g} or less"
             )
         return k, StepTooLarge(
             f"a contact closes {chunk.closing[k]:.3g} off its surface in one step of {h:g}, in a "

@@ -121,7 +121,7 @@ def step_scene(
         To be filled; unknowns are accelerations (n,), forces of joints and of contacts that last
         (2 c,; not a number where the step holds an impact as well), what controllers set (u,).
     """
-    h, states, solved, codes, struck, shared, impulses, gaps, approach, closing = chunk
+    h, states, solved, codes, struck, shared, impulses, gaps, approach, closing, _ = chunk
     state = states[0].copy()
     n, c = len(state) // 2, len(cones)
     nothing, none = np.empty((0, 0)), np.empty((0, 2))

@@ -15,12 +15,16 @@ from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import BAD_INERTIA, Chunk, softened_remark, stepped
-from contacts.time_stepping.equations import CONTACT
+from contacts.time_stepping.equations import CONTACT, JOINT
+from contacts.time_stepping.limits import StepLimits, check_swing, remarks
+from contacts.time_stepping.passing import passed
 from contacts.time_stepping.scene_step import step_scene
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode
 from statechart.formulas.tape import Tape
 
+# Beside what a step moves at the scene's speed: what goes no deeper between two looks grazes.
+_GRAZED = 0.1
 _CODES = {state: code for code, state in STATES.items()}
 
 
@@ -57,6 +61,17 @@ class SteppedTape:
         for row in rows:
             outputs += [*row.jacobian, row.gap, row.gap_rate, row.bias, row.redundant]
         self.joint_rows = len(rows)
+        self.limits = StepLimits(mechanics, forces)
+        # A contact that its condition keeps off passes nothing.
+        self.gaps: Tape = mechanics.tape(
+            [
+                sp.Max(
+                    mechanics.contact(name).symbols.gap,
+                    *(-m.expression.xreplace(set_) for m in mechanics.conditions(name)),
+                )
+                for name in self.names
+            ]
+        )
         outputs += [set_[control] for control in mechanics.controls]
         self.controls = len(mechanics.controls)
         self.tape: Tape = mechanics.tape(
@@ -122,6 +137,7 @@ class SteppedScene:
     def __init__(self, source: SteppedTape, setup: SceneSetup, off: Bools) -> None:
         count = len(setup.contacts)
         self._values, self._near = setup.values, setup.tolerances["gap"]
+        self._setup, self._speed = setup, setup.scales.speed
         self.switch(source, setup.contacts)
         self._memory = _Memory(
             np.zeros(count),
@@ -136,6 +152,7 @@ class SteppedScene:
         )
         self._kept = self._memory.copy()
         self._softened = 0
+        self._swing = self._missed = self._length = 0.0
 
     def switch(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Go on with other forces and coefficients."""
@@ -171,7 +188,10 @@ class SteppedScene:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a reader must know of the run."""
-        return softened_remark(self._softened)
+        return (
+            *softened_remark(self._softened),
+            *remarks(self._swing, self._length, self._missed),
+        )
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps from `state` (2 n,).
@@ -191,6 +211,7 @@ class SteppedScene:
         chunk = Chunk.room(h, state, n + r + 2 * c + source.controls, c, count)
         self._kept = self._memory.copy()
         memory = self._memory
+        self._check_springs(chunk, start)
 
         def step(
             left: Chunk, done: int, given: Array, softened: bool
@@ -207,7 +228,59 @@ class SteppedScene:
         chunk = chunk.first(self._declared(chunk.codes[:done], start, h))
         forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
         self._note(chunk.gaps, forces, chunk.codes)
+        self._look_between(chunk, start)
         return chunk
+
+    def _check_springs(self, chunk: Chunk, start: float) -> None:
+        """Raise `StepTooLarge` where steps of this length make springs swing ever farther."""
+        source, state = self._source, chunk.states[0]
+        n, r = source.size, source.joint_rows
+        found = source.tape.values(state, self._values, start)
+        first = n * n + n + (n * n if source.damped else 0)
+        contacts = found[first : first + len(source.names) * (2 * n + CONTACT)]
+        rows = contacts.reshape(len(source.names), 2 * n + CONTACT)
+        codes = self._memory.codes
+        closed = (codes != FREE) & (codes != OFF_CODE)
+        joints = found[first + contacts.size :][: r * (n + JOINT)].reshape(r, n + JOINT)
+        held = np.concatenate([rows[closed, :n], rows[codes == PIN, n : 2 * n], joints[:, :n]])
+        swing = source.limits.swing(self._values, state, start, held)
+        check_swing(swing, chunk.h)
+        self._swing, self._length = max(self._swing, swing), max(self._length, chunk.h)
+
+    def _look_between(self, chunk: Chunk, start: float) -> None:
+        """Note the first step that passed over a contact, and what steps miss of the forces."""
+        gaps, count, h = self._source.gaps, len(chunk.codes), chunk.h
+        if not count:
+            return
+        n = self._source.size
+        places, rates = chunk.states[:, :n], chunk.states[:, n:]
+        # From each midpoint to the next one, but from where the run starts to the first.
+        lengths = np.full(count, h)
+        lengths[0] = h if start > 0.0 else 0.5 * h
+        lines = np.zeros((count, 2 * n, 2))
+        back = lengths - 0.5 * h
+        lines[:, :n, 0] = places[:count] - back[:, None] * rates[:count]
+        lines[:, :n, 1] = lengths[:, None] * rates[:count]
+        lines[:, n:, 0] = rates[:count]
+        taking = (chunk.codes != FREE) | chunk.struck
+        seen = taking.copy()
+        seen[1:] |= taking[:-1]
+        seen[0] |= self._kept.codes != FREE
+        times, begin = np.concatenate([[0.0], np.cumsum(lengths)]), start - float(back[0])
+        self._missed += self._source.limits.missed(self._setup, begin, times, lines)
+        line, _, part = passed(
+            *gaps.program,
+            gaps.reads,
+            gaps.n_fixed,
+            self._values,
+            begin,
+            times,
+            lines,
+            seen,
+            _GRAZED * h * self._speed,
+        )
+        if line >= 0:
+            chunk.passed[line] = part
 
     def _declared(self, codes: Ints, start: float, h: float) -> int:
         """Return how many steps take declared modes; replace a stick that only passes.

@@ -192,6 +192,12 @@ class Execution:
     def _keep(self, flow: Flow, reached: Advance) -> None:
         """Make an arc of the steps of a flow, and go to its end."""
         path = self.path
+        if reached.unfollowed is not None:
+            self.evidence["motion"] = "steps are not known to follow the rates everywhere"
+            self.warnings[
+                f"t = {reached.unfollowed:.17g}: no step is short enough to tell whether it "
+                "follows the rates; what is narrower than that may have been missed"
+            ] = None
         self.boxes += reached.boxes
         self.steps += reached.steps
         if self.progress:

@@ -85,6 +85,8 @@ class Advance:
         Costs.
     failure : SimulationError, KeyboardInterrupt or None
         What stopped the flow where it is.
+    unfollowed : float or None
+        From when on it is not known whether steps follow the rates.
     """
 
     engine: Engine
@@ -101,6 +103,7 @@ class Advance:
     boxes: int = 0
     steps: int = 0
     failure: SimulationError | KeyboardInterrupt | None = None
+    unfollowed: float | None = None
     # Steps that are proved, and the local time that they reach.
     _kept: int = field(init=False)
     _reached: float = field(init=False)
@@ -245,7 +248,7 @@ class Advance:
         """Leave the flow to the integrator's own errors from where no step is short enough."""
         watch = self.watch
         self.engine.check(self.compiled.stepper, state, watch.parameters, watch.start + time)
-        self._rounded = math.inf
+        self._rounded, self.unfollowed = math.inf, watch.start + time
 
     def _widened(self, found: Search) -> bool:
         """Begin again with wider tolerances, where what was found is not a fall but noise."""

@@ -346,10 +346,38 @@ def _rounding(
     return worst if worst < INF else 0.0
 
 
+@kernel
+def roughness(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
+    n_fixed: int,
+    parameters: Array,
+    start: float,
+    times: Array,
+    coeffs: Array,
+) -> Array:
+    """How far every output (m, n_out) may be from what is resolved in each of the steps."""
+    n = coeffs.shape[1]
+    base, regs = filled(code, constants, parameters, n, 1)
+    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    jets, bounds = _ready(along, regs), np.zeros(n)
+    found = np.empty((coeffs.shape[0], outputs.shape[0]))
+    for step in range(coeffs.shape[0]):
+        prepare(coeffs, step, reads, bounds)
+        _look(along, step, bounds, 0.0, 1.0, jets)
+        for i in range(outputs.shape[0]):
+            found[step, i] = jets[outputs[i], 2]
+    return found
+
+
 # An integral or an extreme may miss this part of the largest value that was met.
 _EXACT = 1e-15
+# Far above what enclosures are widened by against underflow.
+_NOTHING = 1e-280
 # Most pieces of a step: what has more is finer than anybody would integrate.
-_PIECES = 1 << 16
+_PIECES = 1 << 14
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _NODES = (_NODES + 1.0) / 2.0
@@ -380,6 +408,8 @@ def integrate_outputs(
     along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
     jets, bounds = _ready(along, regs), np.zeros(n)
     result, largest = np.zeros(outputs.shape[0]), np.zeros(outputs.shape[0])
+    rough, noise = np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
+    undefined = np.empty(outputs.shape[0], np.bool_)
     lefts, rights = np.empty(64), np.empty(64)
     ends, pieces = np.empty(2 * coeffs.shape[0] + 1), 0
     for step in range(coeffs.shape[0]):
@@ -398,13 +428,26 @@ def integrate_outputs(
             _look(along, step, bounds, a, b, jets)
             halve = False
             for i in range(outputs.shape[0]):
-                undefined = False
+                undefined[i] = False
                 for j in range(count):
                     value = abs(regs[outputs[i], j])
-                    undefined = undefined or value != value
+                    undefined[i] = undefined[i] or value != value
                     largest[i] = max(largest[i], value)
-                missed = (b - a) * jets[outputs[i], 2]
-                halve = halve or not (undefined or missed <= _EXACT * largest[i])
+                rough[i] = jets[outputs[i], 2]
+                missed = (b - a) * rough[i]
+                halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
+            if halve:
+                # What is as rough at places as in the box is the rounding of a kink's zero.
+                halve = False
+                for j in range(2):
+                    s = a + _PLACES[j + 1] * (b - a)
+                    _look(along, step, bounds, s, s, jets)
+                    for i in range(outputs.shape[0]):
+                        here = jets[outputs[i], 2]
+                        noise[i] = min(noise[i], here) if j == 1 else here
+                for i in range(outputs.shape[0]):
+                    missed = (b - a) * (rough[i] - noise[i]) if rough[i] > noise[i] else 0.0
+                    halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
             if halve and b - a > _NARROW and looked < _PIECES:
                 m = 0.5 * (a + b)
                 lefts[top], rights[top] = m, b

@@ -1,0 +1,97 @@
+"""What passes a surface between two looks of a time step.
+
+Steps look at gaps at their midpoints, and between two of these every coordinate moves in a straight
+line. A contact that is apart at both ends of such a line and not everywhere on it has been passed
+over: the enclosure of its gap along the line tells, however narrow the place.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from statechart.arrays import Array, Bools, Ints32
+from statechart.kernels.boxes import enclose, prepare
+from statechart.kernels.intervals import INF
+from statechart.kernels.jit import kernel
+from statechart.kernels.tapes import filled, run_tape
+
+# Boxes of a line; what they leave undecided touches at most.
+_BOXES = 256
+_NARROW = 2.0**-32  # of a line, likewise
+
+
+@kernel
+def passed(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
+    n_fixed: int,
+    parameters: Array,
+    start: float,
+    times: Array,
+    coeffs: Array,
+    seen: Bools,
+    near: float,
+) -> tuple[int, int, float]:
+    """First line on which a gap vanishes that is open at both of its ends.
+
+    Parameters
+    ----------
+    code, constants, outputs, reads, n_fixed
+        Tape of the gaps (c,).
+    parameters, start, times, coeffs
+        As in `statechart.kernels.search.search`; a line (m) is a step of it.
+    seen : (m, c) array of bool
+        Contacts that take part in the motion at an end of the line.
+    near : float
+        What is no deeper than this has touched.
+
+    Returns
+    -------
+    line, contact : int
+        -1 where there is none.
+    part : float
+        How long the contact is closed at least, in parts of the line.
+    """
+    n = coeffs.shape[1]
+    base, regs = filled(code, constants, parameters, n, 1)
+    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    run_tape(code, 0, n_fixed, base, regs, 1)
+    jets = np.zeros((regs.shape[0], 6))
+    for r in range(n + 1, base + n_fixed):
+        jets[r, 0] = jets[r, 1] = regs[r, 0]
+        if not abs(regs[r, 0]) < INF:
+            jets[r, 0], jets[r, 1] = -INF, INF
+    bounds, count = np.zeros(n), outputs.shape[0]
+    asked = np.empty(count, np.bool_)
+    lefts, rights = np.empty(64), np.empty(64)
+    for line in range(coeffs.shape[0]):
+        prepare(coeffs, line, reads, bounds)
+        for i in range(count):
+            asked[i] = not seen[line, i]
+        for s in (0.0, 1.0):
+            enclose(along, line, bounds, s, 0.0, 0, jets)
+            for i in range(count):
+                asked[i] = asked[i] and jets[outputs[i], 0] > 0.0
+        top, boxes = 1, 0
+        lefts[0], rights[0] = 0.0, 1.0
+        while top > 0 and boxes < _BOXES:
+            top -= 1
+            boxes += 1
+            a, b = lefts[top], rights[top]
+            m = 0.5 * (a + b)
+            enclose(along, line, bounds, m, 0.5 * (b - a), 0, jets)
+            clear = True
+            for i in range(count):
+                clear = clear and not (asked[i] and jets[outputs[i], 0] <= -near)
+            if clear or b - a <= _NARROW:
+                continue
+            enclose(along, line, bounds, m, 0.0, 0, jets)
+            for i in range(count):
+                if asked[i] and jets[outputs[i], 1] < -near:
+                    return line, i, b - a
+            lefts[top], rights[top] = m, b
+            lefts[top + 1], rights[top + 1] = a, m
+            top += 2
+    return -1, -1, 0.0
