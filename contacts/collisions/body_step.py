@@ -47,7 +47,7 @@ MEMORY = 5
 
 # Points of contact that a pair can have: a polygon on a surface has as many as corners.
 _POINTS = 16
-# What passes another within this part of their radii between two looks has missed it.
+# What is past another, within this part of their radii, since the last look has missed it.
 _CORE = 0.9
 # Islands of more contacts are swept.
 _DENSE = 40
@@ -194,7 +194,7 @@ def step_bodies(
                         continue
                     # Of what grazes the approach is slow, and within the error of the step.
                     begin, end = _overlap(centres, old, b, c, _CORE * (cores[b] + cores[c]))
-                    if -h < begin and end < 0.0:
+                    if -h < begin and begin + end < 0.0:
                         passed[k] = max(passed[k], (end - begin) / h)
                     count, features = between(
                         mine, centres[b], radii[b], world[firsts[c] : firsts[c + 1]],

@@ -106,19 +106,20 @@ def _taylor_steps(
     n, allowed = series.shape[0], max(STRAY, _ORDERS * tolerance)
     step, here, begun = np.empty(1), np.empty(n), np.empty(n)
     left, total, taken = duration, 0.0, 0
-    longest, off, halvings, done = math.inf, math.inf, 0, False
+    longest, off, halvings, done, again = math.inf, math.inf, 0, False, False
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
     while True:
         here[:] = state
         step[0] = 0.0 if done else min(left, longest)
         call_step(address, state, parameters, clock, step, series)
-        if taken > 0:
+        # The step before the one that is made again has been looked at.
+        if taken > 0 and not again:
             last = first + taken - 1
             before, off = off, _stray(coeffs[last], h, series)
             falls = halvings == 0 or off > _ROUGH or off <= _ROUNDING * before
             if off > allowed and falls:
                 halvings += 1
-                longest, done = 0.5 * h, False
+                longest, done, again = 0.5 * h, False, True
                 taken -= 1
                 total, left, clock[0], clock[1] = summed, length, since, rest
                 state[:] = begun
@@ -129,7 +130,7 @@ def _taylor_steps(
             longest, halvings = math.inf, 0
         if done:
             return taken, taken, h, left
-        h = step[0]
+        h, again = step[0], False
         begun[:] = here
         bounded = _expand(series, h, coeffs[first + taken])
         taken += 1

@@ -233,22 +233,22 @@ class Advance:
             if again and _FALLS * before < off < _ROUGH:
                 # What a step half as long misses as much of is rounding.
                 self._rounded, first = 2.0 * off, step
-            elif (
-                begun < begun + _NEARER * (at - begun)
-                and not (again and at >= last_at)
-                and self._unknown <= _UNKNOWN
-            ):
+            elif not begun < begun + _NEARER * (at - begun):
+                # No time passes in it, but the rates may end there.
+                self._check_method(begun, step)
+                first = step + 1
+            elif (again and at >= last_at) or self._unknown > _UNKNOWN:
+                self._check_method(begun, step)
+                self._rounded, self.unfollowed = math.inf, watch.start + begun
+                return None
+            else:
                 self._unknown += off == math.inf
                 return step, at
-            else:
-                self._give_up(begun, path.coefficients[step, :, 0])
-                return None
 
-    def _give_up(self, time: float, state: Array) -> None:
-        """Leave the flow to the integrator's own errors from where no step is short enough."""
-        watch = self.watch
+    def _check_method(self, time: float, step: int) -> None:
+        """Raise `Unsupported` where the method cannot go on from a step, however short."""
+        watch, state = self.watch, self.path.coefficients[step, :, 0]
         self.engine.check(self.compiled.stepper, state, watch.parameters, watch.start + time)
-        self._rounded, self.unfollowed = math.inf, watch.start + time
 
     def _widened(self, found: Search) -> bool:
         """Begin again with wider tolerances, where what was found is not a fall but noise."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import Along, place, prepare
-from statechart.kernels.intervals import INF, Interval
+from statechart.kernels.intervals import INF, LIBM, TINY, Interval
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel, part
 from statechart.kernels.polynomials import horner, local_time
@@ -87,7 +87,7 @@ def _resolved(op: int, exponent: int, a: Interval) -> bool:
     if op in (ASIN, ACOS):
         return span <= _ROOM * min(low + 1.0, 1.0 - high)
     if op == POWI:
-        n, near, size = float(exponent), _away(a), _size(a)
+        n, near, size = abs(float(exponent)), _away(a), _size(a)
         return n * span <= 2.0 * _TURN * size or (near > 0.0 and n * math.log(size / near) <= _TURN)
     return span <= _ROOM * low  # SQRT, LOG
 
@@ -96,6 +96,10 @@ def _resolved(op: int, exponent: int, a: Interval) -> bool:
 def _power_resolved(x: Interval, y: Interval) -> bool:
     """Whether x**y is resolved."""
     low, high = x
+    n = math.floor(0.5 * (y[0] + y[1]) + 0.5)
+    if max(n - y[0], y[1] - n) <= 1e-14 * abs(n):  # a parameter may be a whole number
+        whole = n < 2.0**31 and _resolved(POWI, int(n), x)
+        return whole and (n >= 0.0 or high - low <= _ROOM * _away(x))
     if not low > 0.0:
         return high == low and y[0] == y[1]
     logs = max(abs(math.log(low)), abs(math.log(high)))
@@ -162,7 +166,7 @@ def _ready(along: Along, regs: Array) -> Array:
     code, base, fixed, _, _, _, coeffs, _ = along
     n = coeffs.shape[1]
     run_tape(code, 0, fixed, base, regs, regs.shape[1])
-    jets = np.zeros((regs.shape[0], 6))
+    jets = np.zeros((regs.shape[0], 8))
     for r in range(n + 1, base + fixed):
         jets[r, 0] = jets[r, 1] = regs[r, 0]
         if not abs(regs[r, 0]) < INF:
@@ -183,6 +187,33 @@ def _look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Arra
 
 
 @part
+def _look_closer(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
+    """Do what `_look` does with ranges by the mean value form, too: they shrink with the square.
+
+    The determinant of a mode that nears its end is a small difference of large numbers.
+    """
+    code, base, first, last, reads = along[:5]
+    m = 0.5 * (a + b)
+    w = max(b - m, m - a)
+    place(along, step, bounds, m, 0.0, 0, jets)
+    run_jets(code, first, last, base, jets, 0)
+    for k in range(base + first, base + last):
+        jets[k, 6], jets[k, 7] = jets[k, 0], jets[k, 1]
+    place(along, step, bounds, m, w, 1, jets)
+    run_jets(code, first, last, base, jets, 1)
+    for k in range(base + first, base + last):
+        reach = w * max(abs(jets[k, 2]), abs(jets[k, 3])) * (1.0 + LIBM) + TINY
+        low, high = jets[k, 6] - reach, jets[k, 7] + reach
+        if low > jets[k, 0]:
+            jets[k, 0] = low
+        if high < jets[k, 1]:
+            jets[k, 1] = high
+    for v in reads:
+        jets[v, 2] = 0.0
+    _roughen(code, first, last, base, jets)
+
+
+@part
 def _at(along: Along, step: int, a: float, b: float, places: Array, regs: Array) -> None:
     """Run the tape at places in the box [a, b] of a step, given in parts of it."""
     code, base, first, last, reads, times, coeffs, start = along
@@ -194,6 +225,15 @@ def _at(along: Along, step: int, a: float, b: float, places: Array, regs: Array)
                 start + local_time(times, step, s) if v == n else horner(coeffs, step, v, s)
             )
     run_tape(code, first, last, base, regs, places.shape[0])
+
+
+@part
+def _rough(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Array) -> bool:
+    """Whether what is not resolved of rates may move a variable farther than is allowed."""
+    rough = False
+    for v in range(sizes.shape[0]):
+        rough = rough or not time * jets[outputs[v], 2] <= allowed * sizes[v]
+    return rough
 
 
 @kernel
@@ -244,7 +284,7 @@ def unseen(
     base, regs = filled(code, constants, parameters, n, count)
     along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
     jets = _ready(along, regs)
-    bounds, sizes = np.zeros(n), np.empty(n)
+    bounds, sizes, rounding = np.zeros(n), np.empty(n), np.empty(n)
     lefts, rights = np.empty(64), np.empty(64)
     boxes = 0
     for step in range(first, last):
@@ -257,19 +297,19 @@ def unseen(
             for k in range(1, coeffs.shape[2]):
                 reach += k * abs(coeffs[step, v, k])
             sizes[v] = max(reach, floors[v])
-        top, looked = 1, 0
+        top, looked, known = 1, 0, False
+        rounding[:] = 0.0
         lefts[0], rights[0] = 0.0, 1.0
         while top > 0:
             top -= 1
             a, b = lefts[top], rights[top]
             m, looked = 0.5 * (a + b), looked + 1
             _look(along, step, bounds, a, b, jets)
-            rough = 0.0
-            for v in range(n):
-                moved = h * (b - a) * jets[outputs[v], 2]
-                if not moved <= _SHARE * allowed * sizes[v]:
-                    rough = INF
-            if rough > 0.0:
+            rough = _rough(outputs, jets, h * (b - a), _SHARE * allowed, sizes)
+            if rough:
+                _look_closer(along, step, bounds, a, b, jets)
+                rough = _rough(outputs, jets, h * (b - a), _SHARE * allowed, sizes)
+            if rough:
                 if b - a <= _NARROW:
                     continue
                 if looked >= budget:
@@ -278,15 +318,20 @@ def unseen(
                 lefts[top + 1], rights[top + 1] = a, m
                 top += 2
                 continue
-            off, worst = _defect(along, outputs, step, a, b, h, sizes, regs)
-            if not off <= allowed:
-                off -= _rounding(along, outputs, step, bounds, worst, h, sizes, jets)
+            off = _defect(along, outputs, step, a, b, h, sizes, rounding, regs)
+            if not (off <= allowed or known):
+                known = True
+                _round(along, outputs, step, h, rounding, regs)
+                off = _defect(along, outputs, step, a, b, h, sizes, rounding, regs)
             if not off <= allowed:
                 return step, b, off, boxes + looked
         boxes += looked
     return -1, 0.0, 0.0, boxes
 
 
+# Slopes are sums of a series, whose terms are rounded more often than a rate is.
+_SERIES = 64.0
+_NEXT = 2.0**-20
 # A box that is looked at no closer may miss this part of what is allowed in a step.
 _SHARE = 1.0 / 64.0
 # Of a step: what is rough in so narrow a box is left to the integrator.
@@ -304,46 +349,42 @@ def _defect(
     b: float,
     h: float,
     sizes: Array,
+    rounding: Array,
     regs: Array,
-) -> tuple[float, float]:
-    """How far the slopes in a box are off the rates, at the worst of a few places, and where."""
-    coeffs, worst, where = along[6], 0.0, a
-    n = coeffs.shape[1]
+) -> float:
+    """How far the slopes in a box are off the rates, beside rounding, at the worst of places."""
+    coeffs, worst = along[6], 0.0
     _at(along, step, a, b, _PLACES, regs)
     for j in range(_PLACES.shape[0]):
         s = a + _PLACES[j] * (b - a)
-        for v in range(n):
+        for v in range(coeffs.shape[1]):
             slope = 0.0
             for k in range(coeffs.shape[2] - 1, 0, -1):
                 slope = slope * s + k * coeffs[step, v, k]
             off = abs(slope - h * regs[outputs[v], j])
-            if off == 0.0:
+            if off <= rounding[v]:
                 continue
-            off = off / sizes[v] if off == off else INF
-            if off > worst:
-                worst, where = off, s
-    return worst, where
+            # What has no value is off by all.
+            worst = max(worst, off / sizes[v] if off == off else INF)
+    return worst
 
 
 @part
-def _rounding(
-    along: Along,
-    outputs: Ints32,
-    step: int,
-    bounds: Array,
-    s: float,
-    h: float,
-    sizes: Array,
-    jets: Array,
-) -> float:
-    """How far the rates at one place of a step may be off in floats, as for `allowed`."""
-    code, base, first, last = along[:4]
-    place(along, step, bounds, s, 0.0, 0, jets)
-    run_jets(code, first, last, base, jets, 0)
-    worst = 0.0
-    for v in range(sizes.shape[0]):
-        worst = max(worst, h * (jets[outputs[v], 1] - jets[outputs[v], 0]) / sizes[v])
-    return worst if worst < INF else 0.0
+def _round(
+    along: Along, outputs: Ints32, step: int, h: float, rounding: Array, regs: Array
+) -> None:
+    """Write what slopes may be off by rounding: next to where a step begins they are the rates."""
+    coeffs = along[6]
+    _at(along, step, 0.0, _NEXT, _PLACES, regs)
+    for v in range(coeffs.shape[1]):
+        rounding[v] = 0.0
+        for j in range(_PLACES.shape[0]):
+            s = _NEXT * _PLACES[j]
+            slope = coeffs[step, v, 1] + (
+                2.0 * s * coeffs[step, v, 2] if len(coeffs[0, 0]) > 2 else 0.0
+            )
+            off = abs(slope - h * regs[outputs[v], j])
+            rounding[v] = max(rounding[v], _SERIES * off if off == off else 0.0)
 
 
 @kernel

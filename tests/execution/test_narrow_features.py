@@ -108,7 +108,7 @@ def test_a_gust_at_a_place_is_felt_by_what_flies_through_it(engine: str, w: floa
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
 def test_a_pivot_that_jerks_hands_on_its_angular_momentum(engine: str) -> None:
-    # With the pivot's speed u, (I + m l**2) angle' + m l u cos(angle) changes by u angle' sin(angle).
+    # With the pivot's speed u, 1.5 angle' + u cos(angle) changes by -u angle' sin(angle).
     text = """
 kind: scene
 name: jerk

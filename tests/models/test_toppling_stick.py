@@ -251,7 +251,8 @@ def test_a_slip_that_outlasts_the_fall_ends_as_its_force_grows_without_bound(
     assert jam.before[2] == pytest.approx(-math.pi / 2, abs=1e-8)
     *_, angle, speed, _, spin = jam.after
     assert speed + math.cos(angle) * spin == pytest.approx(0.0, abs=1e-9)
-    assert speed < jam.before[3] - 0.01
+    # How much slip is left at the end depends, by the logarithm, on how near rounding lets it come.
+    assert speed < jam.before[3] - 1e-3
     # V = 0 from the slip on: the centre falls freely, the tip stays on the ground.
     expected = math.sqrt(down**2 + 2.0 * math.cos(start))
     assert stop.t - slip.t == pytest.approx(expected - down, abs=1e-9)
