@@ -25,6 +25,8 @@ from statechart.formulas.tape import Tape
 
 # Beside what a step moves at the scene's speed: what goes no deeper between two looks grazes.
 _GRAZED = 0.1
+# A landing goes as deep as its approach in a step.
+_LANDED = 2.0
 _CODES = {state: code for code, state in STATES.items()}
 
 
@@ -281,6 +283,21 @@ class SteppedScene:
         )
         if line >= 0:
             chunk.passed[line] = part
+        # What leaves at its first look, or is deeper than its approach explains, was entered
+        # elsewhere.
+        deep = (chunk.codes != OFF_CODE) & (chunk.gaps < -self._near)
+        deep[1:] &= chunk.gaps[:-1] > 0.0
+        first = n * n + n + (n * n if self._source.damped else 0)
+        for k, i in np.argwhere(deep).tolist():
+            state = np.concatenate([lines[k, :n].sum(axis=1), rates[k]])
+            before = gaps.values(lines[k, :, 0], self._values, begin + times[k])[i]
+            numbers = self._source.tape.values(state, self._values, begin + times[k + 1])
+            rate = numbers[first + i * (2 * n + CONTACT) + 2 * n + 3]
+            slow, depth = _GRAZED * self._speed, -chunk.gaps[k, i]
+            approach = max(-rate, slow)
+            if before > 0.0 and (rate > slow or depth > _LANDED * h * approach):
+                chunk.passed[k] = max(chunk.passed[k], min(1.0, h * approach / depth))
+                break
 
     def _declared(self, codes: Ints, start: float, h: float) -> int:
         """Return how many steps take declared modes; replace a stick that only passes.

@@ -275,7 +275,7 @@ def test_a_run_that_cannot_go_on_exits_with_one_and_saves_its_trace(cli: Cli) ->
     # To the tolerance of scipy, from either side.
     assert "t = 0.49999999" in out or "t = 0.500000000" in out
     report = json.loads((cli.folder / "out" / "run.json").read_text())
-    assert report["outcome"] == "NON_FINITE"
+    assert report["outcome"] in ("NON_FINITE", "STEP_FAILURE")
     assert "r:s" in report["message"]
 
 
