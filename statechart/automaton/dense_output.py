@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from statechart.arrays import Array
 from statechart.formulas.tape import Tape, contiguous
 from statechart.kernels.polynomials import sample_states
-from statechart.kernels.resolution import integrate_outputs
+from statechart.kernels.quadrature import integrate_outputs
 
 
 def lowest(

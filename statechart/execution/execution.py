@@ -25,7 +25,7 @@ from statechart.engines.event_location import Crossing
 from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
-from statechart.execution.flow import Advance
+from statechart.execution.flow import UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace
 from statechart.execution.outcome import Progress
 from statechart.execution.zeno import Accumulation
@@ -42,7 +42,6 @@ _AT_END = 1e-2
 _AHEAD = 16.0
 # A flow of no scale is looked at so far ahead at first: its powers are floats.
 _FARTHEST = 1e12
-_UNCERTIFIED = (Outcome.UNDECIDED, Outcome.NON_FINITE)
 
 
 @dataclass(eq=False)
@@ -58,7 +57,7 @@ class Execution:
     setup : Setup
         The numbers of the run.
     zeros : frozenset of int
-        Places of the parameters that are exactly zero: their modes are compiled without them.
+        Places of the parameters that are exactly zero.
     until : float
         Its end.
     max_jumps : int
@@ -181,10 +180,7 @@ class Execution:
         """Return what a flow from here is watched for."""
         setup, start = self.setup, self.clock.high
         tolerances, special = setup.tolerances, flow.tolerances
-        allowed = [
-            special[name] if name in special else tolerances[kind]
-            for name, kind in compiled.watched
-        ]
+        allowed = [special.get(name, tolerances[kind]) for name, kind in compiled.watched]
         laws = self.automaton.laws_of_events
         constraints = laws.constraints(setup, flow.roles, start, self.state)
         return FlowWatch(compiled.guards, np.array(allowed), constraints, setup.values, start)
@@ -193,15 +189,12 @@ class Execution:
         """Make an arc of the steps of a flow, and go to its end."""
         path = self.path
         if reached.unfollowed is not None:
-            self.evidence["motion"] = "steps are not known to follow the rates everywhere"
-            self.warnings[
-                f"t = {reached.unfollowed:.17g}: no step is short enough to tell whether it "
-                "follows the rates; what is narrower than that may have been missed"
-            ] = None
+            self.evidence["motion"] = UNFOLLOWED
+            self.warnings[f"from t = {reached.unfollowed:.17g} on {UNFOLLOWED}"] = None
         self.boxes += reached.boxes
         self.steps += reached.steps
-        if self.progress:
-            self._show(0.0, 0)  # flows that end in their first steps say nothing themselves
+        if self.progress:  # flows that end in their first steps say nothing themselves
+            self._show(0.0, 0)
         elapsed, terms = 0.0, flow.terms
         if path.count > 0:
             times, coefficients = path.arc()
@@ -265,7 +258,7 @@ class Execution:
         margins = guards.values(self.state, parameters, time).tolist()
         relative, sizes = self.engine.tolerance, self.flow.sizes
         sizes = np.abs(self.state) if sizes is None else sizes
-        closed, tolerances = False, dict(self.flow.tolerances)
+        closed, tolerances = False, {**self.flow.tolerances}
         for place, ((name, kind), margin) in enumerate(zip(compiled.watched, margins, strict=True)):
             if kind == "gap":
                 closed |= margin <= _AT_END * self.setup.tolerances[kind]
@@ -336,10 +329,8 @@ class Execution:
         if rest is None:
             return
         assert self.flow is not None
-        recent = self.jumps[-JUMPS_AT_ONCE:]
-        made = self.automaton.laws_of_events.accumulate(
-            self.setup, self.clock, self.flow, recent, rest
-        )
+        recent, laws = self.jumps[-JUMPS_AT_ONCE:], self.automaton.laws_of_events
+        made = laws.accumulate(self.setup, self.clock, self.flow, recent, rest)
         if made is not None:
             self.jumps[-1], self.flow = made
             self.state = self.jumps[-1].after
@@ -391,7 +382,8 @@ class Execution:
             t_end=self.clock.high,
             outcome=self.outcome,
             message=self.message,
-            certified=not self.evidence and self.outcome not in _UNCERTIFIED,
+            certified=not self.evidence
+            and self.outcome not in (Outcome.UNDECIDED, Outcome.NON_FINITE),
             evidence=evidence,
             tolerances=dict(self.setup.tolerances),
             engine=" ".join(dict.fromkeys((engine.name, engine.method))),

@@ -13,12 +13,13 @@ from statechart.arrays import Array
 from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch
 from statechart.engines.event_location import Crossing, Search, Verdict, search
 from statechart.engines.path import Path
-from statechart.errors import NonFinite, SimulationError, StepFailure, TooLong, Undecided
+from statechart.errors import SimulationError, StepFailure, TooLong
 from statechart.execution.compiled_modes import CompiledMode
-from statechart.formulas.series import size_at
-from statechart.kernels.polynomials import cut_steps, local_time, sample_states
-from statechart.kernels.resolution import unseen
+from statechart.execution.finding import decided, noise
+from statechart.kernels.defect import unseen
+from statechart.kernels.polynomials import cut_steps, local_time
 
+UNFOLLOWED = "steps are not known to follow the rates: what is narrow may have been missed"
 _FIRST_CHUNK = 4
 # A chunk may end this far off its constraints, in tolerances; inside it may be farther.
 _DRIFT = 0.2
@@ -40,9 +41,6 @@ _LEAST = 1e-6
 _NEARER = 0.5
 # So many steps tell how many the rest takes; of more than this, days at a microsecond each.
 _LOOKED_AT, _TOO_MANY = 4096, 1e12
-# Errors of dense output, in tolerances of the engine.
-_NOISE = 100.0
-_LOCATED = (Verdict.CROSSING, Verdict.GRAZE)
 # The look-ahead in time grows likewise.
 _GROWTH = 16.0
 
@@ -252,17 +250,17 @@ class Advance:
 
     def _widened(self, found: Search) -> bool:
         """Begin again with wider tolerances, where what was found is not a fall but noise."""
-        noise = _noise(self.engine, self.compiled, self.watch, self.path, self.initial, found)
-        if noise is None:
+        wider = noise(self.engine, self.compiled, self.watch, self.path, self.initial, found)
+        if wider is None:
             return False
-        self.watch, self.horizon = self.watch._replace(tolerances=noise), self._end
+        self.watch, self.horizon = self.watch._replace(tolerances=wider), self._end
         self._start()
         return True
 
     def _arrive(self, found: Search, ended: Array) -> None:
         """End at the event that was found."""
         path = self.path
-        crossing = _decide(found, self.compiled, self.watch, path, self._reached)
+        crossing = decided(found, self.compiled, self.watch, path, self._reached)
         self.graze = found.verdict is not Verdict.CROSSING
         late = self.graze or self.compiled.kind(crossing.guard) == "force"
         at = crossing.crossed if late else crossing.time
@@ -339,70 +337,3 @@ def _blind(
     if blind is None or (where is not None and blind.time > where.time):
         return None
     return blind.step, blind.time
-
-
-def _noise(
-    engine: Engine,
-    compiled: CompiledMode,
-    watch: FlowWatch,
-    path: Path,
-    initial: Array,
-    found: Search,
-) -> Array | None:
-    """Return wider tolerances where what was found is no fall but noise; None where it may be one.
-
-    The laws have kept a mode whose margin starts at zero: it rises from there, or stays. Where its
-    first derivatives are zero the polynomials are so to their own errors only, and may dip below
-    zero before it rises.
-    """
-    where = found.crossing or found.undecided
-    if where is None or where.guard < 0 or found.verdict not in _LOCATED:
-        return None
-    guards, parameters, start = compiled.guards, watch.parameters, watch.start
-    tolerance = watch.tolerances.item(where.guard)
-    begun = guards.values(initial, parameters, start).item(where.guard)
-    if compiled.kind(where.guard) != "plain" or not abs(begun) <= tolerance:
-        return None
-    sizes = np.maximum(np.abs(path.coefficients[where.step]).sum(axis=1), engine.floor)
-    times, terms = path.times[: where.step + 2], path.coefficients[: where.step + 1]
-    middle = sample_states(terms, times, np.array([0.5 * where.time]))[0]
-    margin = guards.values(middle, parameters, start + 0.5 * where.time).item(where.guard)
-    size = size_at(guards, where.guard, middle, sizes, parameters, start + where.time)
-    wider = _NOISE * engine.tolerance * size
-    # Twice as wide at least each time, so that this comes to an end.
-    if margin > wider or not wider > 2.0 * tolerance:
-        return None
-    tolerances = watch.tolerances.copy()
-    tolerances[where.guard] = wider
-    return tolerances
-
-
-def _decide(
-    found: Search,
-    compiled: CompiledMode,
-    watch: FlowWatch,
-    path: Path,
-    reached: float,
-) -> Crossing:
-    """Return the event that a search found or must be taken for one; raise where it is neither."""
-    where, time = found.crossing or found.undecided, watch.start + reached
-    assert where is not None
-    if found.verdict is Verdict.CROSSING:
-        return where
-    if found.verdict is Verdict.GRAZE:
-        return where
-    names = compiled.names
-    if found.verdict is Verdict.BUDGET:
-        raise Undecided(
-            f"no decision within {found.boxes} boxes on one of the guards {', '.join(names)}"
-        )
-    # An end of the run may lie where the equations end too: the cosine under a force vanishes as
-    # the stick lies flat. A margin that is zero there to within its tolerance has been reached.
-    terms = path.coefficients[where.step]
-    state = (terms * where.s ** np.arange(terms.shape[1])).sum(axis=1)
-    margins = compiled.guards.values(state, watch.parameters, time)
-    for guard, (value, tolerance) in enumerate(zip(margins, watch.tolerances, strict=True)):
-        if compiled.kind(guard) == "plain" and abs(value) <= tolerance:
-            return where._replace(guard=guard, crossed=where.time)
-    name = names[where.guard] if where.guard >= 0 else "one of " + ", ".join(names)
-    raise NonFinite(f"the guard {name} cannot be evaluated near t = {time:.17g}")

@@ -48,6 +48,12 @@ from statechart.kernels.tapes import (
     run_tape,
 )
 
+PLACES = np.array([0.146, 0.382, 0.764])
+"""Where in a box functions are looked at that are resolved in it."""
+
+NARROW = 2.0**-48
+"""Of a step: what is rough in so narrow a box is not looked at closer."""
+
 # The range of an argument may be so many times as wide as its distance from a singularity.
 _ROOM = 2.0
 # Likewise where there is none, in what a function grows by a factor e or turns by a radian.
@@ -161,7 +167,7 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
 
 
 @part
-def _ready(along: Along, regs: Array) -> Array:
+def ready(along: Along, regs: Array) -> Array:
     """Return registers of jets with what does not change along the steps filled in."""
     code, base, fixed, _, _, _, coeffs, _ = along
     n = coeffs.shape[1]
@@ -175,7 +181,7 @@ def _ready(along: Along, regs: Array) -> Array:
 
 
 @part
-def _look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
+def look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
     """Fill in ranges and roughness of all registers over the box [a, b] of a step."""
     code, base, first, last, reads = along[:5]
     m = 0.5 * (a + b)
@@ -187,7 +193,7 @@ def _look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Arra
 
 
 @part
-def _look_closer(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
+def look_closer(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
     """Do what `_look` does with ranges by the mean value form, too: they shrink with the square.
 
     The determinant of a mode that nears its end is a small difference of large numbers.
@@ -214,7 +220,7 @@ def _look_closer(along: Along, step: int, bounds: Array, a: float, b: float, jet
 
 
 @part
-def _at(along: Along, step: int, a: float, b: float, places: Array, regs: Array) -> None:
+def at(along: Along, step: int, a: float, b: float, places: Array, regs: Array) -> None:
     """Run the tape at places in the box [a, b] of a step, given in parts of it."""
     code, base, first, last, reads, times, coeffs, start = along
     n = coeffs.shape[1]
@@ -225,166 +231,6 @@ def _at(along: Along, step: int, a: float, b: float, places: Array, regs: Array)
                 start + local_time(times, step, s) if v == n else horner(coeffs, step, v, s)
             )
     run_tape(code, first, last, base, regs, places.shape[0])
-
-
-@part
-def _rough(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Array) -> bool:
-    """Whether what is not resolved of rates may move a variable farther than is allowed."""
-    rough = False
-    for v in range(sizes.shape[0]):
-        rough = rough or not time * jets[outputs[v], 2] <= allowed * sizes[v]
-    return rough
-
-
-@kernel
-def unseen(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    parameters: Array,
-    start: float,
-    times: Array,
-    coeffs: Array,
-    first: int,
-    last: int,
-    floors: Array,
-    allowed: float,
-    budget: int,
-) -> tuple[int, float, float, int]:
-    """First box of the steps [first, last) whose polynomials may not follow the rates.
-
-    Parameters
-    ----------
-    code, constants, outputs, reads, n_fixed
-        Tape of the rates of all variables.
-    parameters, start, times, coeffs
-        As in `statechart.kernels.search.search`.
-    floors : (n,) array
-        What is smaller counts as so large.
-    allowed : float
-        Of what a variable is and moves in a step, how far what is missed may move it.
-    budget : int
-        Most boxes of a step.
-
-    Returns
-    -------
-    step : int
-        -1 if there is none.
-    s : float
-        Where the box ends.
-    off : float
-        How far the polynomials are off the rates in it, as for `allowed`; infinite if that is not
-        known.
-    boxes : int
-        Looked at.
-    """
-    n, count = coeffs.shape[1], _PLACES.shape[0]
-    base, regs = filled(code, constants, parameters, n, count)
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
-    jets = _ready(along, regs)
-    bounds, sizes, rounding = np.zeros(n), np.empty(n), np.empty(n)
-    lefts, rights = np.empty(64), np.empty(64)
-    boxes = 0
-    for step in range(first, last):
-        h = times[step + 1] - times[step]
-        if not h > 0.0:
-            continue
-        prepare(coeffs, step, reads, bounds)
-        for v in range(n):
-            reach = abs(coeffs[step, v, 0])
-            for k in range(1, coeffs.shape[2]):
-                reach += k * abs(coeffs[step, v, k])
-            sizes[v] = max(reach, floors[v])
-        top, looked, known = 1, 0, False
-        rounding[:] = 0.0
-        lefts[0], rights[0] = 0.0, 1.0
-        while top > 0:
-            top -= 1
-            a, b = lefts[top], rights[top]
-            m, looked = 0.5 * (a + b), looked + 1
-            _look(along, step, bounds, a, b, jets)
-            rough = _rough(outputs, jets, h * (b - a), _SHARE * allowed, sizes)
-            if rough:
-                _look_closer(along, step, bounds, a, b, jets)
-                rough = _rough(outputs, jets, h * (b - a), _SHARE * allowed, sizes)
-            if rough:
-                if b - a <= _NARROW:
-                    continue
-                if looked >= budget:
-                    return step, b, INF, boxes + looked
-                lefts[top], rights[top] = m, b
-                lefts[top + 1], rights[top + 1] = a, m
-                top += 2
-                continue
-            off = _defect(along, outputs, step, a, b, h, sizes, rounding, regs)
-            if not (off <= allowed or known):
-                known = True
-                _round(along, outputs, step, h, rounding, regs)
-                off = _defect(along, outputs, step, a, b, h, sizes, rounding, regs)
-            if not off <= allowed:
-                return step, b, off, boxes + looked
-        boxes += looked
-    return -1, 0.0, 0.0, boxes
-
-
-# Slopes are sums of a series, whose terms are rounded more often than a rate is.
-_SERIES = 64.0
-_NEXT = 2.0**-20
-# A box that is looked at no closer may miss this part of what is allowed in a step.
-_SHARE = 1.0 / 64.0
-# Of a step: what is rough in so narrow a box is left to the integrator.
-_NARROW = 2.0**-48
-# Where in a box the slope of a polynomial is compared with the rate.
-_PLACES = np.array([0.146, 0.382, 0.764])
-
-
-@part
-def _defect(
-    along: Along,
-    outputs: Ints32,
-    step: int,
-    a: float,
-    b: float,
-    h: float,
-    sizes: Array,
-    rounding: Array,
-    regs: Array,
-) -> float:
-    """How far the slopes in a box are off the rates, beside rounding, at the worst of places."""
-    coeffs, worst = along[6], 0.0
-    _at(along, step, a, b, _PLACES, regs)
-    for j in range(_PLACES.shape[0]):
-        s = a + _PLACES[j] * (b - a)
-        for v in range(coeffs.shape[1]):
-            slope = 0.0
-            for k in range(coeffs.shape[2] - 1, 0, -1):
-                slope = slope * s + k * coeffs[step, v, k]
-            off = abs(slope - h * regs[outputs[v], j])
-            if off <= rounding[v]:
-                continue
-            # What has no value is off by all.
-            worst = max(worst, off / sizes[v] if off == off else INF)
-    return worst
-
-
-@part
-def _round(
-    along: Along, outputs: Ints32, step: int, h: float, rounding: Array, regs: Array
-) -> None:
-    """Write what slopes may be off by rounding: next to where a step begins they are the rates."""
-    coeffs = along[6]
-    _at(along, step, 0.0, _NEXT, _PLACES, regs)
-    for v in range(coeffs.shape[1]):
-        rounding[v] = 0.0
-        for j in range(_PLACES.shape[0]):
-            s = _NEXT * _PLACES[j]
-            slope = coeffs[step, v, 1] + (
-                2.0 * s * coeffs[step, v, 2] if len(coeffs[0, 0]) > 2 else 0.0
-            )
-            off = abs(slope - h * regs[outputs[v], j])
-            rounding[v] = max(rounding[v], _SERIES * off if off == off else 0.0)
 
 
 @kernel
@@ -403,105 +249,11 @@ def roughness(
     n = coeffs.shape[1]
     base, regs = filled(code, constants, parameters, n, 1)
     along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
-    jets, bounds = _ready(along, regs), np.zeros(n)
+    jets, bounds = ready(along, regs), np.zeros(n)
     found = np.empty((coeffs.shape[0], outputs.shape[0]))
     for step in range(coeffs.shape[0]):
         prepare(coeffs, step, reads, bounds)
-        _look(along, step, bounds, 0.0, 1.0, jets)
+        look(along, step, bounds, 0.0, 1.0, jets)
         for i in range(outputs.shape[0]):
             found[step, i] = jets[outputs[i], 2]
     return found
-
-
-# An integral or an extreme may miss this part of the largest value that was met.
-_EXACT = 1e-15
-# Far above what enclosures are widened by against underflow.
-_NOTHING = 1e-280
-# Most pieces of a step: what has more is finer than anybody would integrate.
-_PIECES = 1 << 14
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_NODES = (_NODES + 1.0) / 2.0
-_WEIGHTS = _WEIGHTS / 2.0
-
-
-@kernel
-def integrate_outputs(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    times: Array,
-    coeffs: Array,
-    parameters: Array,
-    start: float,
-    t_from: float,
-    t_to: float,
-) -> tuple[Array, Array]:
-    """Integral of every output over local time [t_from, t_to], and where the pieces end.
-
-    A piece is what is left of a step halved until all outputs are resolved in it, kinks down to
-    rounding; it is integrated with 16 Gauss nodes.
-    """
-    n, count = coeffs.shape[1], _NODES.shape[0]
-    base, regs = filled(code, constants, parameters, n, count)
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
-    jets, bounds = _ready(along, regs), np.zeros(n)
-    result, largest = np.zeros(outputs.shape[0]), np.zeros(outputs.shape[0])
-    rough, noise = np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
-    undefined = np.empty(outputs.shape[0], np.bool_)
-    lefts, rights = np.empty(64), np.empty(64)
-    ends, pieces = np.empty(2 * coeffs.shape[0] + 1), 0
-    for step in range(coeffs.shape[0]):
-        low, high = max(t_from, times[step]), min(t_to, times[step + 1])
-        if not low < high:
-            continue
-        span = times[step + 1] - times[step]
-        prepare(coeffs, step, reads, bounds)
-        top, looked = 1, 0
-        lefts[0], rights[0] = (low - times[step]) / span, (high - times[step]) / span
-        while top > 0:
-            top -= 1
-            a, b = lefts[top], rights[top]
-            looked += 1
-            _at(along, step, a, b, _NODES, regs)
-            _look(along, step, bounds, a, b, jets)
-            halve = False
-            for i in range(outputs.shape[0]):
-                undefined[i] = False
-                for j in range(count):
-                    value = abs(regs[outputs[i], j])
-                    undefined[i] = undefined[i] or value != value
-                    largest[i] = max(largest[i], value)
-                rough[i] = jets[outputs[i], 2]
-                missed = (b - a) * rough[i]
-                halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
-            if halve:
-                # What is as rough at places as in the box is the rounding of a kink's zero.
-                halve = False
-                for j in range(2):
-                    s = a + _PLACES[j + 1] * (b - a)
-                    _look(along, step, bounds, s, s, jets)
-                    for i in range(outputs.shape[0]):
-                        here = jets[outputs[i], 2]
-                        noise[i] = min(noise[i], here) if j == 1 else here
-                for i in range(outputs.shape[0]):
-                    missed = (b - a) * (rough[i] - noise[i]) if rough[i] > noise[i] else 0.0
-                    halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
-            if halve and b - a > _NARROW and looked < _PIECES:
-                m = 0.5 * (a + b)
-                lefts[top], rights[top] = m, b
-                lefts[top + 1], rights[top + 1] = a, m
-                top += 2
-                continue
-            for i in range(outputs.shape[0]):
-                total = 0.0
-                for j in range(count):
-                    total += _WEIGHTS[j] * regs[outputs[i], j]
-                result[i] += total * (b - a) * span
-            if pieces == ends.shape[0]:
-                ends = np.append(ends, np.empty(pieces))
-            ends[pieces] = high if top == 0 else local_time(times, step, b)
-            pieces += 1
-    return result, ends[:pieces]

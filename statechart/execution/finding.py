@@ -1,0 +1,85 @@
+"""What a search found, judged: noise of the integrator, an event, or nothing that can be told."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from statechart.arrays import Array
+from statechart.engines.engine import Engine, FlowWatch
+from statechart.engines.event_location import Crossing, Search, Verdict
+from statechart.engines.path import Path
+from statechart.errors import NonFinite, Undecided
+from statechart.execution.compiled_modes import CompiledMode
+from statechart.formulas.series import size_at
+from statechart.kernels.polynomials import sample_states
+
+# Errors of dense output, in tolerances of the engine.
+_NOISE = 100.0
+_LOCATED = (Verdict.CROSSING, Verdict.GRAZE)
+
+
+def noise(
+    engine: Engine,
+    compiled: CompiledMode,
+    watch: FlowWatch,
+    path: Path,
+    initial: Array,
+    found: Search,
+) -> Array | None:
+    """Return wider tolerances where what was found is no fall but noise; None where it may be one.
+
+    The laws have kept a mode whose margin starts at zero: it rises from there, or stays. Where its
+    first derivatives are zero the polynomials are so to their own errors only, and may dip below
+    zero before it rises.
+    """
+    where = found.crossing or found.undecided
+    if where is None or where.guard < 0 or found.verdict not in _LOCATED:
+        return None
+    guards, parameters, start = compiled.guards, watch.parameters, watch.start
+    tolerance = watch.tolerances.item(where.guard)
+    begun = guards.values(initial, parameters, start).item(where.guard)
+    if compiled.kind(where.guard) != "plain" or not abs(begun) <= tolerance:
+        return None
+    sizes = np.maximum(np.abs(path.coefficients[where.step]).sum(axis=1), engine.floor)
+    times, terms = path.times[: where.step + 2], path.coefficients[: where.step + 1]
+    middle = sample_states(terms, times, np.array([0.5 * where.time]))[0]
+    margin = guards.values(middle, parameters, start + 0.5 * where.time).item(where.guard)
+    size = size_at(guards, where.guard, middle, sizes, parameters, start + where.time)
+    wider = _NOISE * engine.tolerance * size
+    # Twice as wide at least each time, so that this comes to an end.
+    if margin > wider or not wider > 2.0 * tolerance:
+        return None
+    tolerances = watch.tolerances.copy()
+    tolerances[where.guard] = wider
+    return tolerances
+
+
+def decided(
+    found: Search,
+    compiled: CompiledMode,
+    watch: FlowWatch,
+    path: Path,
+    reached: float,
+) -> Crossing:
+    """Return the event that a search found or must be taken for one; raise where it is neither."""
+    where, time = found.crossing or found.undecided, watch.start + reached
+    assert where is not None
+    if found.verdict is Verdict.CROSSING:
+        return where
+    if found.verdict is Verdict.GRAZE:
+        return where
+    names = compiled.names
+    if found.verdict is Verdict.BUDGET:
+        raise Undecided(
+            f"no decision within {found.boxes} boxes on one of the guards {', '.join(names)}"
+        )
+    # An end of the run may lie where the equations end too: the cosine under a force vanishes as
+    # the stick lies flat. A margin that is zero there to within its tolerance has been reached.
+    terms = path.coefficients[where.step]
+    state = (terms * where.s ** np.arange(terms.shape[1])).sum(axis=1)
+    margins = compiled.guards.values(state, watch.parameters, time)
+    for guard, (value, tolerance) in enumerate(zip(margins, watch.tolerances, strict=True)):
+        if compiled.kind(guard) == "plain" and abs(value) <= tolerance:
+            return where._replace(guard=guard, crossed=where.time)
+    name = names[where.guard] if where.guard >= 0 else "one of " + ", ".join(names)
+    raise NonFinite(f"the guard {name} cannot be evaluated near t = {time:.17g}")

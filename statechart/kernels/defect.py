@@ -1,0 +1,167 @@
+"""Whether the polynomials of steps follow the rates: their defect, where it can be known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from statechart.arrays import Array, Ints32
+from statechart.kernels.boxes import Along, prepare
+from statechart.kernels.intervals import INF
+from statechart.kernels.jit import kernel, part
+from statechart.kernels.resolution import NARROW, PLACES, at, look, look_closer, ready
+from statechart.kernels.tapes import filled
+
+# Slopes are sums of a series, whose terms are rounded more often than a rate is.
+_SERIES = 64.0
+_NEXT = 2.0**-20
+# A box that is looked at no closer may miss this part of what is allowed in a step.
+_SHARE = 1.0 / 64.0
+
+
+@part
+def _rough(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Array) -> bool:
+    """Whether what is not resolved of rates may move a variable farther than is allowed."""
+    rough = False
+    for v in range(sizes.shape[0]):
+        rough = rough or not time * jets[outputs[v], 2] <= allowed * sizes[v]
+    return rough
+
+
+@kernel
+def unseen(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
+    n_fixed: int,
+    parameters: Array,
+    start: float,
+    times: Array,
+    coeffs: Array,
+    first: int,
+    last: int,
+    floors: Array,
+    allowed: float,
+    budget: int,
+) -> tuple[int, float, float, int]:
+    """First box of the steps [first, last) whose polynomials may not follow the rates.
+
+    Parameters
+    ----------
+    code, constants, outputs, reads, n_fixed
+        Tape of the rates of all variables.
+    parameters, start, times, coeffs
+        As in `statechart.kernels.search.search`.
+    floors : (n,) array
+        What is smaller counts as so large.
+    allowed : float
+        Of what a variable is and moves in a step, how far what is missed may move it.
+    budget : int
+        Most boxes of a step.
+
+    Returns
+    -------
+    step : int
+        -1 if there is none.
+    s : float
+        Where the box ends.
+    off : float
+        How far the polynomials are off the rates in it, as for `allowed`; infinite if that is not
+        known.
+    boxes : int
+        Looked at.
+    """
+    n, count = coeffs.shape[1], PLACES.shape[0]
+    base, regs = filled(code, constants, parameters, n, count)
+    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    jets = ready(along, regs)
+    bounds, sizes, rounding = np.zeros(n), np.empty(n), np.empty(n)
+    lefts, rights = np.empty(64), np.empty(64)
+    boxes = 0
+    for step in range(first, last):
+        h = times[step + 1] - times[step]
+        if not h > 0.0:
+            continue
+        prepare(coeffs, step, reads, bounds)
+        for v in range(n):
+            reach = abs(coeffs[step, v, 0])
+            for k in range(1, coeffs.shape[2]):
+                reach += k * abs(coeffs[step, v, k])
+            sizes[v] = max(reach, floors[v])
+        top, looked, known = 1, 0, False
+        rounding[:] = 0.0
+        lefts[0], rights[0] = 0.0, 1.0
+        while top > 0:
+            top -= 1
+            a, b = lefts[top], rights[top]
+            m, looked = 0.5 * (a + b), looked + 1
+            look(along, step, bounds, a, b, jets)
+            rough = _rough(outputs, jets, h * (b - a), _SHARE * allowed, sizes)
+            if rough:
+                look_closer(along, step, bounds, a, b, jets)
+                rough = _rough(outputs, jets, h * (b - a), _SHARE * allowed, sizes)
+            if rough:
+                if b - a <= NARROW:
+                    continue
+                if looked >= budget:
+                    return step, b, INF, boxes + looked
+                lefts[top], rights[top] = m, b
+                lefts[top + 1], rights[top + 1] = a, m
+                top += 2
+                continue
+            off = _defect(along, outputs, step, a, b, h, sizes, rounding, regs)
+            if not (off <= allowed or known):
+                known = True
+                _round(along, outputs, step, h, rounding, regs)
+                off = _defect(along, outputs, step, a, b, h, sizes, rounding, regs)
+            if not off <= allowed:
+                return step, b, off, boxes + looked
+        boxes += looked
+    return -1, 0.0, 0.0, boxes
+
+
+@part
+def _defect(
+    along: Along,
+    outputs: Ints32,
+    step: int,
+    a: float,
+    b: float,
+    h: float,
+    sizes: Array,
+    rounding: Array,
+    regs: Array,
+) -> float:
+    """How far the slopes in a box are off the rates, beside rounding, at the worst of places."""
+    coeffs, worst = along[6], 0.0
+    at(along, step, a, b, PLACES, regs)
+    for j in range(PLACES.shape[0]):
+        s = a + PLACES[j] * (b - a)
+        for v in range(coeffs.shape[1]):
+            slope = 0.0
+            for k in range(coeffs.shape[2] - 1, 0, -1):
+                slope = slope * s + k * coeffs[step, v, k]
+            off = abs(slope - h * regs[outputs[v], j])
+            if off <= rounding[v]:
+                continue
+            # What has no value is off by all.
+            worst = max(worst, off / sizes[v] if off == off else INF)
+    return worst
+
+
+@part
+def _round(
+    along: Along, outputs: Ints32, step: int, h: float, rounding: Array, regs: Array
+) -> None:
+    """Write what slopes may be off by rounding: next to where a step begins they are the rates."""
+    coeffs = along[6]
+    at(along, step, 0.0, _NEXT, PLACES, regs)
+    for v in range(coeffs.shape[1]):
+        rounding[v] = 0.0
+        for j in range(PLACES.shape[0]):
+            s = _NEXT * PLACES[j]
+            slope = coeffs[step, v, 1] + (
+                2.0 * s * coeffs[step, v, 2] if len(coeffs[0, 0]) > 2 else 0.0
+            )
+            off = abs(slope - h * regs[outputs[v], j])
+            rounding[v] = max(rounding[v], _SERIES * off if off == off else 0.0)

@@ -1,0 +1,105 @@
+"""Integrals of tapes along the polynomials of steps, in pieces in which they are resolved."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from statechart.arrays import Array, Ints32
+from statechart.kernels.boxes import prepare
+from statechart.kernels.jit import kernel
+from statechart.kernels.polynomials import local_time
+from statechart.kernels.resolution import NARROW, PLACES, at, look, ready
+from statechart.kernels.tapes import filled
+
+# An integral or an extreme may miss this part of the largest value that was met.
+_EXACT = 1e-15
+# Far above what enclosures are widened by against underflow.
+_NOTHING = 1e-280
+# Most pieces of a step: what has more is finer than anybody would integrate.
+_PIECES = 1 << 14
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_NODES = (_NODES + 1.0) / 2.0
+_WEIGHTS = _WEIGHTS / 2.0
+
+
+@kernel
+def integrate_outputs(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
+    n_fixed: int,
+    times: Array,
+    coeffs: Array,
+    parameters: Array,
+    start: float,
+    t_from: float,
+    t_to: float,
+) -> tuple[Array, Array]:
+    """Integral of every output over local time [t_from, t_to], and where the pieces end.
+
+    A piece is what is left of a step halved until all outputs are resolved in it, kinks down to
+    rounding; it is integrated with 16 Gauss nodes.
+    """
+    n, count = coeffs.shape[1], _NODES.shape[0]
+    base, regs = filled(code, constants, parameters, n, count)
+    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    jets, bounds = ready(along, regs), np.zeros(n)
+    result, largest = np.zeros(outputs.shape[0]), np.zeros(outputs.shape[0])
+    rough, noise = np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
+    undefined = np.empty(outputs.shape[0], np.bool_)
+    lefts, rights = np.empty(64), np.empty(64)
+    ends, pieces = np.empty(2 * coeffs.shape[0] + 1), 0
+    for step in range(coeffs.shape[0]):
+        low, high = max(t_from, times[step]), min(t_to, times[step + 1])
+        if not low < high:
+            continue
+        span = times[step + 1] - times[step]
+        prepare(coeffs, step, reads, bounds)
+        top, looked = 1, 0
+        lefts[0], rights[0] = (low - times[step]) / span, (high - times[step]) / span
+        while top > 0:
+            top -= 1
+            a, b = lefts[top], rights[top]
+            looked += 1
+            at(along, step, a, b, _NODES, regs)
+            look(along, step, bounds, a, b, jets)
+            halve = False
+            for i in range(outputs.shape[0]):
+                undefined[i] = False
+                for j in range(count):
+                    value = abs(regs[outputs[i], j])
+                    undefined[i] = undefined[i] or value != value
+                    largest[i] = max(largest[i], value)
+                rough[i] = jets[outputs[i], 2]
+                missed = (b - a) * rough[i]
+                halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
+            if halve:
+                # What is as rough at places as in the box is the rounding of a kink's zero.
+                halve = False
+                for j in range(2):
+                    s = a + PLACES[j + 1] * (b - a)
+                    look(along, step, bounds, s, s, jets)
+                    for i in range(outputs.shape[0]):
+                        here = jets[outputs[i], 2]
+                        noise[i] = min(noise[i], here) if j == 1 else here
+                for i in range(outputs.shape[0]):
+                    missed = (b - a) * (rough[i] - noise[i]) if rough[i] > noise[i] else 0.0
+                    halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
+            if halve and b - a > NARROW and looked < _PIECES:
+                m = 0.5 * (a + b)
+                lefts[top], rights[top] = m, b
+                lefts[top + 1], rights[top + 1] = a, m
+                top += 2
+                continue
+            for i in range(outputs.shape[0]):
+                total = 0.0
+                for j in range(count):
+                    total += _WEIGHTS[j] * regs[outputs[i], j]
+                result[i] += total * (b - a) * span
+            if pieces == ends.shape[0]:
+                ends = np.append(ends, np.empty(pieces))
+            ends[pieces] = high if top == 0 else local_time(times, step, b)
+            pieces += 1
+    return result, ends[:pieces]
