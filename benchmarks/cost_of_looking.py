@@ -22,7 +22,7 @@ CHOICES: tuple[dict[str, object], ...] = (
     {"engine": "taylor"},
     {"engine": "scipy", "method": "DOP853", "tolerance": 1e-9},
 )
-_SECONDS = 4.0
+_SECONDS = 2.0
 
 
 def main() -> None:

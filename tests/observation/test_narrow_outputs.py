@@ -1,0 +1,53 @@
+"""Integrals and extremes of formulas with kinks and peaks that are narrower than a step."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from statechart import Runner
+from statechart.documents.yaml_reader import read_text
+
+FLIGHT = """\
+kind: scene
+name: flight
+parameters: {a: 0.3, w: 0.01}
+gravity: 0
+bodies: {b: {mass: 1, start: {y: 100, dx: 1}}}
+stop: {time: 1}
+outputs:
+  kink: {integral: "abs(b.x-a)"}
+  step: {integral: "sign(b.x-a)"}
+  peak: {integral: "1/(1+((b.x-a)/w)**2)"}
+  bell: {integral: "exp(-((b.x-a)/w)**2)"}
+  edge: {integral: "max(b.x-a, 0)**2"}
+  top: {maximum: "1/(1+((b.x-a)/w)**2)"}
+  low: {minimum: "abs(b.x-a) + b.x"}
+  zero: {integral: "abs(b.dy)"}
+"""
+
+
+@pytest.fixture(scope="module", params=["taylor", "scipy"])
+def flight(request: pytest.FixtureRequest) -> Runner:
+    return Runner(read_text(FLIGHT), engine=request.param)
+
+
+@given(a=st.floats(0.01, 0.99), power=st.floats(-5.0, -0.5))
+def test_kinks_jumps_and_peaks_are_found(flight: Runner, a: float, power: float) -> None:
+    w = 10.0**power
+    found = flight.run({"a": a, "w": w}).outputs
+    exact = {
+        "kink": 0.5 * (a**2 + (1.0 - a) ** 2),
+        "step": 1.0 - 2.0 * a,
+        "peak": w * (math.atan((1.0 - a) / w) + math.atan(a / w)),
+        "bell": 0.5 * w * math.sqrt(math.pi) * (math.erf((1.0 - a) / w) + math.erf(a / w)),
+        "edge": (1.0 - a) ** 3 / 3.0,
+        "top": 1.0,
+        "low": a,
+        "zero": 0.0,
+    }
+    # The place of a jump is known to the rounding of the motion alone.
+    assert found == pytest.approx(exact, rel=1e-9, abs=1e-11)
