@@ -148,6 +148,9 @@ def _in_state(
     z, t = np.array([0.0, 1000.0, speed, 0.0]), 0.0
     sign = 1.0 if i == 0 else -1.0
     for edge in (-100, -30, -10, -3, -1, 0, 1, 3, 10, 30, 100, None):
+        # Left to itself the reference passes over what it is to find.
+        ahead = math.inf if edge is None else edge - sign * (z[i] - where) / width
+        longest = min(0.2, 0.1 * w * max(ahead, 1.0))
 
         def stop(t: float, z: np.ndarray, edge: int | None = edge) -> float:
             return 1.0 if edge is None else sign * (z[i] - where) / width - edge
@@ -156,7 +159,7 @@ def _in_state(
             continue
         stop.terminal = True  # type: ignore[attr-defined]
         found = solve_ivp(
-            rates, (t, END), z, "DOP853", rtol=1e-13, atol=1e-13, events=stop, max_step=0.2
+            rates, (t, END), z, "DOP853", rtol=1e-13, atol=1e-13, events=stop, max_step=longest
         )
         z, t = found.y[:, -1], float(found.t[-1])
         if t >= END:

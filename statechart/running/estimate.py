@@ -30,6 +30,9 @@ _FIRST, _STRIDE = 1e-4, TIGHTER**2
 # The next run is expected to take at least so many times the time of the last one.
 _LONGER = 1.5
 
+# A budget is kept to within this factor, or so many seconds.
+_OVERRUN, _MOMENT = 1.2, 0.05
+
 Once = Callable[[float, bool], tuple[Observer, Trace]]
 """Runs a model once, at a tolerance; True: from a start that is off by it."""
 
@@ -314,6 +317,12 @@ def within(
             f"estimated: allow {_advised(runs.seconds):.2g} s"
         )
         answer = replace(answer, warnings=(warning,))
+    if runs.seconds > max(_OVERRUN * budget, budget + _MOMENT):
+        warning = (
+            f"{runs.seconds:.2g} s were taken of the {budget:g} s allowed: a mode that is being "
+            "compiled is not interrupted; what is compiled is kept for the next run"
+        )
+        answer = replace(answer, warnings=(*answer.warnings, warning))
     return replace(answer, cost=runs.cost)
 
 
