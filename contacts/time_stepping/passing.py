@@ -11,9 +11,9 @@ import numpy as np
 
 from statechart.arrays import Array, Bools, Ints32
 from statechart.kernels.boxes import enclose, prepare
-from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel
-from statechart.kernels.tapes import filled, run_tape
+from statechart.kernels.resolution import ready
+from statechart.kernels.tapes import filled
 
 # Boxes of a line; what they leave undecided touches at most.
 _BOXES = 256
@@ -57,12 +57,7 @@ def passed(
     n = coeffs.shape[1]
     base, regs = filled(code, constants, parameters, n, 1)
     along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
-    run_tape(code, 0, n_fixed, base, regs, 1)
-    jets = np.zeros((regs.shape[0], 6))
-    for r in range(n + 1, base + n_fixed):
-        jets[r, 0] = jets[r, 1] = regs[r, 0]
-        if not abs(regs[r, 0]) < INF:
-            jets[r, 0], jets[r, 1] = -INF, INF
+    jets = ready(along, regs)
     bounds, count = np.zeros(n), outputs.shape[0]
     asked = np.empty(count, np.bool_)
     lefts, rights = np.empty(64), np.empty(64)
