@@ -20,7 +20,8 @@ from statechart.documents.files import write_atomic
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 from statechart.study.figure import figure
-from statechart.study.record import Point, Study
+from statechart.study.point import Point
+from statechart.study.record import Study
 from statechart.study.report import omitted
 from statechart.study.slopes import slopes
 from statechart.study.trade import trade

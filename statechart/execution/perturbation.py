@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
 
@@ -30,12 +31,31 @@ def nudged(automaton: Automaton) -> Automaton:
 
     def setup(overrides: Mapping[str, float], relative: float) -> Setup:
         own = automaton.setup(overrides, relative)
-        size = np.abs(own.initial)
-        if own.sizes is not None:
-            size = np.maximum(size, _SMALL * own.sizes)
-        initial = own.initial + np.sign(own.initial) * size * max(relative, _LEAST)
+        initial = own.initial + np.sign(own.initial) * _sizes(own) * max(relative, _LEAST)
         tolerances = _wider(own.tolerances, force=2.0, gap=_WIDER)
         return replace(own, initial=initial, tolerances=tolerances)
+
+    return replace(automaton, setup=setup)
+
+
+def shifted(automaton: Automaton, part: float, signs: Array) -> Automaton:
+    """Return the automaton with every initial value off by a part of it, zeros too, and `widened`.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        What is run.
+    part : float
+        How far, as of `nudged`. What counts as closed and as at rest is as in a run at this
+        tolerance.
+    signs : (n,) array
+        Which way.
+    """
+
+    def setup(overrides: Mapping[str, float], _: float) -> Setup:
+        own = automaton.setup(overrides, part)
+        tolerances = _wider(own.tolerances, force=2.0)
+        return replace(own, initial=own.initial + signs * _sizes(own) * part, tolerances=tolerances)
 
     return replace(automaton, setup=setup)
 
@@ -64,6 +84,12 @@ def loosened(automaton: Automaton, relative: float) -> Automaton:
         return automaton.setup(overrides, relative)
 
     return replace(automaton, setup=setup)
+
+
+def _sizes(setup: Setup) -> Array:
+    """Return what errors of initial values are relative to."""
+    own = np.abs(setup.initial)
+    return own if setup.sizes is None else np.maximum(own, _SMALL * setup.sizes)
 
 
 def _wider(tolerances: Mapping[str, float], **factors: float) -> dict[str, float]:

@@ -15,7 +15,8 @@ import numpy as np
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 from statechart.reporting.figure import LINES, STYLE, render
-from statechart.study.record import Point, Study
+from statechart.study.point import Point
+from statechart.study.record import Study
 from statechart.study.slopes import Slope, fitted, slopes
 
 if TYPE_CHECKING:

@@ -6,22 +6,18 @@ import hashlib
 import json
 import math
 from collections import Counter
-from collections.abc import Collection, Sequence
-from dataclasses import asdict
+from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Annotated, Any, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_serializer
+from pydantic import Field
 
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
+from statechart.study.point import RESOLVED, Errors, Point, Record, Third
 
-_Time = Annotated[float, Field(ge=0)]
-
-RESOLVED = 20.0
-"""Errors below so many times what the reference resolves are rounding."""
 LEAST_POINTS = 3
 """Of a slope."""
 
@@ -30,118 +26,7 @@ LEAST_POINTS = 3
 _CONVERGING = 0.25
 
 
-class _Record(BaseModel):
-    """Base of what is written to a file and read back."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
-
-
-class Errors(_Record):
-    """Of a run against the reference; None where there is nothing to compare.
-
-    Attributes
-    ----------
-    state, times, outputs : float or None
-        As in `statechart.observation.difference.Difference`; times and outputs None where the modes
-        differ.
-    named : mapping of str to float
-        Of every output, whatever the modes.
-    path : float or None
-        See `statechart.observation.difference.distance`.
-    energy : float or None
-        Largest difference of the energy at the events and the end, relative to its size.
-    violations : mapping of str to float
-        By how much the run violates what must hold, whatever the reference (constraint, cone).
-    """
-
-    state: float | None = None
-    times: float | None = None
-    outputs: float | None = None
-    named: dict[str, float] = {}
-    path: float | None = None
-    energy: float | None = None
-    violations: dict[str, float] = {}
-
-    @property
-    def largest(self) -> float | None:
-        """Of state, times, outputs and path."""
-        found = [x for x in (self.state, self.times, self.outputs, self.path) if x is not None]
-        return max(found, default=None)
-
-    def without(self, names: Collection[str]) -> Errors:
-        """Return the errors without those of some outputs."""
-        if self.outputs is None or not names:
-            return self
-        left = [error for name, error in self.named.items() if name not in names]
-        return self.model_copy(update={"outputs": max(left, default=0.0)})
-
-    def worse(self, other: Errors) -> Errors:
-        """Return the larger of the errors of two runs; None where one of them has none."""
-        mine, its = self.model_dump(), other.model_dump()
-        found = {
-            name: None if its[name] is None or value is None else max(value, its[name])
-            for name, value in mine.items()
-            if name not in ("violations", "named")
-        }
-        named = {k: max(v, other.named[k]) for k, v in self.named.items() if k in other.named}
-        violated = {k: max(v, other.violations.get(k, v)) for k, v in self.violations.items()}
-        return Errors(**found, named=named, violations=violated)
-
-
-class Point(_Record):
-    """One setting: what it gave and what it cost.
-
-    Attributes
-    ----------
-    setting : Setting
-        What was run. A step, four times, of which three are shorter by up to a twentieth: events
-        fall anywhere between two steps, and what is told is the worst of the four.
-    outcome : str
-        Why it ended.
-    same_modes : bool
-        Whether it took the modes of the reference, one by one.
-    diverged : float or None
-        When it first did not.
-    parted : float or None
-        When it left the reference for good to the eye; see
-        `statechart.observation.difference.parted`.
-    refused : str
-        Why a run to an accuracy says itself that it did not reach it; else empty.
-    errors : Errors
-        Against the reference.
-    seconds : float
-        Median time of a run, compiling apart.
-    repeats : int
-        How many runs that is the median of.
-    compiling : float
-        How much longer the first run took.
-    steps, evaluations : int
-        Of the integrator and of the rates; evaluations are 0 where they are not counted.
-    flows : int
-        Number of arcs of the run.
-    """
-
-    setting: Setting
-    outcome: str
-    same_modes: bool
-    diverged: float | None
-    parted: float | None
-    refused: str = ""
-    errors: Errors
-    seconds: _Time
-    repeats: int
-    compiling: _Time
-    steps: int
-    evaluations: int
-    flows: int
-
-    @field_serializer("setting")
-    def _plain(self, setting: Setting) -> dict[str, Any]:
-        # No run of a study has a budget.
-        return {name: value for name, value in asdict(setting).items() if name != "budget"}
-
-
-class Study(_Record):
+class Study(Record):
     """A model at many settings.
 
     Attributes
@@ -160,17 +45,22 @@ class Study(_Record):
     parted : float or None
         When these two left each other: then the motion is chaotic or on a knife's edge, and what
         is measured is when runs leave the reference, not errors.
+    third : Third or None
+        A run of a third kind, where two did not agree: reference and check are the two of three
+        that agree best.
     step : float
         Of the check, where it steps in time: no finer step can be judged. Else 0.
     planned : int
         Number of settings.
+    warnings : mapping of str to tuple of str
+        What the runs of reference, check and third warn of, by their labels.
     points : tuple of Point
         Those that were run.
     left_out : mapping of str to str
         Setting -> why it was not run.
     """
 
-    format: Literal["statechart trade 5"] = "statechart trade 5"
+    format: Literal["statechart trade 6"] = "statechart trade 6"
     model: str
     fingerprint: str
     until: float
@@ -179,10 +69,12 @@ class Study(_Record):
     resolution: Errors
     shift: Errors
     parted: float | None
+    third: Third | None = None
     step: float = 0.0
     planned: int
+    warnings: dict[str, tuple[str, ...]] = Field(default={})
     points: tuple[Point, ...] = ()
-    left_out: dict[str, str] = {}
+    left_out: dict[str, str] = Field(default={})
 
     def of(self, model: Declaration) -> bool:
         """Whether a model is the one that was measured, by this version."""
@@ -326,15 +218,28 @@ def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
     """
     found = {}
     for name in dict.fromkeys(name for point in points for name in point.errors.named):
-        pairs = sorted(
-            (point.setting.fineness, point.errors.named[name])
-            for point in points
-            if name in point.errors.named
-        )
-        large = [(h, e) for h, e in pairs if e > max(RESOLVED * least, float(np.finfo(float).eps))]
-        if len(large) < LEAST_POINTS or large[0] != pairs[0]:
-            continue
-        x, y = np.log(np.array(large)).T
-        if median_slope(x, y) < _CONVERGING:
-            found[name] = pairs[0][1]
+        having = [point for point in points if name in point.errors.named]
+        # Every step rounds.
+        rounded = float(np.finfo(float).eps) * max(point.steps for point in having)
+        pairs = [(point.setting.fineness, point.errors.named[name]) for point in having]
+        if not falls(pairs, max(least, rounded / RESOLVED)):
+            found[name] = min(pairs)[1]
     return found
+
+
+def falls(pairs: Sequence[tuple[float, float]], least: float) -> bool:
+    """Whether errors fall with the step, or cannot be told not to.
+
+    Parameters
+    ----------
+    pairs : sequence of (float, float)
+        Step and error.
+    least : float
+        Errors below `RESOLVED` times this cannot be told.
+    """
+    ordered = sorted(pairs)
+    large = [(h, e) for h, e in ordered if e > max(RESOLVED * least, float(np.finfo(float).eps))]
+    if len(large) < LEAST_POINTS or large[0] != ordered[0]:
+        return True
+    x, y = np.log(np.array(large)).T
+    return median_slope(x, y) >= _CONVERGING

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 from statechart.automaton.trace import Outcome
 from statechart.reporting.text import table
-from statechart.study.record import Point, Study
+from statechart.study.notes import beyond, notes, reasons
+from statechart.study.point import Point, Third
+from statechart.study.record import Study
 from statechart.study.slopes import slopes, unfitted
+
+# Of what an odd run is off in, the parts that are so much of the largest are told.
+_MUCH = 0.5
+# So many warnings are told in full.
+_NOTES = 8
 
 
 def text(study: Study) -> str:
@@ -46,20 +54,62 @@ def _head(study: Study) -> list[str]:
         f"{study.model} to t = {study.until:g}: {len(study.points)} of {study.planned} settings",
         f"reference: {study.reference}, checked by {study.check}",
     ]
-    if study.parted is None:
-        shift = study.shift.largest or 0.0
-        lines.append(
-            f"the two differ by {study.resolution.largest or 0.0:.2g}"
-            + (f", and forces have a tolerance worth {shift:.2g}" if shift > 0.0 else "")
-            + "; smaller errors cannot be told"
-        )
-    else:
-        lines.append(
-            f"the two leave each other at t = {study.parted:.6g}: chaotic, or on a knife's edge"
-            + (", or their steps are too long" if study.step > 0.0 else "")
-            + "; for every setting, when it leaves the reference"
-        )
+    if study.parted is not None:
+        return [*lines, f"{_parting(study)}; for every setting, when it leaves the reference"]
+    third, shift = study.third, study.shift.largest or 0.0
+    if third is not None and third.odd:
+        lines.append(_odd(third, study))
+    lines.append(
+        f"the two differ by {study.resolution.largest or 0.0:.2g}"
+        + (f", as {third.setting} from them" if third is not None and not third.odd else "")
+        + (f", and forces have a tolerance worth {shift:.2g}" if shift > 0.0 else "")
+        + "; smaller errors cannot be told"
+    )
     return lines
+
+
+def _odd(third: Third, study: Study) -> str:
+    """Return by what one of three runs differs from the others, which agree."""
+    errors = third.errors
+    worst = errors.largest or 0.0
+    parts = [
+        f"the {name} by {value:.2g}"
+        for name, value in (
+            ("final state", errors.state),
+            ("times of events", errors.times),
+            ("path", errors.path),
+        )
+        if value is not None and value >= _MUCH * worst > 0.0
+    ]
+    parts += [f"{name} by {e:.2g}" for name, e in errors.named.items() if e >= _MUCH * worst > 0.0]
+    when = "" if third.parted is None else f"leaves both at t = {third.parted:.6g}, and "
+    warned = beyond(study.warnings.get(third.setting, ()), study.warnings.get(study.reference, ()))
+    return (
+        f"{third.setting} is the odd one out and not relied on: it {when}is off in "
+        + (", ".join(parts) or "its modes")
+        + f", more than a start that is off by {third.shift:.0e} explains"
+        + "".join(f"; it warns: {text}" for text in warned)
+    )
+
+
+def _parting(study: Study) -> str:
+    """Return how it shows that the motion has no accuracy, and what follows."""
+    third, known = study.third, study.warnings.get(study.reference, ())
+    told = beyond(study.warnings.get(study.check, ()), known)
+    why = "chaotic, or on a knife's edge" + (
+        ", or their steps are too long" if study.step > 0.0 else ""
+    )
+    if told:
+        why = f"{study.check} warns: " + "; ".join(told)
+    two = f"the two leave each other at t = {study.parted:.6g}"
+    if third is None:
+        return f"{two}: {why}"
+    if third.edge is None:
+        return f"{two}, and {third.setting} the nearer of them at t = {third.parted:.6g}: {why}"
+    return (
+        f"{third.setting} leaves the two at t = {study.parted:.6g}, and {study.reference} leaves "
+        f"itself at t = {third.edge:.6g} where its start is off by {third.shift:.0e}: {why}"
+    )
 
 
 def _foot(study: Study) -> str:
@@ -80,13 +130,29 @@ def _foot(study: Study) -> str:
             f"+- {slope.scatter:.1g} "
             f"(theory {slope.theory:.3g}), {slope.points} points"
         )
+    why = reasons(study)
     lines += [
-        f"{name} does not converge with the step: its error is {error:.2g} at the shortest, and is "
-        "not part of the error above"
-        for name, error in study.unsettled().items()
+        f"{family} deviates from the reference at its finest, too; its runs warn, and the "
+        f"reference does not: {'; '.join(told)}"
+        for family, told in why.items()
     ]
+    unsettled = study.unsettled()
+    if unsettled:
+        off = ", ".join(f"{name} ({error:.2g})" for name, error in unsettled.items())
+        kept = "stay off by that" if "impulse" in why else "do not converge with the step"
+        lines.append(
+            f"outputs that {kept}, no part of the errors above (at the shortest step): {off}"
+        )
     lines += [f"no slope for {what}: {why}" for what, why in unfitted(study).items()]
     lines += [f"left out: {line}" for line in omitted(study)]
+    found = notes(study)
+    lines += [
+        f"{_named(study, note.settings)}: {note.text}"
+        + (f" (numbers of {note.settings[0]})" if note.differs else "")
+        for note in found[:_NOTES]
+    ]
+    if len(found) > _NOTES:
+        lines.append(f"{len(found) - _NOTES} further warnings are in trade.json")
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
 
 
@@ -104,6 +170,25 @@ def omitted(study: Study) -> list[str]:
         + f": {why}"
         for why, families in reasons.items()
     ]
+
+
+def _named(study: Study, labels: Sequence[str]) -> str:
+    """Return settings family by family: all of it, from one to another, or one by one."""
+    families: dict[str, list[str]] = {}
+    for point in study.points:
+        families.setdefault(point.setting.family, []).append(point.setting.label)
+    parts = []
+    for own in families.values():
+        places = [place for place, label in enumerate(own) if label in labels]
+        if not places:
+            continue
+        # What a family shares, and how fine each is.
+        head = own[0].rpartition(" ")[0]
+        fine = [own[place].rpartition(" ")[2] for place in places]
+        if len(fine) > 2 and places[-1] - places[0] + 1 == len(places):
+            fine = [f"{fine[0]} to {fine[-1]}"]
+        parts.append(f"{head} {', '.join(fine)}")
+    return "; ".join(parts)
 
 
 def _modes(point: Point) -> str:
@@ -140,4 +225,6 @@ def report(study: Study) -> dict[str, Any]:
     shown["slopes"] = [asdict(slope) for slope in slopes(study)]
     shown["no_slope"] = unfitted(study)
     shown["unsettled"] = study.unsettled()
+    shown["notes"] = [asdict(note) for note in notes(study)]
+    shown["reasons"] = reasons(study)
     return shown

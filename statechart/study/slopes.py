@@ -9,7 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from statechart.study.record import LEAST_POINTS, RESOLVED, Point, Study, median_slope
+from statechart.study.notes import reasons
+from statechart.study.point import RESOLVED, Point
+from statechart.study.record import LEAST_POINTS, Study, median_slope
 
 Quantity = Literal["error", "steps"]
 
@@ -91,13 +93,15 @@ def unfitted(study: Study) -> dict[str, str]:
     """Return what has no slope, of the families that have a theory and were run -> why."""
     run = {point.setting.family for point in study.points}
     known = {(slope.family, slope.of) for slope in slopes(study)}
-    found = {}
+    told, found = reasons(study), {}
     for family, theories in SLOPES.items():
         for of in theories:
             if family not in run or (family, of) in known:
                 continue
             if study.parted is not None and of == "error":
                 why = "there are no errors"
+            elif family in told and of == "error":
+                why = "its runs deviate by what they warn of"
             elif len(fitted(study, family, of)) >= LEAST_POINTS:
                 why = "it does not fall: it is rounding, or these runs take another course"
             elif len(_same(study, family)) < LEAST_POINTS:

@@ -12,7 +12,8 @@ from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
 from statechart.study.bench import Bench
 from statechart.study.file import load, save
-from statechart.study.record import Point, Study, fingerprint
+from statechart.study.point import Point
+from statechart.study.record import Study, fingerprint
 
 # Tolerances of every method, as powers of ten: from where it begins to be of use to where it only
 # takes long.
