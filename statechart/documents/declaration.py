@@ -55,10 +55,14 @@ class Settings(Part):
         default=None, description="Relative tolerance of every step."
     )
     accuracy: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
-        default=None, description="Error allowed at the end, in the scales of the model."
+        default=None,
+        description="Relative error allowed in the result: tolerances are tightened, or steps of "
+        "the engine impulse shortened, until the estimated error is below it.",
     )
     step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        default=None, description="Length of every step in time; of the engine impulse."
+        default=None,
+        description="Length of every step in time, of the engine impulse; of the longest where an "
+        "accuracy is asked for.",
     )
     max_jumps: Annotated[StrictInt, Field(gt=0)] = 100_000
 

@@ -24,10 +24,10 @@ class Setting:
     tolerance : float or None
         Relative tolerance of every step.
     accuracy : float or None
-        Error allowed in the result, relative to its size: tolerances are tightened until the
-        estimated error is below it.
+        Error allowed in the result, relative to its size: tolerances are tightened, or steps of
+        impulse shortened, until the estimated error is below it.
     step : float or None
-        Length of every step in time; of impulse.
+        Length of every step in time, of impulse; of the longest where an accuracy is asked for.
     budget : float or None
         Seconds allowed: tolerances are tightened as long as there is time.
     """
@@ -51,12 +51,12 @@ class Setting:
         finders = ("tolerance", "accuracy", "budget")
         named = [what for what in finders if getattr(self, what) is not None]
         if engine == "impulse":
-            for what in ("method", *finders):
+            for what in ("method", "tolerance", "budget"):
                 if getattr(self, what) is not None:
                     raise _misplaced(
                         what,
                         f"the engine impulse has no {what}",
-                        "its error follows the step: give a step",
+                        "its error follows the step: give a step, or an accuracy",
                     )
         elif self.step is not None:
             raise _misplaced(
@@ -90,6 +90,11 @@ class Setting:
                 )
 
     @property
+    def stepped(self) -> bool:
+        """Whether runs are stepped through time."""
+        return self.engine == "impulse"
+
+    @property
     def family(self) -> str:
         """Settings that differ in how fine they are only."""
         return "accuracy" if self.accuracy is not None else self.method or self.engine or "auto"
@@ -107,7 +112,7 @@ class Setting:
     @property
     def label(self) -> str:
         """What it is called."""
-        what = "step" if self.step is not None else "accuracy" if self.accuracy is not None else ""
+        what = "accuracy" if self.accuracy is not None else "step" if self.step is not None else ""
         words = (self.engine or "auto", self.method or "", what, f"{self.fineness:.3g}")
         return " ".join(word for word in words if word)
 

@@ -40,7 +40,7 @@ class Plan:
     first : float or None
         Tolerance of the first run, where that was measured.
     basis : str
-        What that was chosen by.
+        What that was chosen by, or the first step.
     measured : float or None
         End of the runs that it was chosen by, where they were measured: what they say holds of a
         run to this end with the parameters of the model.
@@ -108,21 +108,24 @@ def _stepping(asked: Setting, model: Declaration, automaton: Automaton, steps_on
             "contact: a scene is needed",
             advice="take the engine taylor or scipy",
         )
-    given = model.settings.step if asked.step is None else asked.step
-    step = given
-    if step is None and steps_only and automaton.own_step is not None:
-        step = automaton.own_step()
-    if step is None:
+    if asked.step is None and asked.accuracy is None:
+        asked = replace(asked, accuracy=model.settings.accuracy)
+    step, basis = asked.step or model.settings.step, "as given"
+    searched = asked.accuracy is not None
+    if step is None and automaton.own_step is not None and (steps_only or searched):
+        step, basis = automaton.own_step(), "by the scales of the scene"
+    if step is None and searched:
+        basis = "a thousandth of the run"
+    elif step is None:
         raise DeclarationError(
-            "the engine impulse needs a step",
+            "the engine impulse needs a step, or an accuracy",
             advice="say --step 1e-3, or write settings: {engine: impulse, step: 1e-3}; a "
             "thousandth of the shortest time of interest is a good start",
         )
     reason = ""
     if steps_only:
-        by = "as given" if given is not None else "by the scales of the scene"
         reason = (
-            f"engine impulse, in steps of {step:g} ({by}): bodies that collide by their shapes run "
-            "on no other"
+            f"engine impulse, in steps of {step:g}{' at most' if searched else ''} ({basis}): "
+            "bodies that collide by their shapes run on no other"
         )
-    return Plan(replace(asked, step=step), reason=reason)
+    return Plan(replace(asked, step=step), basis=basis, reason=reason)

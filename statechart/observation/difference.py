@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.trace import Jump, Trace, sizes
+from statechart.automaton.trace import Jump, Key, Trace, sizes
 from statechart.observation.outputs import OutputValue as Output
 from statechart.observation.sampling import at_times
 from statechart.observation.zeno_tails import without_summed
@@ -215,6 +215,33 @@ def distance(reference: Trace, trace: Trace) -> float:
     with np.errstate(invalid="ignore"):
         apart = np.abs(_states(reference, times) - _states(trace, times))
     return float((weights @ apart / (end * _scales(reference, trace))).max(initial=0.0))
+
+
+def modes_apart(reference: Trace, trace: Trace) -> float:
+    """Return for which part of the time that both last two runs are in different modes.
+
+    Parameters
+    ----------
+    reference, trace : Trace
+        Two runs of one model from one start.
+    """
+    end = min(reference.t_end, trace.t_end)
+    if not end > 0.0:
+        return 0.0
+    numbers: dict[Key, int] = {}
+    changes, modes = [], []
+    for run in (reference, trace):
+        keys = [run.start_mode, *(jump.target for jump in run.jumps)]
+        modes.append(np.array([numbers.setdefault(key, len(numbers)) for key in keys]))
+        changes.append(np.array([jump.t for jump in run.jumps]))
+    marks = np.unique(np.concatenate([[0.0, end], *changes]))
+    marks = marks[marks <= end]
+    middles = 0.5 * (marks[:-1] + marks[1:])
+    one, other = (
+        numbered[np.searchsorted(times, middles)]
+        for numbered, times in zip(modes, changes, strict=True)
+    )
+    return float(np.diff(marks) @ (one != other)) / end
 
 
 def paired(

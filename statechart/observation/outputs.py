@@ -9,6 +9,7 @@ from statechart.automaton.events import happened
 from statechart.automaton.trace import Jump, Trace
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Value
 from statechart.observation.observer import Observer
+from statechart.observation.zeno_tails import last_resolved
 
 OutputValue = float | int | list[float] | None
 """A number; a list for a value at `each` event; None where the event never happened."""
@@ -87,9 +88,9 @@ class Outputs:
     def endless(self, trace: Trace) -> frozenset[str]:
         """Return the outputs that count or list events of which a Zeno sequence has no end.
 
-        How many of them a run resolves follows from its tolerance.
+        How many of them a run resolves follows from its tolerance or step.
         """
-        summed = [jump for jump in trace.jumps if jump.skipped > 0.0]
+        summed = last_resolved(trace)
         regions = self.observer.automaton.regions
         several = [(name, events) for name, _, when, events in self._at if when == "each"]
         return frozenset(

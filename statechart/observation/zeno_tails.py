@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
+from statechart.automaton.trace import Jump, Trace
+
 # The window in which one run sums up the jumps that the other resolves, either side.
 _WINDOW = (0.5, 1.001)
 
@@ -20,6 +22,40 @@ class _Timed(Protocol):
 
 
 T = TypeVar("T", bound=_Timed)
+
+# A bounce that a step takes for rest is no faster than two steps of free fall, and lasts four.
+_CAPTURED = 5.0
+
+
+def last_resolved(trace: Trace) -> list[Jump]:
+    """Return the last jumps of Zeno sequences that a run resolves.
+
+    One that locates events has summed up what was left. One that steps in time lets what bounces
+    too low rest: there a region, free before and after its last impact, is so no longer within the
+    steps of such a bounce.
+
+    Parameters
+    ----------
+    trace : Trace
+    """
+    if trace.step is None:
+        return [jump for jump in trace.jumps if jump.skipped > 0.0]
+    bounced: dict[int, Jump] = {}
+    found: dict[int, Jump] = {}
+    places = {name: i for i, name in enumerate(trace.regions)}
+    for jump in trace.jumps:
+        about = places.get(jump.region)
+        for i, (before, after) in enumerate(zip(jump.source, jump.target, strict=True)):
+            if before == after or i not in bounced:
+                continue
+            last = bounced.pop(i)
+            # What was not free came to its impact, and leaves it, by another cause.
+            alike = i != about or jump.cause == last.cause
+            if alike and jump.t - last.t <= _CAPTURED * trace.step:
+                found[id(last)] = last
+        if about is not None and jump.impulse and jump.source[about] == jump.target[about]:
+            bounced[about] = jump
+    return list(found.values())
 
 
 def without_summed(runs: Sequence[Sequence[T]]) -> list[list[tuple[T, bool]]] | None:

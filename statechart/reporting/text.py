@@ -61,8 +61,8 @@ def _head(report: Mapping[str, Any]) -> str:
         cost = report["asked"]["cost"]
         runs = f"{cost['runs']} run{'s' if cost['runs'] != 1 else ''}"
         lines.append(
-            f"  it took {runs}, {cost['steps']} steps, {cost['seconds']:.2g} s; first tolerance "
-            f"{report['asked']['basis']}"
+            f"  it took {runs}, {cost['steps']} steps, {cost['seconds']:.2g} s; first "
+            f"{'tolerance' if report['step'] is None else 'step'} {report['asked']['basis']}"
         )
         if report["asked"]["not_judged"]:
             names = ", ".join(report["asked"]["not_judged"])

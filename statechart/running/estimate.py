@@ -89,7 +89,7 @@ class Answer:
     not_judged: tuple[str, ...] = ()
 
 
-class _Made(NamedTuple):
+class Made(NamedTuple):
     """A run, its outputs, how large they are, and those that have any number of events."""
 
     trace: Trace
@@ -98,7 +98,8 @@ class _Made(NamedTuple):
     endless: frozenset[str]
 
     @classmethod
-    def of(cls, observer: Observer, trace: Trace) -> _Made:
+    def of(cls, observer: Observer, trace: Trace) -> Made:
+        """Evaluate the outputs of a run."""
         outputs = Outputs(observer)
         return cls(trace, outputs.of(trace), outputs.sizes(trace), outputs.endless(trace))
 
@@ -116,7 +117,7 @@ class _Runs:
         self._accuracy, self._floor = accuracy, floor
         self._brief = accuracy or BRIEF
         self._once, self._clock, self._began = once, clock, clock()
-        self._last: _Made | None = None
+        self._last: Made | None = None
         self.runs = self.steps = self.evaluations = 0
         self.estimate: float | None = None
         self.diverged = ""
@@ -136,7 +137,7 @@ class _Runs:
         has no influence. So where they agree well, or nothing tighter follows, a third, from a
         start that is off by the tolerance, shows how much an error so small is magnified.
         """
-        now = _Made.of(observer, trace)
+        now = Made.of(observer, trace)
         if self._last is not None:
             before = self._last.trace
             estimate = self._difference(
@@ -150,7 +151,7 @@ class _Runs:
             self.estimate = estimate
         self._last = now
 
-    def _magnified(self, now: _Made) -> float:
+    def _magnified(self, now: Made) -> float:
         """Return the difference from a run whose start is off; 0 where there is none."""
         try:
             observer, trace = self.make(now.trace.tolerance, nudged=True)
@@ -159,12 +160,12 @@ class _Runs:
             return 0.0
         if trace.outcome in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
             return 0.0
-        found = _Made.of(observer, trace)
+        found = Made.of(observer, trace)
         return self._difference(
             found, now, "with gaps and from starts that differ by the tolerance"
         )
 
-    def _counted(self, now: _Made) -> float:
+    def _counted(self, now: Made) -> float:
         """Return the difference from a far tighter run; 0 where no events are counted or listed.
 
         Impacts that follow each other within the tolerance are one, and two runs whose tolerances
@@ -177,9 +178,9 @@ class _Runs:
         observer, trace = self.make(tolerance)
         if trace.outcome in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
             return 0.0
-        return self._difference(now, _Made.of(observer, trace), "at the tolerances far apart, to")
+        return self._difference(now, Made.of(observer, trace), "at the tolerances far apart, to")
 
-    def _difference(self, one: _Made, other: _Made, how: str) -> float:
+    def _difference(self, one: Made, other: Made, how: str) -> float:
         # How many events of a Zeno sequence are resolved follows from the tolerance.
         self.endless = one.endless | other.endless
         found = compare(

@@ -29,7 +29,7 @@ class Asked:
     setting : Setting
         With the accuracy or the budget allowed.
     basis : str
-        What the first tolerance was chosen by.
+        What the first tolerance or step was chosen by.
     cost : Cost
         Of all runs.
     not_judged : tuple of str
@@ -69,9 +69,9 @@ class Result:
         Evaluates formulas along the trace.
     error_estimate : float or None
         Where an accuracy was asked for: the largest difference between this run and one at 20
-        times its tolerance, of the final state, the times of events and the outputs, each
-        relative to its own size; inf where the two took different modes. None where nothing was
-        estimated.
+        times its tolerance, or what the scheme's order makes of those at up to four times its
+        step, of the final state, the times of events and the outputs, each relative to its own
+        size; inf where there is none. None where nothing was estimated.
     timings : mapping of str to float
         What took how many seconds.
     runner : Runner
@@ -90,8 +90,10 @@ class Result:
     def __reduce__(self) -> tuple[object, ...]:
         """Travel as what was found and what made it: the observer is made anew there."""
         setting = self.runner.setting
-        if self.asked is not None:  # the tolerance was found
-            setting = replace(setting, tolerance=self.trace.tolerance)
+        if self.asked is not None:  # the tolerance or the step was found
+            found = {"step": self.trace.step, "accuracy": None}
+            tolerance = {"tolerance": self.trace.tolerance}
+            setting = replace(setting, **(found if setting.stepped else tolerance))
         return _remade, (
             self.runner, setting, self.trace, self.error_estimate, self.timings, self.asked
         )  # fmt: skip

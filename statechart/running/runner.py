@@ -29,6 +29,7 @@ from statechart.loading.load import find, interpret
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.estimate import Answer, Cost, tighten, within
+from statechart.running.halving import SHARE, halve
 from statechart.running.result import Asked, Result
 
 if TYPE_CHECKING:
@@ -51,10 +52,11 @@ class Runner:
     tolerance : float, optional
         Relative tolerance of the integration.
     accuracy : float, optional
-        Error allowed, relative to the size of what is computed: tolerances are tightened until
-        the estimated error is below it.
+        Error allowed, relative to the size of what is computed: tolerances are tightened, or
+        steps of the engine impulse shortened, until the estimated error is below it.
     step : float, optional
-        Length of a step in time; of the engine impulse, which needs it.
+        Length of a step in time, of the engine impulse, which needs it or an accuracy; then it is
+        the longest.
     budget : float, optional
         Seconds allowed for a run: tolerances are tightened as long as there is time.
     study : Study, optional
@@ -107,7 +109,7 @@ class Runner:
             self._plan = planned(self._asked, model, self.automaton, study)
         self.setting, self._reason = self._plan.setting, self._plan.reason
         self._allowance = None if self.setting.budget is None else Allowance(self.setting.budget)
-        if self.setting.step is None:
+        if not self.setting.stepped:
             _, self._reason = choose(self.setting)
         self.observers = Observers(self.automaton, allowance=self._allowance, progress=progress)
 
@@ -206,14 +208,14 @@ class Runner:
         """
         overrides = dict(parameters or {})
         self._check(overrides)
-        stepped = self.setting.step is not None
+        stepped = self.setting.stepped
         relative = math.nan if stepped else self.observers.engine(self.setting).tolerance
         with located(self.document, overrides):
             return self.automaton.setup(overrides, relative)
 
     @property
     def _searching(self) -> bool:
-        """Whether the tolerance is looked for."""
+        """Whether the tolerance or the step is looked for."""
         return self.setting.accuracy is not None or self.setting.budget is not None
 
     def end(
@@ -293,9 +295,16 @@ class Runner:
         def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
             return self._once(replace(self.setting, tolerance=tolerance), overrides, end, off=off)
 
+        def at(step: float) -> tuple[Observer, Trace]:
+            return self._once(replace(self.setting, accuracy=None, step=step), overrides, end)
+
         if not self._searching:
             observer, trace = self._once(self.setting, overrides, end)
             return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
+        if self.setting.stepped:
+            assert self.setting.accuracy is not None
+            first = self.setting.step or SHARE * end or 1.0
+            return halve(at, self.setting.accuracy, first=first, end=end)
         floor = self.observers.floor(self.setting)
         if self._allowance is not None:
             self._allowance.begin()
@@ -305,7 +314,7 @@ class Runner:
 
     def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         with located(self.document, overrides):
-            if self.automaton.stepper is not None and self.setting.step is not None:
+            if self.automaton.stepper is not None and self.setting.stepped:
                 self._check(overrides)
                 return self.automaton.stepper().start(overrides)
             setup = self.setup(overrides)
