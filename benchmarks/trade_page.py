@@ -97,7 +97,7 @@ def section(title: str, source: str, study: Study) -> str:
     """Return the part of the page about one system."""
     name = study.model
     rows = [
-        "| setting | modes | error | evaluations | time | compiling |",
+        "| setting | modes | error | evaluations | warm | cold |",
         "|---|---|---|---|---|---|",
     ]
     front = study.front()
@@ -107,7 +107,7 @@ def section(title: str, source: str, study: Study) -> str:
         modes = "same" if p.same_modes else f"others from t = {p.diverged:.3g}"
         rows.append(
             f"| {p.setting.label}{star} | {modes} | {'' if error is None else f'{error:.1e}'} | "
-            f"{p.evaluations or ''} | {p.seconds * 1e3:.3g} ms | {p.compiling * 1e3:.2g} ms |"
+            f"{p.evaluations or ''} | {p.seconds * 1e3:.3g} ms | {p.cost(once=True) * 1e3:.2g} ms |"
         )
     missed = ", ".join(f"{f} {few} of {many}" for f, (few, many) in study.missed().items())
     powers = ", ".join(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import count
+from typing import Any
 
 from statechart.documents.setting import Setting
+from statechart.running.runner import Runner
 from statechart.study.point import Errors, Point
 from statechart.study.record import Study
+from statechart.study.trade import trade
 
 # One event in a long smooth motion, so that the integrator decides the error.
 OSCILLATOR = """\
@@ -57,6 +60,16 @@ def ticking() -> Callable[[], float]:
     return lambda: next(ticks) * 1e-3
 
 
+def cold(setting: Setting) -> float:
+    """Return what the first run of a process takes, without one."""
+    return 0.25
+
+
+def traded(runner: Runner, *, settings: Sequence[Setting], **more: Any) -> Study:
+    """Return a study of settings, without a clock and without further processes."""
+    return trade(runner, settings=settings, repeats=1, clock=ticking(), cold=cold, **more)
+
+
 def scipy(method: str, *powers: int) -> list[Setting]:
     return [Setting(engine="scipy", method=method, tolerance=10.0**-p) for p in powers]
 
@@ -71,7 +84,7 @@ def point(tolerance: float, error: float, seconds: float, **changes: object) -> 
         "errors": Errors(state=error, times=0.0, outputs=0.0),
         "seconds": seconds,
         "repeats": 3,
-        "compiling": 0.0,
+        "cold": seconds,
         "steps": 10,
         "evaluations": 60,
         "flows": 1,

@@ -55,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.file,
         **{part.name: getattr(arguments, part.name) for part in fields(Setting)},
         study=_study(arguments),
+        once=True,
         progress=True,
     )
     _check_folder(arguments.output)

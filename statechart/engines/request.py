@@ -15,6 +15,30 @@ TIGHTER = 1.0 / 20.0
 it the difference of the two bounds the error in 179, at 3.2 to 3.7 times the cost of one."""
 
 
+@dataclass(frozen=True)
+class Chosen:
+    """A setting that was seen to do, and what tells its run when it is made again.
+
+    Attributes
+    ----------
+    setting : Setting
+        With a tolerance.
+    error : float
+        That of its run at most: against a reference, and that of the reference itself.
+    outcome : str
+        Why its run ended.
+    steps, evaluations, flows : int
+        Which it took.
+    """
+
+    setting: Setting
+    error: float
+    outcome: str
+    steps: int
+    evaluations: int
+    flows: int
+
+
 class Measured(Protocol):
     """What was measured of a model at many settings, as `statechart.study.record.Study`."""
 
@@ -24,8 +48,11 @@ class Measured(Protocol):
         """Whether a model is the one that was measured."""
         ...
 
-    def choose(self, asked: Setting) -> Setting | None:
-        """Return what was seen to reach an accuracy, or the best in a time."""
+    def choose(self, asked: Setting, *, once: bool) -> Chosen | None:
+        """Return what was seen to reach an accuracy, or the best in a time.
+
+        `once`: where it is the first run of a process; else where it follows others.
+        """
         ...
 
 
@@ -41,6 +68,8 @@ class Plan:
         Tolerance of the first run, where that was measured.
     basis : str
         What that was chosen by, or the first step.
+    chosen : Chosen or None
+        The run that was measured to reach the accuracy asked for.
     measured : float or None
         End of the runs that it was chosen by, where they were measured: what they say holds of a
         run to this end with the parameters of the model.
@@ -51,14 +80,22 @@ class Plan:
     setting: Setting
     first: float | None = None
     basis: str = "estimated: nothing was measured of this run"
+    chosen: Chosen | None = None
     measured: float | None = None
     reason: str = ""
 
 
 def planned(
-    asked: Setting, model: Declaration, automaton: Automaton, study: Measured | None = None
+    asked: Setting,
+    model: Declaration,
+    automaton: Automaton,
+    study: Measured | None = None,
+    *,
+    once: bool = False,
 ) -> Plan:
     """Return how to run a model as asked, by what its settings say and what was measured of it.
+
+    `once`: see `Measured.choose`.
 
     Raises
     ------
@@ -81,23 +118,26 @@ def planned(
         asked = replace(asked, method=settings.method)
     if asked.tolerance is None and asked.accuracy is None and asked.budget is None:
         asked = replace(asked, tolerance=settings.tolerance, accuracy=settings.accuracy)
-    return _learned(Plan(asked), study, model)
+    return _learned(Plan(asked), study, model, once=once)
 
 
-def _learned(plan: Plan, study: Measured | None, model: Declaration) -> Plan:
+def _learned(plan: Plan, study: Measured | None, model: Declaration, *, once: bool) -> Plan:
     """Return the plan with engine and first tolerance chosen by what was measured."""
     asked = plan.setting
     if study is None or (asked.accuracy is None and asked.budget is None):
         return plan
     if not study.of(model):
         return replace(plan, basis="estimated: the study given is of another model or version")
-    found = study.choose(asked)
-    if found is None or found.tolerance is None:
+    chosen = study.choose(asked, once=once)
+    if chosen is None or chosen.setting.tolerance is None:
         return replace(plan, basis="estimated: no setting that was measured is expected to do")
-    # In a budget two runs are to fit: that one, and one before it to compare it with.
-    first = found.tolerance if asked.budget is None else found.tolerance / TIGHTER
+    found, tolerance = chosen.setting, chosen.setting.tolerance
     setting = replace(asked, engine=found.engine, method=found.method)
-    return Plan(setting, first, f"measured: {found.label}", study.until)
+    basis = f"measured: {found.label}"
+    if asked.budget is not None:
+        # Two runs are to fit: that one, and one before it to compare it with.
+        return Plan(setting, tolerance / TIGHTER, basis, measured=study.until)
+    return Plan(setting, tolerance, basis, chosen, study.until)
 
 
 def _stepping(asked: Setting, model: Declaration, automaton: Automaton, steps_only: bool) -> Plan:

@@ -29,7 +29,7 @@ class Asked:
     setting : Setting
         With the accuracy or the budget allowed.
     basis : str
-        What the first tolerance or step was chosen by.
+        What the tolerance, or the first of several tolerances or steps, was chosen by.
     cost : Cost
         Of all runs.
     not_judged : tuple of str
@@ -71,7 +71,8 @@ class Result:
         Where an accuracy was asked for: the largest difference between this run and one at 20
         times its tolerance, or what the scheme's order makes of those at up to four times its
         step, of the final state, the times of events and the outputs, each relative to its own
-        size; inf where there is none. None where nothing was estimated.
+        size; inf where there is none. Of a run that a study measured, its error against the study's
+        reference, and what that may be off by. None where nothing was estimated.
     timings : mapping of str to float
         What took how many seconds.
     runner : Runner

@@ -28,6 +28,7 @@ from statechart.loading.kind import kind
 from statechart.loading.load import find, interpret
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
+from statechart.running.confirmed import confirmed
 from statechart.running.estimate import Answer, Cost, tighten, within
 from statechart.running.halving import SHARE, halve
 from statechart.running.result import Asked, Result
@@ -60,7 +61,10 @@ class Runner:
     budget : float, optional
         Seconds allowed for a run: tolerances are tightened as long as there is time.
     study : Study, optional
-        What was measured of this model: engine and first tolerance are chosen by it.
+        What was measured of this model: engine and tolerance are chosen by it.
+    once : bool
+        Whether what is chosen is to be the cheapest for a single run, which loads and compiles
+        all that it needs, as those of the command line; else for many runs of this runner.
     progress : bool
         Whether runs above about a second report to stderr.
 
@@ -82,6 +86,7 @@ class Runner:
         step: float | None = None,
         budget: float | None = None,
         study: Measured | None = None,
+        once: bool = False,
         progress: bool = False,
     ) -> None:
         began = time.perf_counter()
@@ -104,9 +109,9 @@ class Runner:
         self._timings = {"read": read_at - began, "compose": time.perf_counter() - read_at}
         self._progress = progress
         self._asked = Setting(engine, method, tolerance, accuracy, step, budget)
-        self._study = study
+        self._study, self._alone = study, once
         with located(self.document, {}):
-            self._plan = planned(self._asked, model, self.automaton, study)
+            self._plan = planned(self._asked, model, self.automaton, study, once=once)
         self.setting, self._reason = self._plan.setting, self._plan.reason
         self._allowance = None if self.setting.budget is None else Allowance(self.setting.budget)
         if not self.setting.stepped:
@@ -115,7 +120,12 @@ class Runner:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Travel as the model and what is asked for: what is compiled is compiled anew there."""
-        asked = {**asdict(self._asked), "study": self._study, "progress": self._progress}
+        asked = {
+            **asdict(self._asked),
+            "study": self._study,
+            "once": self._alone,
+            "progress": self._progress,
+        }
         return partial(Runner, self.model, **asked), (), {"document": self.document}
 
     def run(
@@ -153,11 +163,11 @@ class Runner:
         if measured is not None and (overrides or end != measured):
             return self._other(self.model, None).run(overrides, until=end, throw=throw)
         began = time.perf_counter()
-        answer = self._answer(overrides, end)
+        answer, basis = self._answer(overrides, end)
         observer, trace, estimate = answer.observer, answer.trace, answer.estimate
         asked = None
         if self._searching:
-            asked = Asked(self.setting, self._plan.basis, answer.cost, answer.not_judged)
+            asked = Asked(self.setting, basis, answer.cost, answer.not_judged)
         if answer.warnings:
             trace = replace(trace, warnings=(*trace.warnings, *answer.warnings))
         if self._reason:
@@ -287,11 +297,16 @@ class Runner:
 
     def _other(self, model: Declaration, study: Measured | None) -> Runner:
         """Return what runs another model, or by another study, in the place of this one."""
-        other = Runner(model, **asdict(self._asked), study=study, progress=self._progress)
+        other = Runner(
+            model, **asdict(self._asked), study=study, once=self._alone, progress=self._progress
+        )
         other.document = self.document
         return other
 
-    def _answer(self, overrides: Mapping[str, float], end: float) -> Answer:
+    def _answer(self, overrides: Mapping[str, float], end: float) -> tuple[Answer, str]:
+        """Return the run asked for, and what it was chosen by."""
+        basis = self._plan.basis
+
         def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
             return self._once(replace(self.setting, tolerance=tolerance), overrides, end, off=off)
 
@@ -300,17 +315,23 @@ class Runner:
 
         if not self._searching:
             observer, trace = self._once(self.setting, overrides, end)
-            return Answer(observer, trace, None, Cost(1, 0, 0, 0.0))
+            return Answer(observer, trace, None, Cost(1, 0, 0, 0.0)), basis
         if self.setting.stepped:
             assert self.setting.accuracy is not None
             first = self.setting.step or SHARE * end or 1.0
-            return halve(at, self.setting.accuracy, first=first, end=end)
+            return halve(at, self.setting.accuracy, first=first, end=end), basis
         floor = self.observers.floor(self.setting)
         if self._allowance is not None:
             self._allowance.begin()
-            return within(once, self._allowance.seconds, first=self._plan.first, floor=floor)
+            seconds = self._allowance.seconds
+            return within(once, seconds, first=self._plan.first, floor=floor), basis
         assert self.setting.accuracy is not None
-        return tighten(once, self.setting.accuracy, first=self._plan.first, floor=floor)
+        if self._plan.chosen is not None:
+            answer = confirmed(once, self._plan.chosen)
+            if answer is not None:
+                return answer, f"{basis}, as that run"
+            basis += ", which runs otherwise here"
+        return tighten(once, self.setting.accuracy, first=self._plan.first, floor=floor), basis
 
     def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         with located(self.document, overrides):
@@ -340,6 +361,8 @@ def run(
 ) -> Result:
     """Run a model once; see `Runner` and `Runner.run` for the parameters.
 
+    By a study what is cheapest is chosen as for `Runner(once=True)`.
+
     Examples
     --------
     >>> result = run("bouncing_ball", parameters={"k": 0.5})
@@ -347,7 +370,7 @@ def run(
     'HORIZON'
     """
     asked = Setting(engine, method, tolerance, accuracy, step, budget)
-    runner = Runner(model, **asdict(asked), study=study, progress=progress)
+    runner = Runner(model, **asdict(asked), study=study, once=True, progress=progress)
     return runner.run(parameters, until=until, throw=throw)
 
 

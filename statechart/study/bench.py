@@ -35,6 +35,7 @@ class Bench:
     until: float
     repeats: int
     clock: Callable[[], float]
+    cold: Callable[[Setting], float | None]
 
     def reference(self, mark: str) -> tuple[Run, Study]:
         """Make what runs are compared with; see `References.make`."""
@@ -90,7 +91,7 @@ class Bench:
                 raise error_of(found.trace)
             return found, self.clock() - began
 
-        found, first = timed(answers[0])
+        found, _ = timed(answers[0])
         shown = [found]
         times: list[float] = []
         # The first run compiles, however long it takes: times are of those that follow.
@@ -112,7 +113,7 @@ class Bench:
             errors=errors,
             seconds=seconds,
             repeats=len(times),
-            compiling=max(first - seconds, 0.0),
+            cold=self.cold(setting),
             steps=found.cost.steps,
             evaluations=found.cost.evaluations,
             flows=len(found.trace.arcs),

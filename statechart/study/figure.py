@@ -34,9 +34,10 @@ def figure(study: Study) -> Figure:
     """Draw a study: errors above, against the time of a run and against evaluations of the rates.
 
     Below, errors and accepted steps against the tolerance (the step, where it is fixed), with the
-    slopes that were fitted and the error that equals the tolerance. On the
-    left above, the Pareto front. Hollow: the run took other modes than the reference. Where the
-    motion is chaotic, the time at which runs leave the reference stands in the place of errors.
+    slopes that were fitted and the error that equals the tolerance. On the left above, small dots
+    are first runs of a process and marks those that follow; each have their Pareto front. Hollow:
+    the run took other modes than the reference. Where the motion is chaotic, the time at which runs
+    leave the reference stands in the place of errors.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -51,6 +52,8 @@ def figure(study: Study) -> Figure:
             heights = [_height(study, p) for p in points]
             fineness = [p.setting.fineness for p in points]
             _draw(times, points, [p.seconds for p in points], heights, look, family)
+            firsts = [math.nan if p.cold is None else p.cold for p in points]
+            times.plot(firsts, heights, ".", markersize=3, color=look.colour, alpha=0.6)
             _draw(works, points, [_work(p) for p in points], heights, look)
             _draw(promises, points, fineness, heights, look)
             if family not in ("impulse", "accuracy"):
@@ -59,7 +62,8 @@ def figure(study: Study) -> Figure:
                 if slope.family == family:
                     _slope(promises if slope.of == "error" else steps, study, slope, look.colour)
         if study.parted is None:
-            _front(times, study)
+            for once in (False, True):
+                _front(times, study, once=once)
             promises.axline(
                 (1e-6, 1e-6), slope=1.0, color=_INK, linewidth=0.6, linestyle=(0, (1, 2))
             )
@@ -82,7 +86,7 @@ def figure(study: Study) -> Figure:
         steps.set_yscale("log")
         steps.set_visible(bool(steps.lines))
         for ax, label in (
-            (times, "time of a run, s"),
+            (times, "time of a further run; dots: of the first of a process, s"),
             (works, "evaluations of the rates (impulse: steps)"),
             (promises, "tolerance or accuracy (impulse: step)"),
             (steps, "tolerance"),
@@ -126,14 +130,14 @@ def _csv(study: Study) -> str:
     writer.writerow(
         ["engine", "method", "tolerance", "accuracy", "step", "outcome", "same_modes", "diverged",
          "parted", "error", "state", "times", "outputs", "path", "energy", *kinds, "seconds",
-         "repeats", "compiling", "steps", "evaluations", "flows", "kept"]
+         "repeats", "cold", "steps", "evaluations", "flows", "kept"]
     )  # fmt: skip
     for p in study.points:
         s, e = p.setting, p.errors
         writer.writerow(
             [s.engine, s.method, s.tolerance, s.accuracy, s.step, p.outcome, p.same_modes,
              p.diverged, p.parted, study.error(p), e.state, e.times, e.outputs, e.path, e.energy,
-             *(e.violations.get(name) for name in kinds), p.seconds, p.repeats, p.compiling,
+             *(e.violations.get(name) for name in kinds), p.seconds, p.repeats, p.cold,
              p.steps, p.evaluations, p.flows, study.kept(p)]
         )  # fmt: skip
     return stream.getvalue()
@@ -206,16 +210,16 @@ def _draw(
             )
 
 
-def _front(ax: Axes, study: Study) -> None:
-    front = study.front()
+def _front(ax: Axes, study: Study, *, once: bool) -> None:
+    front = study.front(once=once)
     ax.step(
-        [point.seconds for point in front],
+        [point.cost(once=once) for point in front],
         [_height(study, point) for point in front],
         where="post",
         color=_INK,
         linewidth=0.9,
-        linestyle=(0, (3, 2)),
-        label="Pareto front",
+        linestyle=(0, (1, 1.5)) if once else (0, (3, 2)),
+        label="front of first runs (dots)" if once else "front of further runs",
     )
 
 

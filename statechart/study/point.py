@@ -98,11 +98,12 @@ class Point(Record):
     errors : Errors
         Against the reference.
     seconds : float
-        Median time of a run, compiling apart.
+        Median time of a run that follows others in one process: warm.
     repeats : int
         How many runs that is the median of.
-    compiling : float
-        How much longer the first run took.
+    cold : float or None
+        Time of the first run of a process, see `statechart.study.cold.Fresh`; None where no process
+        could be had.
     steps, evaluations : int
         Of the integrator and of the rates; evaluations are 0 where they are not counted.
     flows : int
@@ -119,10 +120,14 @@ class Point(Record):
     errors: Errors
     seconds: _Time
     repeats: int
-    compiling: _Time
+    cold: _Time | None
     steps: int
     evaluations: int
     flows: int
+
+    def cost(self, *, once: bool) -> float:
+        """Return the seconds of a run: of the first of a process, or of one that follows others."""
+        return self.seconds if self.cold is None or not once else self.cold
 
     @field_serializer("setting")
     def _plain(self, setting: Setting) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from pydantic import Field
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
+from statechart.engines.request import Chosen
 from statechart.study.point import RESOLVED, Errors, Point, Record, Third
 
 LEAST_POINTS = 3
@@ -110,14 +111,20 @@ class Study(Record):
         """Whether a point took the modes of the reference and has an error."""
         return point.same_modes and self.error(point) is not None
 
-    def front(self) -> tuple[Point, ...]:
+    def front(self, *, once: bool = False) -> tuple[Point, ...]:
         """Return the Pareto front: no other point is at least as accurate and faster.
 
         Only of points that took the modes of the reference; from the fastest on.
+
+        Parameters
+        ----------
+        once : bool
+            Whether that is the first run of a process, or one that follows others.
         """
         found: list[Point] = []
         least = math.inf
-        for point in sorted(filter(self.comparable, self.points), key=lambda p: p.seconds):
+        points = filter(self.comparable, self.points)
+        for point in sorted(points, key=lambda p: p.cost(once=once)):
             error = self.error(point)
             if error is not None and error < least:
                 least = error
@@ -151,21 +158,25 @@ class Study(Record):
                 missed[point.setting.family] += not kept
         return {family: (missed[family], count) for family, count in told.items()}
 
-    def choose(self, asked: Setting) -> Setting | None:
+    def choose(self, asked: Setting, *, once: bool) -> Chosen | None:
         """Return the cheapest setting that was seen to reach an accuracy, or the best in a time.
+
+        What reaches it does so with the error that the reference itself may have on top.
 
         Parameters
         ----------
         asked : Setting
-            With an accuracy, or a budget for the run and a coarser one to compare it with,
-            compiling included. An engine or a method that is named leaves out all others.
+            With an accuracy, or a budget for the run and a coarser one to compare it with. An
+            engine or a method that is named leaves out all others.
+        once : bool
+            Whether the first run of a process is to be cheap, or those that follow it.
 
         Returns
         -------
-        Setting or None
+        Chosen or None
             One with a tolerance; None where none was seen to do.
         """
-        best: tuple[float, Setting] | None = None
+        best: tuple[float, Point] | None = None
         for point in self.points:
             setting, error = point.setting, self.error(point)
             if setting.tolerance is None or not self.comparable(point) or error is None:
@@ -175,13 +186,23 @@ class Study(Record):
             if asked.method not in (None, setting.method):
                 continue
             if asked.accuracy is not None:
-                fits, rank = error <= asked.accuracy, point.seconds
+                fits, rank = error + self.least <= asked.accuracy, point.cost(once=once)
             else:
-                took = 2.0 * (point.seconds + point.compiling)
+                took = 2.0 * point.cost(once=once)
                 fits, rank = took <= (asked.budget or 0.0), error
             if fits and (best is None or rank < best[0]):
-                best = (rank, setting)
-        return None if best is None else best[1]
+                best = (rank, point)
+        return None if best is None else self._chosen(best[1])
+
+    def _chosen(self, point: Point) -> Chosen:
+        return Chosen(
+            point.setting,
+            (self.error(point) or 0.0) + self.least,
+            point.outcome,
+            point.steps,
+            point.evaluations,
+            point.flows,
+        )
 
 
 def fingerprint(model: Declaration) -> str:

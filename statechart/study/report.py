@@ -22,11 +22,11 @@ _NOTES = 8
 def text(study: Study) -> str:
     """Return a study as a table, with what follows from it below."""
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
-    front = study.front()
+    front, cold = study.front(), study.front(once=True)
     head = ["error", "state", "events", "outputs", "path", "energy"]
     if study.parted is not None:
         head = ["leaves it at", "energy"]
-    rows = [("", "modes", *head, *kinds, "evaluations", "steps", "time", "compiling")]
+    rows = [("", "modes", *head, *kinds, "evaluations", "steps", "warm", "cold")]
     for point in study.points:
         errors = point.errors
         if study.parted is None:
@@ -36,14 +36,14 @@ def text(study: Study) -> str:
             shown = [point.parted, errors.energy]
         rows.append(
             (
-                point.setting.label + (" *" if point in front else ""),
+                point.setting.label + _marks(point, front, cold),
                 _modes(point),
                 *(_number(x) for x in shown),
                 *(_number(errors.violations.get(name)) for name in kinds),
                 str(point.evaluations or ""),
                 str(point.steps),
                 _seconds(point.seconds),
-                _seconds(point.compiling),
+                "" if point.cold is None else _seconds(point.cold),
             )
         )
     return "".join(f"{line}\n" for line in _head(study)) + "\n" + table(rows) + _foot(study)
@@ -115,7 +115,10 @@ def _parting(study: Study) -> str:
 def _foot(study: Study) -> str:
     lines = []
     if study.front():
-        lines.append("* nothing else is as accurate and faster")
+        lines.append(
+            "nothing else is as accurate and faster: * warm, where runs follow each other in one "
+            "process; + cold, in the first run of a process"
+        )
     missed = study.missed()
     if missed:
         parts = (f"{family} {few} of {many}" for family, (few, many) in missed.items())
@@ -191,6 +194,11 @@ def _named(study: Study, labels: Sequence[str]) -> str:
     return "; ".join(parts)
 
 
+def _marks(point: Point, warm: Sequence[Point], cold: Sequence[Point]) -> str:
+    marks = "*" * (point in warm) + "+" * (point in cold)
+    return f" {marks}" if marks else ""
+
+
 def _modes(point: Point) -> str:
     if point.diverged is None:
         return "same"
@@ -211,12 +219,13 @@ def report(study: Study) -> dict[str, Any]:
     """Return a study as one plain object, with what follows from its points."""
     shown = study.model_dump(mode="json")
     shown["least"] = study.least
-    front = study.front()
+    front, cold = study.front(), study.front(once=True)
     for point, plain in zip(study.points, shown["points"], strict=True):
         plain["label"] = point.setting.label
         plain["error"] = study.error(point)
         plain["kept"] = study.kept(point)
         plain["on_front"] = point in front
+        plain["on_cold_front"] = point in cold
     shown["complete"] = study.complete
     shown["missed"] = {
         family: {"missed": missed, "of": count}

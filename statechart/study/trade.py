@@ -11,6 +11,7 @@ from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
 from statechart.study.bench import Bench
+from statechart.study.cold import Fresh
 from statechart.study.file import load, save
 from statechart.study.point import Point
 from statechart.study.record import Study, fingerprint
@@ -64,6 +65,7 @@ def trade(
     until: float | None = None,
     repeats: int = 3,
     clock: Callable[[], float] = time.perf_counter,
+    cold: Callable[[Setting], float | None] | None = None,
     progress: Callable[[str], None] = lambda line: None,
 ) -> Study:
     """Run a model at many settings, and compare every run with a reference.
@@ -88,6 +90,8 @@ def trade(
         How often a run is repeated for its time.
     clock : callable
         Tells the time in seconds.
+    cold : callable, optional
+        Tells the seconds of a setting's first run; by default it is made, in a fresh process.
     progress : callable
         Gets a line for every point.
 
@@ -105,7 +109,8 @@ def trade(
     """
     end = runner.end(until=until)
     runner.start()
-    bench = Bench(runner.model, runner.automaton, end, repeats, clock)
+    fresh = Fresh(runner.model, end)
+    bench = Bench(runner.model, runner.automaton, end, repeats, clock, cold or fresh.seconds)
     mark = fingerprint(runner.model)
     known = None if folder is None else load(folder)
     if known is not None and (known.fingerprint, known.until) != (mark, end):
@@ -120,17 +125,18 @@ def trade(
         settings = plan(runner.automaton, reference.trace.t_end)
     study = study.model_copy(update={"planned": len(settings)})
     made = _Trade(study, settings, folder, progress, known)
-    for setting in settings:
-        if made.skips(setting):
-            continue
-        try:
-            point = bench.measure(setting, reference)
-        except KeyboardInterrupt:
-            break
-        except StatechartError as error:
-            made.leave(setting, str(error))
-        else:
-            made.take(point)
+    with fresh:
+        for setting in settings:
+            if made.skips(setting):
+                continue
+            try:
+                point = bench.measure(setting, reference)
+            except KeyboardInterrupt:
+                break
+            except StatechartError as error:
+                made.leave(setting, str(error))
+            else:
+                made.take(point)
     return made.kept()
 
 

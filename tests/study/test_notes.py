@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from studies import point, study, ticking
+from studies import point, study, traded
 
 from statechart.documents.setting import Setting
 from statechart.running.runner import Runner
 from statechart.study.notes import notes, reasons
 from statechart.study.point import Errors, Point
 from statechart.study.report import report, text
-from statechart.study.trade import trade
 
 LAW = "time stepping applies another law"
 
@@ -23,7 +22,7 @@ def stepped(step: float, **changes: object) -> Point:
 def test_another_law_is_the_reason_why_steps_do_not_converge() -> None:
     # The cradle's blow goes through its balls in turn; time steps resolve it at once.
     steps = [Setting(engine="impulse", step=4.0 * part) for part in (5e-3, 2e-3, 1e-3, 5e-4)]
-    found = trade(Runner("newtons_cradle"), settings=steps, repeats=1, clock=ticking())
+    found = traded(Runner("newtons_cradle"), settings=steps)
     (note,) = notes(found)
     assert "simultaneous: sequential" in note.text
     assert note.settings == tuple(setting.label for setting in steps)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from studies import OSCILLATOR, billiard, study, ticking
+from studies import OSCILLATOR, billiard, cold, study, ticking, traded
 
 from statechart.automaton.trace import Trace
 from statechart.documents.setting import Setting
@@ -15,7 +15,6 @@ from statechart.study.bench import Bench
 from statechart.study.point import Errors, Third
 from statechart.study.record import Study
 from statechart.study.report import report, text
-from statechart.study.trade import trade
 
 # Free flight; the thrust sets in where a step from the start sees nothing of it.
 THRUST = """\
@@ -60,7 +59,7 @@ def lying(monkeypatch: pytest.MonkeyPatch, wrong: str, automaton: object) -> Non
 
 
 def referred(runner: Runner) -> Study:
-    bench = Bench(runner.model, runner.automaton, runner.end(), 1, ticking())
+    bench = Bench(runner.model, runner.automaton, runner.end(), 1, ticking(), cold)
     return bench.reference("mark")[1]
 
 
@@ -99,7 +98,7 @@ def test_runs_are_judged_by_the_two_that_agree(monkeypatch: pytest.MonkeyPatch) 
     still = Runner(read_text(THRUST.replace("10*(1+", "0*(1+")))
     lying(monkeypatch, "long double", still.automaton)
     settings = [Setting(engine="scipy", method="RK45", tolerance=1e-9)]
-    found = trade(Runner(read_text(THRUST)), settings=settings, repeats=1, clock=ticking())
+    found = traded(Runner(read_text(THRUST)), settings=settings)
     error = found.error(found.points[0])
     assert error is not None
     assert error < 1e-7

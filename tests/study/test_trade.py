@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from studies import OSCILLATOR, billiard, point, scipy, study, ticking
+from studies import OSCILLATOR, billiard, cold, point, scipy, study, ticking, traded
 
 from statechart.cli.main import main
 from statechart.documents.setting import Setting
@@ -29,7 +29,7 @@ from statechart.study.trade import plan, trade
 def test_slopes_are_those_of_theory(model: str) -> None:
     runner = Runner(read_text(OSCILLATOR) if model == "oscillator" else model)
     settings = [*scipy("RK45", *range(3, 12)), *scipy("DOP853", *range(3, 14))]
-    found = trade(runner, settings=settings, repeats=1, clock=ticking())
+    found = traded(runner, settings=settings)
     assert found.complete
     fits = {(slope.family, slope.of): slope for slope in slopes(found)}
     assert set(fits) == {(m, of) for m in ("RK45", "DOP853") for of in ("error", "steps")}
@@ -44,7 +44,7 @@ def test_the_error_of_time_stepping_falls_with_the_step(model: str) -> None:
     # The ball's bounces accumulate: its modes are never those of the reference, its path is.
     runner = Runner(model)
     steps = [Setting(engine="impulse", step=runner.end() * 1e-3 * 0.5**k) for k in range(7)]
-    found = trade(runner, settings=steps, repeats=1, clock=ticking())
+    found = traded(runner, settings=steps)
     assert found.points[-1].same_modes is (model != "bouncing_ball")
     (slope,) = slopes(found)
     assert slope.points >= 5
@@ -54,7 +54,11 @@ def test_the_error_of_time_stepping_falls_with_the_step(model: str) -> None:
 def test_what_is_told_of_a_step_is_the_worst_of_steps_near_it() -> None:
     runner = Runner("block_on_incline")
     told = trade(
-        runner, settings=[Setting(engine="impulse", step=0.01)], repeats=1, clock=ticking()
+        runner,
+        settings=[Setting(engine="impulse", step=0.01)],
+        repeats=1,
+        clock=ticking(),
+        cold=cold,
     ).points[0]
     exact = runner.run().outputs["t_stop"]
     assert isinstance(exact, float)
@@ -120,19 +124,32 @@ def test_the_cheapest_setting_that_reached_an_accuracy_is_chosen() -> None:
         point(1e-9, 1e-9, 0.2, same_modes=False),
     )
     found = study(*points)
-    assert found.choose(Setting(accuracy=1e-5)) == points[2].setting
-    assert found.choose(Setting(accuracy=1e-3)) == points[0].setting
-    assert found.choose(Setting(accuracy=1e-12)) is None
-    assert found.choose(Setting(accuracy=1e-3, engine="taylor")) is None
-    assert found.choose(Setting(accuracy=1e-3, method="RK45")) == points[0].setting
-    assert found.choose(Setting(budget=0.7)) == points[2].setting
-    assert found.choose(Setting(budget=0.01)) is None
+
+    def chosen(**asked: object) -> Setting | None:
+        chosen = found.choose(Setting(**asked), once=False)  # type: ignore[arg-type]
+        return None if chosen is None else chosen.setting
+
+    assert chosen(accuracy=1e-5) == points[2].setting
+    assert chosen(accuracy=1e-3) == points[0].setting
+    assert chosen(accuracy=1e-12) is None
+    assert chosen(accuracy=1e-3, engine="taylor") is None
+    assert chosen(accuracy=1e-3, method="RK45") == points[0].setting
+    assert chosen(budget=0.7) == points[2].setting
+    assert chosen(budget=0.01) is None
+
+
+def test_what_the_reference_may_be_off_by_counts_with_an_error() -> None:
+    found = study(point(1e-6, 1.0e-7, 0.1), resolution=Errors(state=5e-8))
+    assert found.choose(Setting(accuracy=1.2e-7), once=False) is None
+    chosen = found.choose(Setting(accuracy=2e-7), once=False)
+    assert chosen is not None
+    assert chosen.error == pytest.approx(1.5e-7)
 
 
 def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: Path) -> None:
     runner = Runner(read_text(billiard(40.0)))
     settings = [*scipy("DOP853", 4, 12), Setting(engine="auto", accuracy=1e-6)]
-    found = trade(runner, settings=settings, repeats=1, clock=ticking())
+    found = traded(runner, settings=settings)
     assert found.parted is not None
     assert 1.0 < found.parted < 40.0
     for p in found.points:
@@ -155,7 +172,11 @@ def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: 
 
 def test_before_it_becomes_chaotic_the_same_motion_has_an_accuracy() -> None:
     found = trade(
-        Runner(read_text(billiard(2.0))), settings=scipy("DOP853", 8), repeats=1, clock=ticking()
+        Runner(read_text(billiard(2.0))),
+        settings=scipy("DOP853", 8),
+        repeats=1,
+        clock=ticking(),
+        cold=cold,
     )
     assert found.parted is None
     assert found.error(found.points[0]) is not None
@@ -172,9 +193,8 @@ def test_a_study_is_written_point_by_point_and_gone_on_with(tmp_path: Path) -> N
             raise KeyboardInterrupt
 
     def run(progress: Callable[[str], None]) -> Study:
-        return trade(
-            Runner(read_text(OSCILLATOR)), folder=tmp_path, settings=settings, repeats=1,
-            clock=ticking(), progress=progress,
+        return traded(
+            Runner(read_text(OSCILLATOR)), folder=tmp_path, settings=settings, progress=progress,
         )  # fmt: skip
 
     with pytest.raises(KeyboardInterrupt):
@@ -228,7 +248,7 @@ def test_a_model_that_no_engine_takes_to_its_end_has_no_reference() -> None:
 def test_a_flow_without_a_taylor_series_is_studied_without_it() -> None:
     text = OSCILLATOR.replace("v: -x,", "v: -x - sqrt(v**2)/10,").replace("time: 50", "time: 5")
     settings = [Setting(engine="taylor", tolerance=1e-6), *scipy("DOP853", 6)]
-    found = trade(Runner(read_text(text)), settings=settings, repeats=1, clock=ticking())
+    found = traded(Runner(read_text(text)), settings=settings)
     assert found.reference == "scipy DOP853 2.3e-14"
     assert found.check == "scipy LSODA 1e-13"
     assert list(found.left_out) == ["taylor 1e-06"]

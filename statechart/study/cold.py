@@ -1,0 +1,134 @@
+"""What a run costs that is the first of its process, as those of the command line are."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import asdict
+from types import TracebackType
+from typing import IO
+
+from statechart.documents.declaration import Declaration
+from statechart.documents.setting import Setting
+from statechart.loading.kind import kind
+from statechart.running.runner import Runner
+
+# A copy of a process in which nothing ran yet is as good as a new one, and comes at once. Libraries
+# of other systems do not stand it.
+_COPIES = sys.platform == "linux"
+_SERVE = f"from {__name__} import serve; serve()"
+
+
+class Fresh:
+    """Processes that know a model and have not run it, to time a first run in each.
+
+    What a first run takes is to load an engine and the kernels that lie compiled on disk, to build
+    and compile the modes that it enters, and to run. Starting Python and composing the model, which
+    cost the same whatever the setting, are no part of it; nor is compiling the kernels, which
+    happens once on a machine.
+
+    Parameters
+    ----------
+    model : Declaration
+        What is run.
+    until : float
+        End of the runs.
+    """
+
+    def __init__(self, model: Declaration, until: float) -> None:
+        self._asked = model, until
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Fresh:
+        """Start no process yet."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End what was started."""
+        self.close()
+
+    def seconds(self, setting: Setting) -> float | None:
+        """Return what a first run takes; None where no process can be had to tell."""
+        try:
+            process = self._process = self._process or self._started()
+            source, sink = _pipes(process)
+            pickle.dump(setting, sink)
+            sink.flush()
+            found = float(source.readline() or "nan")
+        except (OSError, ValueError, pickle.PicklingError):
+            found = math.nan
+        if not (_COPIES and found >= 0.0):
+            self.close()
+        return found if found >= 0.0 else None
+
+    def close(self) -> None:
+        """End the process, if there is one."""
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            for pipe in _pipes(process):
+                with suppress(OSError):
+                    pipe.close()
+            process.wait()
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        # It is not to hear of signals that are meant for this one, nor to import what lies about.
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-c", _SERVE],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        pickle.dump(self._asked, _pipes(process)[1])
+        return process
+
+
+def _pipes(process: subprocess.Popen[bytes]) -> tuple[IO[bytes], IO[bytes]]:
+    assert process.stdout is not None
+    assert process.stdin is not None
+    return process.stdout, process.stdin
+
+
+def serve() -> None:
+    """Read a model and settings from stdin, write what the first run of each takes to stdout."""
+    told = os.dup(sys.stdout.fileno())
+    # What libraries print is no answer.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    model, until = pickle.load(sys.stdin.buffer)
+    # SymPy remembers what composing found out, as where the run follows in the same process.
+    kind(model.kind).automaton(model)
+    while True:
+        try:
+            setting = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        if not _COPIES:
+            os.write(told, _answer(model, until, setting))
+            return
+        copy = os.fork()
+        if copy == 0:
+            os.write(told, _answer(model, until, setting))
+            os._exit(0)
+        _, status = os.waitpid(copy, 0)
+        if status != 0:
+            os.write(told, b"nan\n")
+
+
+def _answer(model: Declaration, until: float, setting: Setting) -> bytes:
+    began = time.perf_counter()
+    try:
+        Runner(model, **asdict(setting)).run(until=until, throw=False)
+    except Exception:
+        return b"nan\n"
+    return f"{time.perf_counter() - began!r}\n".encode()

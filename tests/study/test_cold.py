@@ -1,0 +1,84 @@
+"""What the first run of a process costs, measured in processes in which nothing ran."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import pytest
+from studies import OSCILLATOR, point, study, traded
+
+from statechart.documents.setting import Setting
+from statechart.documents.yaml_reader import read_text
+from statechart.engines.request import Chosen
+from statechart.running.runner import Runner
+from statechart.study.cold import Fresh
+from statechart.study.figure import figure
+from statechart.study.report import report, text
+
+RK45 = Setting(engine="scipy", method="RK45", tolerance=1e-6)
+
+
+def setting(chosen: Chosen | None) -> Setting | None:
+    return None if chosen is None else chosen.setting
+
+
+def test_a_first_run_is_timed_in_a_process_of_its_own() -> None:
+    model = Runner(read_text(OSCILLATOR)).model
+    with Fresh(model, 5.0) as fresh:
+        for one in (RK45, Setting(engine="auto", accuracy=1e-3)):
+            seconds = fresh.seconds(one)
+            assert seconds is not None
+            assert seconds > 0.0
+        # What cannot run has no time, and what follows has one all the same.
+        assert fresh.seconds(Setting(engine="impulse", step=1e-3)) is None
+        assert fresh.seconds(RK45) is not None
+    assert fresh._process is None
+
+
+def test_without_a_process_there_is_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = Runner(read_text(OSCILLATOR)).model
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    assert Fresh(model, 5.0).seconds(RK45) is None
+    unknown = point(1e-6, 1e-7, 0.5, cold=None)
+    assert unknown.cost(once=True) == 0.5
+    assert "  500 ms\n" in text(study(unknown))
+
+
+def test_a_study_has_both_costs() -> None:
+    found = traded(Runner(read_text(OSCILLATOR)), settings=[RK45])
+    (one,) = found.points
+    assert one.cold == 0.25
+    assert one.seconds == pytest.approx(1e-3)
+    assert re.search(r" 1 ms +250 ms *\n", text(found))
+    assert report(found)["points"][0]["cold"] == 0.25
+
+
+def test_what_is_cheapest_depends_on_whether_it_is_the_first_run() -> None:
+    quick = point(1e-6, 1e-7, 0.01, cold=0.9)
+    ready = point(1e-7, 1e-8, 0.05, cold=0.2)
+    found = study(quick, ready)
+    asked = Setting(accuracy=1e-5)
+    assert setting(found.choose(asked, once=False)) == quick.setting
+    assert setting(found.choose(asked, once=True)) == ready.setting
+    # In a time the best is taken: of a budget half is for a coarser run.
+    assert found.choose(Setting(budget=0.3), once=True) is None
+    assert setting(found.choose(Setting(budget=0.3), once=False)) == ready.setting
+    assert setting(found.choose(Setting(budget=0.5), once=True)) == ready.setting
+
+
+def test_both_fronts_are_told() -> None:
+    quick = point(1e-5, 1e-7, 0.01, cold=0.9)
+    ready = point(1e-6, 1e-6, 0.05, cold=0.2)
+    found = study(quick, ready)
+    assert found.front() == (quick,)
+    assert found.front(once=True) == (ready, quick)
+    said = text(found)
+    assert "scipy RK45 1e-05 *+ " in said
+    assert "scipy RK45 1e-06 + " in said
+    assert "* warm" in said
+    points = report(found)["points"]
+    assert [(p["on_front"], p["on_cold_front"]) for p in points] == [(True, True), (False, True)]
+    labels = [t.get_text() for t in figure(found).legends[0].get_texts()]
+    assert any("first runs" in label for label in labels)
+    assert any("further runs" in label for label in labels)
