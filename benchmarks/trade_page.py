@@ -20,9 +20,10 @@ from statechart.documents.files import write_atomic
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 from statechart.study.figure import figure
+from statechart.study.notes import notes
 from statechart.study.point import Point
 from statechart.study.record import Study
-from statechart.study.report import omitted
+from statechart.study.report import marks, omitted
 from statechart.study.slopes import slopes
 from statechart.study.trade import trade
 
@@ -51,15 +52,21 @@ which is checked by the tightest run of another: errors below the difference of 
 below what the tolerance of forces is worth, cannot be told, and are shown as the larger of the two
 (grey in the figures). The reference integrates in long doubles where the processor has them. An
 error is the largest of those of the final state, the times of events, the outputs and the path
-(the mean over the run of the difference of a variable), each relative to its own size. A time is
-the median of three runs that follow one which compiles. A run that takes other modes than the
-reference is shown as such (hollow), and has no part in fronts; modes that differ for less than a
-millionth of the run count as the same. Of a step of time stepping the largest errors of four steps
-are told, of which three are shorter by up to a twentieth: events fall anywhere between two steps,
-so that the error of a single run is a matter of luck. Its slope is that of all its runs, since
-their paths converge whether or not their modes do, as where bounces accumulate. Where the two
-references leave each other the motion is chaotic: then the study shows when each run leaves the
-reference, instead of an error.
+(the mean over the run of the difference of a variable), each relative to its own size. Times are
+warm, the median of three runs that follow others in one process, and cold, the first run of a
+process: it loads an engine and the kernels that lie compiled on disk, and builds and compiles the
+modes that it enters. A command line pays that, and a second for Python and the model, whatever the
+setting; compiling the kernels, once on a machine, is in neither. A run that takes other modes than
+the reference is shown as such (hollow), and has no part in fronts; modes that differ for less than
+a millionth of the run count as the same. Of a step of time stepping the largest errors of four
+steps are told, of which three are shorter by up to a twentieth: events fall anywhere between two
+steps, so that the error of a single run is a matter of luck. Its slope is that of all its runs,
+since their paths converge whether or not their modes do, as where bounces accumulate. Where
+reference and check disagree a third run of another kind is made: the odd one out is named, and the
+two that agree are taken. Where all three part, or one of the two leaves itself with a start that is
+off by what errors of runs amount to, the motion is chaotic or on a knife's edge: then the study
+shows when each run leaves the reference, instead of an error. What runs warn of is told below the
+table, and where a family deviates by it, as the reason.
 
 What to expect:
 
@@ -68,7 +75,8 @@ What to expect:
   several events; a tenth of it with Taylor's method.
 - `--accuracy A` is about the result: it tightens until two runs differ by less than A, and until
   a start that is off by the tolerance, with larger tolerances of gaps and forces, changes the
-  result by less than A, too.
+  result by less than A, too. Where a study is at hand (`--output DIR`) one run does: the cheapest
+  that was measured to have an error below A, what the reference may be off by included.
 - Where flights are parabolas all methods but LSODA follow them exactly, at any tolerance. What is
   left on a bouncing ball are its last bounces: the larger the tolerance, the earlier they are
   taken together.
@@ -100,9 +108,9 @@ def section(title: str, source: str, study: Study) -> str:
         "| setting | modes | error | evaluations | warm | cold |",
         "|---|---|---|---|---|---|",
     ]
-    front = study.front()
+    warm, cold = study.front(), study.front(once=True)
     for p in shown(study):
-        star = " *" if p in front else ""
+        star = marks(p, warm, cold).replace("*", "\\*")
         error = study.error(p)
         modes = "same" if p.same_modes else f"others from t = {p.diverged:.3g}"
         rows.append(
@@ -125,11 +133,13 @@ def section(title: str, source: str, study: Study) -> str:
         "",
         *rows,
         "",
-        f"\\* nothing else is as accurate and faster. What missed its tolerance: {missed}.",
+        "Nothing else is as accurate and faster: \\* warm, + cold. "
+        f"What missed its tolerance: {missed}.",
     ]
     if powers:
         lines.append(f"Slopes fitted: {powers}.")
     lines += [f"Left out: {line}." for line in omitted(study)]
+    lines += [f"Warned: {note.text}." for note in notes(study)]
     return "\n".join(lines) + "\n"
 
 

@@ -31,6 +31,10 @@ class Note:
     settings: tuple[str, ...]
     differs: bool
 
+    def says_one_of(self, texts: Collection[str]) -> bool:
+        """Whether it is one of some warnings, but for numbers in them."""
+        return _alike(self.text) in map(_alike, texts)
+
 
 def notes(study: Study) -> tuple[Note, ...]:
     """Return what the runs of all points warn of, each text once."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from statechart.automaton.trace import Outcome
 from statechart.reporting.text import table
-from statechart.study.notes import beyond, notes, reasons
+from statechart.study.notes import Note, beyond, notes, reasons
 from statechart.study.point import Point, Third
 from statechart.study.record import Study
 from statechart.study.slopes import slopes, unfitted
@@ -36,7 +36,7 @@ def text(study: Study) -> str:
             shown = [point.parted, errors.energy]
         rows.append(
             (
-                point.setting.label + _marks(point, front, cold),
+                point.setting.label + marks(point, front, cold),
                 _modes(point),
                 *(_number(x) for x in shown),
                 *(_number(errors.violations.get(name)) for name in kinds),
@@ -133,11 +133,11 @@ def _foot(study: Study) -> str:
             f"+- {slope.scatter:.1g} "
             f"(theory {slope.theory:.3g}), {slope.points} points"
         )
-    why = reasons(study)
+    why, told = reasons(study), _told(study)
     lines += [
-        f"{family} deviates from the reference at its finest, too; its runs warn, and the "
-        f"reference does not: {'; '.join(told)}"
-        for family, told in why.items()
+        f"{family} deviates from the reference even at its finest: see {_numbers(texts, told)}, "
+        "which the reference does not have"
+        for family, texts in why.items()
     ]
     unsettled = study.unsettled()
     if unsettled:
@@ -148,14 +148,14 @@ def _foot(study: Study) -> str:
         )
     lines += [f"no slope for {what}: {why}" for what, why in unfitted(study).items()]
     lines += [f"left out: {line}" for line in omitted(study)]
-    found = notes(study)
     lines += [
-        f"{_named(study, note.settings)}: {note.text}"
+        f"warning {place}, of {_named(study, note.settings)}: {note.text}"
         + (f" (numbers of {note.settings[0]})" if note.differs else "")
-        for note in found[:_NOTES]
+        for place, note in enumerate(told, 1)
     ]
-    if len(found) > _NOTES:
-        lines.append(f"{len(found) - _NOTES} further warnings are in trade.json")
+    more = len(notes(study)) - len(told)
+    if more:
+        lines.append(f"{more} further warnings are in trade.json")
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
 
 
@@ -173,6 +173,19 @@ def omitted(study: Study) -> list[str]:
         + f": {why}"
         for why, families in reasons.items()
     ]
+
+
+def _told(study: Study) -> list[Note]:
+    """Return the warnings that are told in full: all that are a reason, first."""
+    why = [text for texts in reasons(study).values() for text in texts]
+    found = sorted(notes(study), key=lambda note: not note.says_one_of(why))
+    return found[: max(_NOTES, sum(note.says_one_of(why) for note in found))]
+
+
+def _numbers(texts: Sequence[str], told: Sequence[Note]) -> str:
+    """Return under which numbers warnings are told."""
+    places = [str(place) for place, note in enumerate(told, 1) if note.says_one_of(texts)]
+    return f"warning{'s' if len(places) > 1 else ''} {', '.join(places)}"
 
 
 def _named(study: Study, labels: Sequence[str]) -> str:
@@ -194,7 +207,8 @@ def _named(study: Study, labels: Sequence[str]) -> str:
     return "; ".join(parts)
 
 
-def _marks(point: Point, warm: Sequence[Point], cold: Sequence[Point]) -> str:
+def marks(point: Point, warm: Sequence[Point], cold: Sequence[Point]) -> str:
+    """Return the marks of a point that is on one of the fronts."""
     marks = "*" * (point in warm) + "+" * (point in cold)
     return f" {marks}" if marks else ""
 
