@@ -137,7 +137,7 @@ def step_bodies(
         To be filled, per body instead of per contact; the unknowns are accelerations alone.
     """
     vertices, firsts, radii, sizes, cores, inverse, gravity, surfaces, pairs, materials = numbers
-    h, states, solved, codes, struck, _, impulses, gaps, approach, closing, passed = chunk
+    h, states, solved, codes, struck, _, impulses, gaps, approach, closing, passed, _ = chunk
     state = states[0].copy()
     b_count, s_count = len(sizes), len(surfaces)
     n = 3 * b_count

@@ -61,6 +61,8 @@ class Chunk(NamedTuple):
     passed : (k,) array
         Where something passed another between the middle of the step before and that of this one:
         the part of a step in which they overlapped.
+    gained : (k,) array
+        What contacts add to the energy; see `contacts.time_stepping.energy`.
     """
 
     h: float
@@ -74,6 +76,7 @@ class Chunk(NamedTuple):
     approach: Array
     closing: Array
     passed: Array
+    gained: Array
 
     @classmethod
     def room(cls, h: float, state: Array, unknowns: int, regions: int, count: int) -> Chunk:
@@ -89,6 +92,7 @@ class Chunk(NamedTuple):
             np.zeros((count, regions), dtype=np.bool_),
             np.zeros((count, regions, 2)),
             np.full((count, regions), np.inf),
+            np.zeros(count),
             np.zeros(count),
             np.zeros(count),
             np.zeros(count),

@@ -30,6 +30,7 @@ import numpy as np
 
 from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.energy import MOST_ADDED
 from contacts.time_stepping.recorder import TERMS, Recorder
 from contacts.time_stepping.stops import StopConditions
 from statechart import interrupts
@@ -286,6 +287,7 @@ class _Run:
         turned = np.abs(chunk.states[1:, n:]) * np.where(self.stepping.angles, h, 0.0)
         turn: Array = np.max(turned, axis=1, initial=0.0)
         wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
+        wrong |= chunk.gained > MOST_ADDED
         if not wrong.any():
             return None
         k = int(np.argmax(wrong))
@@ -298,6 +300,14 @@ class _Run:
             return k, StepTooLarge(
                 f"something passes through another within one step of {h:g}; take "
                 f"{0.5 * h * chunk.passed[k]:.1g} or less"
+            )
+        if chunk.closing[k] <= DEEPEST * size:
+            # What is added goes with the square of the step.
+            part = math.sqrt(MOST_ADDED / chunk.gained[k])
+            return k, StepTooLarge(
+                f"contacts add {chunk.gained[k]:.2g} of the energy that they move with in one step "
+                f"of {h:g}, as it does not follow how surfaces or bodies turn; take "
+                f"{0.1 * h * part:.1g} or less"
             )
         return k, StepTooLarge(
             f"a contact closes {chunk.closing[k]:.3g} off its surface in one step of {h:g}, in a "

@@ -2,7 +2,8 @@
 
 Steps look at gaps at their midpoints, and between two of these every coordinate moves in a straight
 line. A contact that is apart at both ends of such a line and not everywhere on it has been passed
-over: the enclosure of its gap along the line tells, however narrow the place.
+over, and so has one that is deeper somewhere on it than at its end: that landed elsewhere. The
+enclosure of its gap along the line tells, however narrow the place.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def passed(
     seen: Bools,
     near: float,
 ) -> tuple[int, int, float]:
-    """First line on which a gap vanishes that is open at both of its ends.
+    """First line on which a gap that is open where it begins is less than where it ends.
 
     Parameters
     ----------
@@ -43,7 +44,7 @@ def passed(
     parameters, start, times, coeffs
         As in `statechart.kernels.search.search`; a line (m) is a step of it.
     seen : (m, c) array of bool
-        Contacts that take part in the motion at an end of the line.
+        Contacts that take part in the motion where the line begins.
     near : float
         What is no deeper than this has touched.
 
@@ -59,16 +60,16 @@ def passed(
     along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
     jets = ready(along, regs)
     bounds, count = np.zeros(n), outputs.shape[0]
-    asked = np.empty(count, np.bool_)
+    asked, depths = np.empty(count, np.bool_), np.empty(count)
     lefts, rights = np.empty(64), np.empty(64)
     for line in range(coeffs.shape[0]):
         prepare(coeffs, line, reads, bounds)
+        enclose(along, line, bounds, 0.0, 0.0, 0, jets)
         for i in range(count):
-            asked[i] = not seen[line, i]
-        for s in (0.0, 1.0):
-            enclose(along, line, bounds, s, 0.0, 0, jets)
-            for i in range(count):
-                asked[i] = asked[i] and jets[outputs[i], 0] > 0.0
+            asked[i] = not seen[line, i] and jets[outputs[i], 0] > 0.0
+        enclose(along, line, bounds, 1.0, 0.0, 0, jets)
+        for i in range(count):
+            depths[i] = min(jets[outputs[i], 0], 0.0) - near
         top, boxes = 1, 0
         lefts[0], rights[0] = 0.0, 1.0
         while top > 0 and boxes < _BOXES:
@@ -79,12 +80,12 @@ def passed(
             enclose(along, line, bounds, m, 0.5 * (b - a), 0, jets)
             clear = True
             for i in range(count):
-                clear = clear and not (asked[i] and jets[outputs[i], 0] <= -near)
+                clear = clear and not (asked[i] and jets[outputs[i], 0] <= depths[i])
             if clear or b - a <= _NARROW:
                 continue
             enclose(along, line, bounds, m, 0.0, 0, jets)
             for i in range(count):
-                if asked[i] and jets[outputs[i], 1] < -near:
+                if asked[i] and jets[outputs[i], 1] < depths[i]:
                     return line, i, b - a
             lefts[top], rights[top] = m, b
             lefts[top + 1], rights[top + 1] = a, m

@@ -35,6 +35,7 @@ from contacts.time_stepping.chunk import (
     arriving,
     pressed_guess,
 )
+from contacts.time_stepping.energy import energy_added
 from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
 from contacts.time_stepping.forces import borne_mode, jammed, resting
 from statechart.arrays import Array, Bools, Ints, Ints32
@@ -63,6 +64,8 @@ def step_scene(
     slips: Ints,
     joints: int,
     near: float,
+    slowest: float,
+    negligible: float,
     start: float,
     level: Array,
     closed: Bools,
@@ -98,6 +101,9 @@ def step_scene(
         Number of components of joints.
     near : float
         Contacts that were off come back where they are no deeper than this.
+    slowest, negligible : float
+        What contacts add to the energy is told in parts of what they move with: at this speed at
+        least, and twice this energy at least.
     start : float
         Time of the first state.
     level : (c,)
@@ -121,7 +127,7 @@ def step_scene(
         To be filled; unknowns are accelerations (n,), forces of joints and of contacts that last
         (2 c,; not a number where the step holds an impact as well), what controllers set (u,).
     """
-    h, states, solved, codes, struck, shared, impulses, gaps, approach, closing, _ = chunk
+    h, states, solved, codes, struck, shared, impulses, gaps, approach, closing, _, gained = chunk
     state = states[0].copy()
     n, c = len(state) // 2, len(cones)
     nothing, none = np.empty((0, 0)), np.empty((0, 2))
@@ -146,7 +152,7 @@ def step_scene(
         for i in range(first + per * c + (n + JOINT) * joints, len(numbers)):
             solved[k, borne + 2 * c + i - (first + per * c + (n + JOINT) * joints)] = numbers[i]
         # Which contacts take part, and what their velocities may not fall below.
-        approach[k] = closing[k] = 0.0
+        approach[k] = closing[k] = gained[k] = 0.0
         active = np.zeros(c, np.bool_)
         hit = np.zeros(c, np.bool_)
         wanted = np.zeros((c, 2))
@@ -245,6 +251,19 @@ def step_scene(
                     sudden[a] = sudden[a] or jammed(corner, least[a], start_at[a, 1], ours[a])
             steady, slides = steady_impulses(delassus, least, ours, z, pushes, sudden)
             relieve(groups, ours, z, pushes, sudden, steady, slides)
+            work, moving = np.empty(m), np.empty(m)
+            for a in range(m):
+                work[a] = 0.0
+                for d in range(2):
+                    both = start_at[a, d] + free[which[a], d]
+                    for b in range(2 * m):
+                        both += delassus[2 * a + d, b] * pushes[b // 2, b % 2]
+                    work[a] += pushes[a, d] * both
+                speed = max(math.hypot(start_at[a, 0], start_at[a, 1]), slowest)
+                moving[a] = speed * speed / delassus[2 * a, 2 * a]
+            gained[k] = energy_added(
+                numbers, state[n:], first + per * which, groups, work, moving, negligible
+            )
             modes = np.full(m, FREE)
             # Whose impulses of this step are not those of forces alone.
             mixed = np.zeros(m, np.bool_)

@@ -25,6 +25,10 @@ from statechart.formulas.tape import Tape
 
 # Beside what a step moves at the scene's speed: what goes no deeper between two looks grazes.
 _GRAZED = 0.1
+# Slower than this part of the scene's speed, what a contact moves at is no measure of anything.
+_SLOWEST = 0.1
+# And energies below this part of the scene's are none.
+_NEGLIGIBLE = 1e-6
 # A landing goes as deep as its approach in a step.
 _LANDED = 2.0
 _CODES = {state: code for code, state in STATES.items()}
@@ -140,6 +144,7 @@ class SteppedScene:
         count = len(setup.contacts)
         self._values, self._near = setup.values, setup.tolerances["gap"]
         self._setup, self._speed = setup, setup.scales.speed
+        self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
         self.switch(source, setup.contacts)
         self._memory = _Memory(
             np.zeros(count),
@@ -221,8 +226,9 @@ class SteppedScene:
             return step_scene(
                 tape.code, tape.constants, tape.outputs, source.damped, self._values,
                 self._cones, self._restitution, source.plastic, source.held, source.slips, r,
-                self._near, start + done * h, memory.level, memory.closed, memory.fresh,
-                memory.off, memory.light, memory.bases, given, softened, left,
+                self._near, _SLOWEST * self._speed, self._negligible, start + done * h,
+                memory.level, memory.closed, memory.fresh, memory.off, memory.light, memory.bases,
+                given, softened, left,
             )  # fmt: skip
 
         done, softened = stepped(step, _failure, chunk)
@@ -265,9 +271,7 @@ class SteppedScene:
         lines[:, :n, 1] = lengths[:, None] * rates[:count]
         lines[:, n:, 0] = rates[:count]
         taking = (chunk.codes != FREE) | chunk.struck
-        seen = taking.copy()
-        seen[1:] |= taking[:-1]
-        seen[0] |= self._kept.codes != FREE
+        seen = np.vstack([self._kept.codes != FREE, taking[:-1]])
         times, begin = np.concatenate([[0.0], np.cumsum(lengths)]), start - float(back[0])
         self._missed += self._source.limits.missed(self._setup, begin, times, lines)
         line, _, part = passed(

@@ -117,3 +117,21 @@ def test_the_shipped_models_warn_of_nothing_at_a_step_that_does(name: str) -> No
     runner_ = Runner(name, engine="impulse", step=1e-3)
     warnings = runner_.run(until=0.5, throw=False).warnings
     assert not any("springs swing" in w or "forces change" in w for w in warnings)
+
+
+@given(x0=st.floats(-0.6, 0.5), w=st.floats(3e-3, 0.1))
+def test_a_flank_that_turns_within_a_step_gives_no_energy(x0: float, w: float) -> None:
+    # Its curvature would turn the particle by up to 5e4 m/s in a step.
+    found = runner(POST, 1e-3).run({"x0": x0, "w": w}, throw=False)
+    states = [*(jump.after for jump in found.trace.jumps), found.trace.final]
+    assert max(math.hypot(state[2], state[3]) for state in states) <= 50.0 * (1.0 + 1e-9)
+
+
+def test_a_flank_that_turns_within_a_step_ends_the_run_with_a_step_that_does() -> None:
+    values = {"w": 0.0229, "x0": 0.803}
+    found = runner(POST, 1e-3).run(values, throw=False)
+    assert found.trace.outcome is Outcome.STEP_TOO_LARGE
+    step = float(found.trace.message.rsplit("take ", 1)[1].split()[0])
+    found = runner(POST, step).run(values)
+    exact = run(read_text(POST), parameters=values).outputs["vx"]
+    assert found.outputs["vx"] == pytest.approx(exact, rel=0.1)
