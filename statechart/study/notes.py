@@ -10,7 +10,7 @@ from statechart.study.point import Point
 from statechart.study.record import Study, falls
 
 # Of two warnings that differ in numbers only, one is told.
-_NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?%?")
+_NUMBER = re.compile(r"(?<![\w.])\d+(\.\d+)?(e[+-]?\d+)?\b")
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ def notes(study: Study) -> tuple[Note, ...]:
     """Return what the runs of all points warn of, each text once."""
     found: dict[str, list[tuple[str, Point]]] = {}
     for point in study.points:
-        for text in point.warnings:
+        for text in beyond(point.warnings, ()):
             found.setdefault(_alike(text), []).append((text, point))
     return tuple(
         Note(
             told[0][0],
-            tuple(dict.fromkeys(point.setting.label for _, point in told)),
+            tuple(point.setting.label for _, point in told),
             len({text for text, _ in told}) > 1,
         )
         for told in found.values()
@@ -71,9 +71,14 @@ def reasons(study: Study) -> dict[str, tuple[str, ...]]:
 
 
 def beyond(warnings: Sequence[str], known: Collection[str]) -> tuple[str, ...]:
-    """Return the warnings that are not known, but for numbers in them."""
+    """Return the warnings that are not known, each once, but for numbers in them."""
     heard = set(map(_alike, known))
-    return tuple(text for text in warnings if _alike(text) not in heard)
+    found = []
+    for text in warnings:
+        if _alike(text) not in heard:
+            heard.add(_alike(text))
+            found.append(text)
+    return tuple(found)
 
 
 def _deviates(study: Study, points: Sequence[Point], finest: Point) -> bool:

@@ -72,6 +72,12 @@ def test_warnings_that_differ_in_numbers_are_one_note() -> None:
     assert "scipy RK45 0.001: forces are indeterminate" in said
 
 
+def test_runs_of_one_setting_that_differ_in_numbers_warn_once() -> None:
+    found = study(stepped(1e-2, warnings=("swings by 0.92", "swings by 0.9", "leg_1", "leg_2")))
+    assert [note.text for note in notes(found)] == ["swings by 0.92", "leg_1", "leg_2"]
+    assert not any(note.differs for note in notes(found))
+
+
 def test_of_many_notes_the_first_are_told() -> None:
     names = "abcdefghijk"
     found = study(point(1e-3, 1e-3, 1.0, warnings=tuple(f"at {c}" for c in names)))
