@@ -86,7 +86,7 @@ def figure(study: Study) -> Figure:
         steps.set_yscale("log")
         steps.set_visible(bool(steps.lines))
         for ax, label in (
-            (times, "time of a further run; dots: of the first of a process, s"),
+            (times, "time of a run, s (dots: cold)"),
             (works, "evaluations of the rates (impulse: steps)"),
             (promises, "tolerance or accuracy (impulse: step)"),
             (steps, "tolerance"),
@@ -219,7 +219,7 @@ def _front(ax: Axes, study: Study, *, once: bool) -> None:
         color=_INK,
         linewidth=0.9,
         linestyle=(0, (1, 1.5)) if once else (0, (3, 2)),
-        label="front of first runs (dots)" if once else "front of further runs",
+        label="front, cold (dots)" if once else "front, warm",
     )
 
 
