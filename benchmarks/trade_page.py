@@ -54,9 +54,9 @@ below what the tolerance of forces is worth, cannot be told, and are shown as th
 error is the largest of those of the final state, the times of events, the outputs and the path
 (the mean over the run of the difference of a variable), each relative to its own size. Times are
 warm, the median of three runs that follow others in one process, and cold, the first run of a
-process: it loads an engine and the kernels that lie compiled on disk, and builds and compiles the
-modes that it enters. A command line pays that, and a second for Python and the model, whatever the
-setting; compiling the kernels, once on a machine, is in neither. A run that takes other modes than
+process: it loads an engine and what the study left compiled on disk, and builds the modes that it
+enters. A command line pays that, and a second for Python and the model, whatever the setting;
+compiling the kernels, once on a machine, is in neither. A run that takes other modes than
 the reference is shown as such (hollow), and has no part in fronts; modes that differ for less than
 a millionth of the run count as the same. Of a step of time stepping the largest errors of four
 steps are told, of which three are shorter by up to a twentieth: events fall anywhere between two
@@ -84,7 +84,8 @@ What to expect:
   to the powers -1/5 and -1/8, fitted where a flow takes five steps or more and the tolerance
   decides how many. Evaluations grow more slowly, as the part of rejected steps falls.
 - Time stepping (`impulse`) is of first order: ten times the steps for one digit more. On systems
-  as small as these it is never the fastest; its place are many contacts.
+  as small as these it is the fastest only where two digits do and a process makes one run, as it
+  builds no modes; its place are many contacts.
 - Taylor's method (`taylor`, the default) gives fifteen digits at little more than the cost of
   three, so where it is installed there is no reason to ask for less.
 """
@@ -115,7 +116,7 @@ def section(title: str, source: str, study: Study) -> str:
         modes = "same" if p.same_modes else f"others from t = {p.diverged:.3g}"
         rows.append(
             f"| {p.setting.label}{star} | {modes} | {'' if error is None else f'{error:.1e}'} | "
-            f"{p.evaluations or ''} | {p.seconds * 1e3:.3g} ms | {p.cost(once=True) * 1e3:.2g} ms |"
+            f"{p.evaluations or ''} | {p.seconds * 1e3:.3g} ms | {p.cost(once=True) * 1e3:.3g} ms |"
         )
     missed = ", ".join(f"{f} {few} of {many}" for f, (few, many) in study.missed().items())
     powers = ", ".join(

@@ -27,10 +27,9 @@ _SERVE = f"from {__name__} import serve; serve()"
 class Fresh:
     """Processes that know a model and have not run it, to time a first run in each.
 
-    What a first run takes is to load an engine and the kernels that lie compiled on disk, to build
-    and compile the modes that it enters, and to run. Starting Python and composing the model, which
-    cost the same whatever the setting, are no part of it; nor is compiling the kernels, which
-    happens once on a machine.
+    What a first run takes is to load an engine, to build the modes that it enters, and to run. What
+    numba and heyoka keep on disk is there, where the setting was run before. Starting Python and
+    composing the model, which cost the same whatever the setting, are no part of it.
 
     Parameters
     ----------

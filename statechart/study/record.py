@@ -94,10 +94,13 @@ class Study(Record):
     def error(self, point: Point) -> float | None:
         """Return the error of a point: the largest, and no less than what can be told.
 
-        Without that of outputs that do not converge, which are named apart (see `unsettled`).
+        Of steps without that of outputs that do not converge, which are named apart (`unsettled`).
         None where the motion has no accuracy, or the run did not get to the end.
         """
-        largest = point.errors.without(self.unsettled()).largest
+        errors = point.errors
+        if point.setting.step is not None:
+            errors = errors.without(self.unsettled())
+        largest = errors.largest
         if self.parted is not None or largest is None or not math.isfinite(largest):
             return None
         return max(largest, self.least)

@@ -362,6 +362,10 @@ def test_outputs_that_do_not_converge_with_the_step_are_named_and_spoil_no_error
     assert list(report(found)["unsettled"]) == ["V_max"]
     (slope,) = slopes(found)
     assert slope.slope == pytest.approx(1.0)
+    # Of a run with events it is right, or its error counts.
+    errors = Errors(state=1e-9, outputs=1e-4, named={"V_max": 1e-4})
+    event_based = point(1e-6, 0.0, 1.0, errors=errors)
+    assert study(*found.points, event_based).error(event_based) == 1e-4
     # What rounding hides from three steps on is not told.
     settled = study(*(stepped(h, h, V_max=1e-13, x=0.5 * h) for h in steps))
     assert settled.unsettled() == {}
