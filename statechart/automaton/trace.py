@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -223,6 +224,38 @@ class Jump:
     skipped: float = 0.0
 
 
+@dataclass(frozen=True)
+class Motion:
+    """What is proved of the steps of a run: how far they are off their differential equations.
+
+    Attributes
+    ----------
+    local : float
+        The most that any step adds to the error of a variable, in parts of its largest size in
+        the run; a bound, proved by enclosures of the defect.
+    at, of : float, str
+        When that step begins, and the variable.
+    whole : float
+        Estimate of what all steps together amount to: of the final state, in the same parts, and
+        of the times of events, in parts of the end. Infinite where there is none.
+    proved : bool
+        Whether `local` is what the tolerance of the run promises.
+    """
+
+    local: float
+    at: float
+    of: str
+    whole: float
+    proved: bool
+
+    def __str__(self) -> str:
+        most = f"{self.local:.2g} of the size of a variable ({self.of} from t = {self.at:.6g} on)"
+        if not self.proved:
+            return f"not proved: a step may be off by {most}"
+        whole = f"about {self.whole:.2g}" if self.whole < math.inf else "an unknown amount"
+        return f"interval enclosure: no step is off by more than {most}, the run by {whole}"
+
+
 @dataclass(frozen=True, eq=False)
 class Trace:
     """A run.
@@ -247,10 +280,12 @@ class Trace:
         Why it ended.
     message : str
         The outcome in words, with the evidence.
-    certified : bool
-        True when every guard of every step was decided by enclosure.
+    certified : bool or "guards"
+        True when every guard of every step was decided by enclosure, and of every step it was
+        proved that it follows the rates; "guards" where the latter was checked.
     evidence : mapping
-        Margin -> how its first crossing was decided.
+        Margin -> how its first crossing was decided. Under "motion", how it is known that steps
+        follow the rates.
     tolerances : mapping
         Kind of margin -> absolute tolerance used.
     engine : str
@@ -267,6 +302,8 @@ class Trace:
         Margin -> least value seen, where the run has noted them.
     undetermined : mapping or None
         `indeterminate`, where the run has noted it.
+    motion : Motion or None
+        What is proved of the steps, where that was asked for.
     """
 
     name: str
@@ -282,7 +319,7 @@ class Trace:
     t_end: float
     outcome: Outcome
     message: str
-    certified: bool
+    certified: bool | Literal["guards"]
     evidence: Mapping[str, str]
     tolerances: Mapping[str, float]
     engine: str
@@ -292,6 +329,7 @@ class Trace:
     step: float | None = None
     margins: Mapping[str, float] | None = None
     undetermined: Mapping[Key, tuple[str, ...]] | None = None
+    motion: Motion | None = None
 
     @property
     def values(self) -> Array:

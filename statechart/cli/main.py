@@ -155,6 +155,10 @@ def _parser() -> argparse.ArgumentParser:
         "--budget", metavar="S", type=_number, help="best accuracy within so many seconds"
     )
     run.add_argument(
+        "--certify", action="store_true",
+        help="prove of every step how far it is off, and estimate the error of the whole",
+    )  # fmt: skip
+    run.add_argument(
         "--alternatives", action="store_true",
         help="run under the other choices of simultaneous: too, and show where that matters",
     )  # fmt: skip

@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check_folder(arguments.output)
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
-    result = runner.run(parameters, until=arguments.until, throw=False)
+    result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
     # From here on nothing is lost: what fails is left out, and what is left out is said.
     with interrupts.held(), interrupts.limited(_PATIENCE):
         complete = _tell(runner, result, parameters, arguments)

@@ -34,6 +34,10 @@ class Allowance:
         """Count from now on."""
         self._until = self.clock() + self.seconds
 
+    def lift(self) -> None:
+        """Count no more."""
+        self._until = math.inf
+
     def check(self, now: float) -> None:
         """Raise where the time is over; `now` is how far the run came.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import chain
 
 import numpy as np
 
@@ -24,10 +23,12 @@ from statechart.engines.engine import FlowWatch
 from statechart.engines.event_location import Crossing
 from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
+from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.flow import UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace
 from statechart.execution.outcome import Progress
+from statechart.execution.record import trace_of
 from statechart.execution.zeno import Accumulation
 from statechart.formulas.series import size_at
 from statechart.kernels.polynomials import summands
@@ -64,6 +65,8 @@ class Execution:
         End after so many jumps.
     progress : bool
         Whether to report to stderr.
+    certificate : Certificate or None
+        Takes all flows and jumps, where the run is made again to prove its motion.
     """
 
     modes: CompiledModes
@@ -73,6 +76,7 @@ class Execution:
     until: float
     max_jumps: int
     progress: bool
+    certificate: Certificate | None = None
     clock: Clock = field(default_factory=Clock)
     arcs: list[Arc] = field(default_factory=list)
     jumps: list[Jump] = field(default_factory=list)
@@ -110,7 +114,7 @@ class Execution:
             flow = self.flow
             where = "at the start" if flow is None else self.automaton.label(flow.mode)
             self._end(Outcome[error.outcome], f"mode {where}: {error}" if where else str(error))
-        return self._trace()
+        return trace_of(self)
 
     def _end(self, outcome: Outcome, message: str) -> None:
         self.outcome, self.message = outcome, message
@@ -199,9 +203,10 @@ class Execution:
         if path.count > 0:
             times, coefficients = path.arc()
             elapsed, terms = times.item(-1), summands(times, coefficients)
-            self.arcs.append(
-                Arc(flow.mode, flow.roles, self.clock, len(self.jumps), times, coefficients)
-            )
+            arc = Arc(flow.mode, flow.roles, self.clock, len(self.jumps), times, coefficients)
+            self.arcs.append(arc)
+            if self.certificate is not None:
+                self.certificate.flow(arc, self._enter(flow.roles))
             self.size += times.nbytes + coefficients.nbytes
         self.clock = self.clock.later(elapsed)
         if elapsed > 0.0:
@@ -294,6 +299,8 @@ class Execution:
                 self.flow = following._replace(start=None)
                 continue
             moved = True
+            if self.certificate is not None:
+                self.certificate.jump(self._instant(*fired), jump)
             self.flow = following
             self._warn()
             self.jumps.append(jump)
@@ -360,40 +367,3 @@ class Execution:
 
     def _show(self, local: float, steps: int) -> None:
         self._progress.show(self.clock.high + local, len(self.jumps), self.steps + steps)
-
-    def _trace(self) -> Trace:
-        automaton, engine = self.automaton, self.engine
-        names = chain.from_iterable(compiled.names for compiled in self.entered.values())
-        evidence = dict.fromkeys(names, "interval enclosure") | self.evidence
-        start = self.started_mode or tuple(r.states[0] for r in automaton.regions)
-        return Trace(
-            name=automaton.name,
-            regions=tuple(region.name for region in automaton.regions),
-            variables=automaton.names,
-            parameters=dict(
-                zip(automaton.parameter_names, self.setup.values.tolist(), strict=True)
-            ),
-            arcs=tuple(self.arcs),
-            jumps=tuple(self.jumps),
-            initial=self.started_state,
-            final=self.state,
-            start_mode=start,
-            final_mode=self.flow.mode if self.flow else start,
-            t_end=self.clock.high,
-            outcome=self.outcome,
-            message=self.message,
-            certified=not self.evidence
-            and self.outcome not in (Outcome.UNDECIDED, Outcome.NON_FINITE),
-            evidence=evidence,
-            tolerances=dict(self.setup.tolerances),
-            engine=" ".join(dict.fromkeys((engine.name, engine.method))),
-            tolerance=engine.tolerance,
-            warnings=(*self.setup.warnings, *self.warnings),
-            counts={
-                "steps": self.steps,
-                "evaluations": engine.evaluations - self.evaluations,
-                "boxes": self.boxes,
-                "jumps": len(self.jumps),
-                "modes_built": self.modes.built,
-            },
-        )

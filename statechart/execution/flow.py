@@ -19,6 +19,7 @@ from statechart.execution.finding import decided, noise
 from statechart.kernels.defect import unseen
 from statechart.kernels.polynomials import cut_steps, local_time
 
+FOLLOWED = "the slopes of all steps were held against the rates"
 UNFOLLOWED = "steps are not known to follow the rates: what is narrow may have been missed"
 _FIRST_CHUNK = 4
 # A chunk may end this far off its constraints, in tolerances; inside it may be farther.

@@ -10,6 +10,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Outcome, Roles, Trace
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
+from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.execution import Execution
 from statechart.execution.outcome import error_of
@@ -68,15 +69,46 @@ class Simulator:
         SimulationError
             With the trace so far, where the run cannot go on and `throw` is set.
         """
-        setup = self.automaton.setup(parameters or {}, self.engine.tolerance)
-        zeros = setup.zeros
-        setup = replace(setup, modes=partial(self.modes.mode, zeros=zeros))
-        self.engine.sizes = setup.sizes
-        made = Execution(self.modes, self.path, setup, zeros, until, max_jumps, self.progress)
-        trace = made.run()
+        trace = self._execution(parameters or {}, until, max_jumps).run()
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         return trace
+
+    def certified(
+        self,
+        trace: Trace,
+        parameters: Mapping[str, float] | None = None,
+        *,
+        until: float,
+        max_jumps: int = 100_000,
+    ) -> Trace:
+        """Make a run again, and prove of every step how far it is off.
+
+        Parameters
+        ----------
+        trace : Trace
+            The run.
+        parameters, until, max_jumps
+            With which it was made.
+
+        Returns
+        -------
+        Trace
+            The same, with its `motion`.
+        """
+        made = self._execution(parameters or {}, until, max_jumps)
+        laws = self.automaton.laws_of_events
+        made.certificate = Certificate(trace, made.setup, laws, self.engine)
+        return made.run()
+
+    def _execution(
+        self, parameters: Mapping[str, float], until: float, max_jumps: int
+    ) -> Execution:
+        setup = self.automaton.setup(parameters, self.engine.tolerance)
+        zeros = setup.zeros
+        setup = replace(setup, modes=partial(self.modes.mode, zeros=zeros))
+        self.engine.sizes = setup.sizes
+        return Execution(self.modes, self.path, setup, zeros, until, max_jumps, self.progress)
 
     def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""

@@ -4,6 +4,7 @@
 floats; `intervals` and `jets` enclose their values and time derivatives, `boxes` says what is
 known of them over a piece of a step, and `search` finds the first fall of a margin by branch and
 bound. `resolution` says where a step may have passed something over, which `defect` asks of
-rates and `quadrature` of what is integrated. `polynomials` is dense output, `constraints` the
+rates and `quadrature` of what is integrated; `enclosed_defect` proves it, with the complex
+`discs` that analytic functions take. `polynomials` is dense output, `constraints` the
 distance of a state from constraints.
 """

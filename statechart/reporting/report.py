@@ -6,6 +6,7 @@ import json
 import math
 import operator
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from itertools import zip_longest
 from typing import Any
 
@@ -57,7 +58,7 @@ def report(
     Returns
     -------
     dict
-        `model`, `outcome`, `message`, `t_end`, `engine`, `certified`, `evidence`,
+        `model`, `outcome`, `message`, `t_end`, `engine`, `certified`, `evidence`, `motion`,
         `error_estimate`, `asked`, `condition` (the largest of the events'), `modes_total`
         (directions of sliding told apart), `modes_declared` (as users count), `modes_built`,
         `built` (modes with unknowns, guards and evidence), `left_out` (what, and why), `modes`
@@ -87,6 +88,7 @@ def report(
         "step": trace.step,
         "certified": trace.certified,
         "evidence": trace.evidence,
+        "motion": None if trace.motion is None else asdict(trace.motion),
         "error_estimate": error_estimate,
         "asked": asked,
         "condition": max((c for c in conditions if c is not None), default=None),

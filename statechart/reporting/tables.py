@@ -148,7 +148,7 @@ def to_xarray(observer: Observer, trace: Trace, *, per_step: float = _ROWS) -> x
         "engine": trace.engine,
         "tolerance": trace.tolerance,
         "t_end": trace.t_end,
-        "certified": "true" if trace.certified else "false",
+        "certified": str(trace.certified).lower(),
     }
     attributes |= {f"parameter.{name}": value for name, value in trace.parameters.items()}
     return xr.Dataset(data, coordinates, attributes)

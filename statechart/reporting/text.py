@@ -10,6 +10,12 @@ from statechart.automaton.trace import Outcome
 # Of more events than twice this only the first and the last are listed.
 _SHOWN = 20
 
+_CERTIFIED: Mapping[object, str] = {
+    True: "events and motion certified",
+    "guards": "every event certified",
+    False: "not certified",
+}
+
 
 def summary(report: Mapping[str, Any]) -> str:
     """Return the report of a run as lines of text; numbers keep all their digits.
@@ -46,7 +52,7 @@ def table(rows: Sequence[Sequence[str]]) -> str:
 
 def _head(report: Mapping[str, Any]) -> str:
     counts = report["counts"]
-    certified = "every event certified" if report["certified"] else "not certified"
+    certified = _CERTIFIED[report["certified"]]
     lines = [
         f"{report['model']}: {report['outcome']}",
         f"  {Outcome[report['outcome']].value}",
@@ -70,6 +76,8 @@ def _head(report: Mapping[str, Any]) -> str:
     if report["condition"] is not None:
         condition = float(report["condition"])
         lines.append(f"  times of events magnify errors of the state by up to {condition:.2g}")
+    if report["motion"] is not None:
+        lines.append(f"  motion: {report['evidence']['motion']}")
     if not report["certified"]:
         lines += [f"  evidence of {name}: {how}" for name, how in report["evidence"].items()]
     return "\n".join(lines) + "\n"

@@ -39,8 +39,8 @@ Once = Callable[[float, bool], tuple[Observer, Trace]]
 # How far below a run is another, that tells how many events there are.
 _FAR = TIGHTER**2
 
-# Runs that say nothing of their error, and why they ended.
-_UNTOLD = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
+UNTOLD = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
+"""How runs end that say nothing of their error."""
 
 
 @dataclass(frozen=True)
@@ -302,7 +302,7 @@ def within(
         began = runs.seconds
         observer, trace = runs.make(tolerance)
         took = runs.seconds - began
-        cut = trace.outcome in (*_UNTOLD, Outcome.INTERRUPTED)
+        cut = trace.outcome in (*UNTOLD, Outcome.INTERRUPTED)
         if cut and answer is not None:
             break
         if not cut:
@@ -312,7 +312,7 @@ def within(
         if cut or tolerance <= floor or runs.seconds + _LONGER * took > budget:
             break
         tolerance = max(tolerance * stride, floor)
-    if answer.estimate is None and answer.trace.outcome not in _UNTOLD:
+    if answer.estimate is None and answer.trace.outcome not in UNTOLD:
         warning = (
             f"within {budget:g} s there was time for one run only, so its error was not "
             f"estimated: allow {_advised(runs.seconds):.2g} s"

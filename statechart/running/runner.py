@@ -23,13 +23,14 @@ from statechart.engines.choice import choose
 from statechart.engines.request import planned
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
 from statechart.execution.outcome import error_of
+from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.loading.kind import kind
 from statechart.loading.load import find, interpret
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.confirmed import confirmed
-from statechart.running.estimate import Answer, Cost, tighten, within
+from statechart.running.estimate import UNTOLD, Answer, Cost, tighten, within
 from statechart.running.halving import SHARE, halve
 from statechart.running.result import Asked, Result
 
@@ -133,6 +134,7 @@ class Runner:
         parameters: Mapping[str, float] | None = None,
         *,
         until: float | None = None,
+        certify: bool = False,
         throw: bool = True,
     ) -> Result:
         """Run from the declared initial state.
@@ -143,6 +145,9 @@ class Runner:
             Values that replace those of some parameters.
         until : float, optional
             End of the run; `stop.time` of the model by default.
+        certify : bool
+            Prove of every step how far it is off its differential equation, and estimate what all
+            of them amount to (see `Trace.motion`), in a second run; not on the engine impulse.
         throw : bool
             Raise where the run cannot go on; else return what there is, with its outcome.
 
@@ -158,13 +163,24 @@ class Runner:
         with located(self.document, overrides):
             variant = self.model.variant(overrides)
         if variant is not self.model:
-            return self._other(variant, self._study).run(overrides, until=end, throw=throw)
+            return self._other(variant, self._study).run(
+                overrides, until=end, certify=certify, throw=throw
+            )
         measured = self._plan.measured
         if measured is not None and (overrides or end != measured):
-            return self._other(self.model, None).run(overrides, until=end, throw=throw)
+            return self._other(self.model, None).run(
+                overrides, until=end, certify=certify, throw=throw
+            )
+        if certify and self.setting.stepped:
+            raise DeclarationError(
+                "the engine impulse cannot certify: its steps follow no differential equation",
+                advice="leave certify out, or take the engine taylor or scipy",
+            )
         began = time.perf_counter()
         answer, basis = self._answer(overrides, end)
         observer, trace, estimate = answer.observer, answer.trace, answer.estimate
+        if certify:
+            trace = self._certified(answer, overrides, end)
         asked = None
         if self._searching:
             asked = Asked(self.setting, basis, answer.cost, answer.not_judged)
@@ -333,6 +349,20 @@ class Runner:
             basis += ", which runs otherwise here"
         return tighten(once, self.setting.accuracy, first=self._plan.first, floor=floor), basis
 
+    def _certified(self, answer: Answer, overrides: Mapping[str, float], end: float) -> Trace:
+        """Return the run of an answer with what is proved of its motion."""
+        trace, simulator = answer.trace, answer.observer.simulator
+        if trace.outcome in (*UNTOLD, Outcome.INTERRUPTED) or isinstance(
+            simulator, SteppingSimulator
+        ):
+            return trace
+        if self._allowance is not None:
+            self._allowance.lift()
+        with located(self.document, overrides):
+            return simulator.certified(
+                trace, overrides, until=end, max_jumps=self.model.settings.max_jumps
+            )
+
     def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         with located(self.document, overrides):
             if self.automaton.stepper is not None and self.setting.stepped:
@@ -357,6 +387,7 @@ def run(
     budget: float | None = None,
     study: Measured | None = None,
     progress: bool = False,
+    certify: bool = False,
     throw: bool = True,
 ) -> Result:
     """Run a model once; see `Runner` and `Runner.run` for the parameters.
@@ -371,7 +402,7 @@ def run(
     """
     asked = Setting(engine, method, tolerance, accuracy, step, budget)
     runner = Runner(model, **asdict(asked), study=study, once=True, progress=progress)
-    return runner.run(parameters, until=until, throw=throw)
+    return runner.run(parameters, until=until, certify=certify, throw=throw)
 
 
 def _declaration(document: Document) -> Declaration:

@@ -17,9 +17,9 @@ from statechart.cli.main import main
 
 EVENT_KEYS = {"t", "j", "contact", "cause", "from", "to", "state", "impulse"}
 REPORT_KEYS = {
-    "model", "outcome", "message", "t_end", "engine", "certified", "evidence", "error_estimate",
-    "modes_total", "modes_built", "events", "final", "outputs", "margins", "warnings", "counts",
-    "timings",
+    "model", "outcome", "message", "t_end", "engine", "certified", "evidence", "motion",
+    "error_estimate", "modes_total", "modes_built", "events", "final", "outputs", "margins",
+    "warnings", "counts", "timings",
 }  # fmt: skip
 
 SCENE = """\
@@ -89,6 +89,21 @@ def test_validate_warns_of_what_needs_no_run(cli: Cli) -> None:
     assert "warning: the inertia of 'ball'" in out
 
 
+def test_run_proves_the_motion_on_request(cli: Cli) -> None:
+    code, out, _ = cli("run", "toppling_stick", "--certify", "--json")
+    report = json.loads(out)
+    assert code == 0
+    assert report["certified"] is True
+    assert report["motion"]["proved"] is True
+    assert 0.0 < report["motion"]["local"] <= report["motion"]["whole"] < 1e-12
+    code, out, _ = cli("run", "toppling_stick", "--certify")
+    assert "events and motion certified" in out
+    assert "motion: interval enclosure: no step is off by more than" in out
+    code, _, err = cli("run", "toppling_stick", "--engine", "impulse", "--step", "1", "--certify")
+    assert code == 2
+    assert "cannot certify" in err
+
+
 @pytest.mark.parametrize("name", SOUND)
 def test_run_prints_one_object(cli: Cli, name: str) -> None:
     code, out, _ = cli("run", name, "--json")
@@ -97,7 +112,7 @@ def test_run_prints_one_object(cli: Cli, name: str) -> None:
     assert report.keys() >= REPORT_KEYS
     assert report["model"] == name
     assert report["outcome"] in ("HORIZON", "STOPPED")
-    assert report["certified"] is True
+    assert report["certified"] == "guards"
     assert report["error_estimate"] is None
     assert 1 <= report["modes_built"] <= report["modes_total"]
     assert report["counts"].keys() >= {"steps", "evaluations", "boxes", "jumps"}

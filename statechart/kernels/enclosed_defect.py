@@ -1,0 +1,263 @@
+"""How far the polynomials of steps are off their differential equation, proved.
+
+The defect p'(s) - h f(p(s)) of a step is enclosed in pieces. Where f is analytic on an ellipse
+around a piece, the polynomial through its values at Chebyshev points is off it by less than
+4 M rho^-n / (rho - 1), with M how far f is from a constant on the ellipse of parameter rho (L. N.
+Trefethen, "Approximation Theory and Approximation Practice", 2013, theorem 8.2); M is known from
+circular arithmetic, the values from that of intervals, and the integral of a polynomial's size is
+no more than what its Lagrange polynomials make of the values. Anything else (a kink, a root that
+begins) ends in pieces that are so short that the range of f alone does.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from statechart.arrays import Array, Complexes, Ints32
+from statechart.kernels.boxes import Along, place, prepare
+from statechart.kernels.discs import run_discs
+from statechart.kernels.intervals import EPS, INF, mul, sub
+from statechart.kernels.jets import run_jets
+from statechart.kernels.jit import kernel, part
+from statechart.kernels.resolution import NARROW
+from statechart.kernels.tapes import filled, run_tape
+
+MOMENTS = 4
+"""How many moments of the defect tell what is left of it at the end of a step."""
+
+# The ellipse: the sum of its half axes, in half lengths of a piece.
+_RHO = 4.0
+_REACH = 0.5 * (_RHO + 1.0 / _RHO)
+# What is left over falls by rho with every point: with so many it is rounding.
+_POINTS = 26
+_MANY = 8192
+# A piece may miss this part of what is allowed in a step without being halved, for each of what is
+# not seen at the points.
+_SHARE = 1.0 / 64.0
+# Sums of so many terms as a series has, and bounds of roundings themselves rounded.
+_WIDER = 1.0 + 2.0**-40
+
+
+def _quadrature() -> tuple[Array, Array, Array]:
+    """Return Chebyshev points on [-1, 1], their weights in integrals over a piece, and in bounds.
+
+    The integral of |p| is no more than the sum of |p| at the points times those of |l|, with l
+    their Lagrange polynomials; these are summed at so many places that they are sure with a
+    thousandth more.
+    """
+    n = _POINTS - 1
+    points = np.cos(math.pi * np.arange(n, -1, -1) / n)
+    signs = np.where(np.arange(n + 1) % 2 == 0, 1.0, -1.0)
+    signs[[0, -1]] *= 0.5
+
+    def lagrange(places: Array) -> Array:
+        shares = signs / (places[:, None] - points)  # barycentric (Berrut and Trefethen, 2004)
+        return np.asarray(shares / shares.sum(axis=1, keepdims=True))
+
+    exact, weights = np.polynomial.legendre.leggauss(_POINTS)
+    angles = math.pi * (np.arange(_MANY) + 0.5) / _MANY
+    around = np.sin(angles) * math.pi / _MANY / 2.0
+    sizes = np.abs(lagrange(np.cos(angles)))
+    return points, 0.5 * weights @ lagrange(exact), 1.001 * (around @ sizes)
+
+
+_PLACES, _WEIGHTS, _BOUNDS = _quadrature()
+_ALL = float(_BOUNDS.sum())
+
+
+@part
+def _spread(
+    along: Along,
+    outputs: Ints32,
+    step: int,
+    m: float,
+    w: float,
+    shifted: Array,
+    centres: Complexes,
+    radii: Array,
+    found: Array,
+) -> None:
+    """Write how far every rate is from a constant on the ellipse around [m - w, m + w].
+
+    And the slope of every polynomial; both in the step's own time.
+    """
+    code, base, first, last, _, times, coeffs, start = along
+    n, terms = coeffs.shape[1], coeffs.shape[2]
+    h, reach = times[step + 1] - times[step], w * _REACH
+    for v in range(n):
+        for k in range(terms):
+            shifted[k] = coeffs[step, v, k]
+        for i in range(terms - 1):  # the polynomial around m (Ruffini and Horner)
+            for k in range(terms - 2, i - 1, -1):
+                shifted[k] += m * shifted[k + 1]
+        radius = slope = 0.0
+        for k in range(terms - 1, 0, -1):
+            radius = (radius + abs(shifted[k])) * reach
+            if k > 1:
+                slope = (slope + k * abs(shifted[k])) * reach
+        size = abs(shifted[0])
+        centres[v] = complex(shifted[0], 0.0)
+        radii[v] = radius * _WIDER + 2.0**-40 * size if radius > 0.0 else 0.0
+        found[v, 1] = slope
+    centres[n] = complex(start + (times[step] + m * h), 0.0)
+    radii[n] = reach * h * _WIDER + 2.0**-40 * abs(centres[n])
+    run_discs(code, first, last, base, centres, radii)
+    for v in range(n):
+        found[v, 0] = h * radii[outputs[v]]
+        if terms > _POINTS:
+            found[v, 0] += found[v, 1]
+
+
+@kernel
+def enclosed_defect(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
+    n_fixed: int,
+    parameters: Array,
+    start: float,
+    times: Array,
+    coeffs: Array,
+    floors: Array,
+    allowed: float,
+    budget: int,
+) -> tuple[Array, Array, Array]:
+    """Bound how far the rates would move every variable off the polynomials in each step.
+
+    Parameters
+    ----------
+    code, constants, outputs, reads, n_fixed
+        Tape of the rates of all variables.
+    parameters, start, times, coeffs
+        As in `statechart.kernels.search.search`.
+    floors : (n,) array
+        How large variables are; what one moves in a step counts where that is more.
+    allowed : float
+        What is of no importance, in parts of these sizes: a small part of it may come from how
+        the defect is enclosed.
+    budget : int
+        Most pieces of a step.
+
+    Returns
+    -------
+    bounds : (k, n) array
+        Of the integrals of |p' - f(p, t)| over the steps; infinite where none was found.
+    moments : (k, n, `MOMENTS`) array
+        Integrals of (p' - f) (1 - s)**i over s in [0, 1], as its values at points say.
+    unknown : (k, n) array
+        By how much these may be off.
+    """
+    n = coeffs.shape[1]
+    tail = 4.0 / (_RHO - 1.0) * _RHO ** (1.0 - _POINTS)
+    base, regs = filled(code, constants, parameters, n, 1)
+    every = np.arange(n + 1).astype(np.int32)
+    along = (code, base, n_fixed, code.shape[0], every, times, coeffs, start)
+    run_tape(code, 0, n_fixed, base, regs, 1)
+    jets, centres, radii = _prepared(along, regs)
+    thirds, sizes = np.zeros(n), np.empty(n)
+    shifted, spread = np.empty(coeffs.shape[2]), np.empty((n, 2))
+    worst, wide = np.empty(n), np.empty(n)
+    bounds, unknown = np.zeros((coeffs.shape[0], n)), np.zeros((coeffs.shape[0], n))
+    moments = np.zeros((coeffs.shape[0], n, MOMENTS))
+    lefts, rights = np.empty(64), np.empty(64)
+    for step in range(coeffs.shape[0]):
+        h = times[step + 1] - times[step]
+        if not h > 0.0:
+            continue
+        prepare(coeffs, step, every, thirds)
+        for v in range(n):
+            reach = abs(coeffs[step, v, 0])
+            for k in range(1, coeffs.shape[2]):
+                reach += k * abs(coeffs[step, v, k])
+            sizes[v] = max(reach, floors[v])
+        top, looked = 1, 0
+        lefts[0], rights[0] = 0.0, 1.0
+        while top > 0:
+            top -= 1
+            a, b = lefts[top], rights[top]
+            m, looked = 0.5 * (a + b), looked + 1
+            w = max(b - m, m - a)
+            _spread(along, outputs, step, m, w, shifted, centres, radii, spread)
+            smooth = True
+            for v in range(n):
+                smooth = smooth and tail * spread[v, 0] <= _SHARE * allowed * sizes[v]
+            worst[:], wide[:] = 0.0, 0.0
+            if smooth:
+                for j in range(_POINTS):
+                    s = min(max(m + w * _PLACES[j], a), b)
+                    _at(along, outputs, step, thirds, s, 0.0, h, jets)
+                    for v in range(n):
+                        low, high = jets[v, 4], jets[v, 5]
+                        worst[v] += _BOUNDS[j] * max(-low, high)
+                        wide[v] = max(wide[v], 0.5 * (high - low))
+                        share = (b - a) * _WEIGHTS[j] * 0.5 * (low + high)
+                        for i in range(MOMENTS):
+                            moments[step, v, i] += share
+                            share *= 1.0 - s
+                for v in range(n):
+                    # The points are off by a rounding, and so the values there.
+                    moved = 8.0 * EPS / w * (spread[v, 0] + spread[v, 1]) / (_REACH - 1.0)
+                    rest = tail * spread[v, 0]
+                    worst[v] += _ALL * moved + rest
+                    wide[v] += moved + rest
+            else:
+                _at(along, outputs, step, thirds, m, w, h, jets)
+                small = True
+                for v in range(n):
+                    worst[v] = max(-jets[v, 4], jets[v, 5])
+                    small = small and (b - a) * worst[v] <= _SHARE * allowed * sizes[v]
+                if not small and b - a > NARROW and looked < budget:
+                    lefts[top], rights[top] = m, b
+                    lefts[top + 1], rights[top + 1] = a, m
+                    top += 2
+                    continue
+                wide[:] = worst
+            for v in range(n):
+                bounds[step, v] += (b - a) * worst[v] * _WIDER
+                unknown[step, v] += (b - a) * wide[v]
+    return bounds, moments, unknown
+
+
+@part
+def _prepared(along: Along, regs: Array) -> tuple[Array, Complexes, Array]:
+    """Return registers of intervals and of discs with what does not change along steps."""
+    code, base, fixed = along[:3]
+    n = along[6].shape[1]
+    jets = np.zeros((regs.shape[0], 6))
+    centres, radii = np.zeros(regs.shape[0], np.complex128), np.zeros(regs.shape[0])
+    for r in range(n + 1, base):
+        jets[r, 0] = jets[r, 1] = regs[r, 0]
+    run_jets(code, 0, fixed, base, jets, 0)
+    for r in range(n + 1, base + fixed):
+        known = abs(regs[r, 0]) < INF
+        centres[r] = complex(regs[r, 0], 0.0) if known else 0j
+        radii[r] = 0.0 if known else INF
+    return jets, centres, radii
+
+
+@part
+def _at(
+    along: Along,
+    outputs: Ints32,
+    step: int,
+    thirds: Array,
+    m: float,
+    w: float,
+    h: float,
+    jets: Array,
+) -> None:
+    """Enclose the defects over [m - w, m + w], in columns 4 and 5 of the variables."""
+    code, base, first, last = along[:4]
+    place(along, step, thirds, m, w, 1, jets)
+    # Where a piece begins at the end of a domain, its points are in it.
+    run_jets(code, first, last, base, jets, -1 if w > 0.0 else 0)
+    for v in range(along[6].shape[1]):
+        row = jets[outputs[v]]
+        rate = mul((row[0], row[1]), (h, h))
+        low, high = sub((jets[v, 2], jets[v, 3]), rate)
+        if not low <= high:
+            low, high = -INF, INF
+        jets[v, 4], jets[v, 5] = low, high

@@ -1,0 +1,122 @@
+"""What is proved of the motion: bounds of every step, and an estimate of what they amount to."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from runs import EVENT_BASED
+
+from statechart import DeclarationError, Runner, run
+from statechart.documents.yaml_reader import read_text
+from statechart.execution import flow
+from statechart.observation.difference import compare
+
+METHODS = [
+    {"engine": "taylor", "tolerance": 1e-8},
+    {"engine": "scipy", "method": "DOP853", "tolerance": 1e-8},
+    {"engine": "scipy", "method": "LSODA", "tolerance": 1e-7},
+    {"engine": "scipy", "method": "RK45", "tolerance": 1e-6},
+]
+THRUST = """\
+kind: scene
+name: thrust
+gravity: 9.81
+bodies: {b: {mass: 1, start: {y: 100, dx: 3}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0.3, restitution: 0.5}}
+forces: {burn: {body: b, force: [0, "10*(1+tanh((time-2)/0.1))/2"]}}
+stop: {time: 4}
+outputs: {vy: {value: b.dy}}
+"""
+
+
+def off(reference, trace):
+    found = compare(reference, trace, {}, {}, brief=1e-6)
+    return None if found.diverged is not None else max(found.state, found.times)
+
+
+@pytest.mark.parametrize("name", EVENT_BASED)
+def test_the_motion_of_shipped_models_is_proved(name):
+    plain = run(name, engine="auto", throw=False).trace
+    trace = run(name, engine="auto", certify=True, throw=False).trace
+    assert plain.certified == "guards"
+    assert plain.motion is None
+    assert trace.certified is True
+    assert trace.motion.local < 1e-11
+    assert trace.motion.whole < 1e-9
+    assert trace.evidence["motion"] == str(trace.motion)
+    # To prove it changes nothing.
+    assert np.array_equal(trace.final, plain.final)
+    assert [jump.t for jump in trace.jumps] == [jump.t for jump in plain.jumps]
+
+
+@pytest.mark.parametrize("choice", METHODS, ids=lambda c: c.get("method", "taylor"))
+@pytest.mark.parametrize(
+    "name",
+    ["toppling_stick", "hopper", "newtons_cradle", "simplest_walker", "stick_slip_block",
+     "compass_walker", "sliding_ladder", "woodpecker", "bouncing_ball"],
+)  # fmt: skip
+def test_the_estimate_of_the_whole_is_the_error_of_the_run(name, choice):
+    reference = run(name, engine="taylor", throw=False).trace
+    trace = run(name, **choice, certify=True, throw=False).trace
+    error = off(reference, trace)
+    assert error is not None
+    assert error / 4.0 <= trace.motion.whole <= 20.0 * max(error, trace.tolerance)
+    assert trace.certified is True
+
+
+def test_the_bound_of_a_step_holds_for_a_pendulum_that_swings_by_parts_known():
+    # x' = v, v' = -x: after a turn all is as it was.
+    text = """\
+kind: chart
+name: swing
+variables: {x: 1, v: 0}
+regions: {r: {initial: s, states: {s: {flows: {x: v, v: -x}}}}}
+stop: {time: 2*pi}
+"""
+    for choice in METHODS:
+        trace = run(read_text(text), **choice, certify=True).trace
+        error = float(np.abs(trace.final - trace.initial).max())
+        steps = sum(len(arc.coefficients) for arc in trace.arcs)
+        # The bound is of every step, relative to the largest value of a variable.
+        assert error <= 2.0 * steps * trace.motion.local
+        assert error / 2.0 <= trace.motion.whole <= 20.0 * max(error, trace.tolerance)
+
+
+@pytest.mark.parametrize("choice", [{}, *METHODS], ids=lambda c: c.get("method", "taylor"))
+def test_what_a_step_passed_over_is_not_certified(choice, monkeypatch):
+    right = run(read_text(THRUST), **choice, certify=True)
+    assert right.trace.certified is True
+    assert right.outputs["vy"] == pytest.approx(-19.24, abs=1e-3)
+    # Were steps not held against the rates, the proof would fail, whatever was missed.
+    monkeypatch.setattr(flow.Advance, "_unseen", lambda *_: None)
+    blind = run(read_text(THRUST), **choice, certify=True)
+    missed = abs(blind.outputs["vy"] - right.outputs["vy"])
+    assert blind.trace.motion.whole * 39.24 >= 0.5 * missed
+    if missed > 1e-3:
+        assert blind.trace.certified == "guards"
+        assert "not proved" in blind.trace.evidence["motion"]
+
+
+def test_a_run_to_an_accuracy_is_certified_once(monkeypatch):
+    result = Runner("toppling_stick", engine="scipy", accuracy=1e-6).run(certify=True)
+    assert result.trace.certified is True
+    assert result.trace.motion.whole <= result.error_estimate * 10.0 < 1e-5
+
+
+def test_time_steps_cannot_be_certified():
+    with pytest.raises(DeclarationError, match="impulse cannot certify"):
+        run("toppling_stick", engine="impulse", step=1e-3, certify=True)
+
+
+def test_an_estimate_grows_with_the_motion():
+    # A stick that is balanced falls the later the less it leans, and errors grow as it does.
+    wholes = [
+        run("toppling_stick", parameters={"theta0": lean}, certify=True, throw=False)
+        .trace.motion.whole
+        for lean in (0.1, 1e-3, 1e-6)
+    ]  # fmt: skip
+    assert wholes == sorted(wholes)
+    assert math.isfinite(wholes[-1])
