@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import time
@@ -74,6 +75,10 @@ class Fresh:
         """End the process, if there is one."""
         process, self._process = self._process, None
         if process is not None:
+            if _COPIES:
+                # With the copy that is running.
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
             process.kill()
             for pipe in _pipes(process):
                 with suppress(OSError):

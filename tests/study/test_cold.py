@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import sys
 
 import pytest
@@ -34,6 +36,22 @@ def test_a_first_run_is_timed_in_a_process_of_its_own() -> None:
         assert fresh.seconds(Setting(engine="impulse", step=1e-3)) is None
         assert fresh.seconds(RK45) is not None
     assert fresh._process is None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there are no copies")
+def test_a_run_under_way_ends_with_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = Runner(read_text(OSCILLATOR)).model
+    fresh = Fresh(model, 5.0)
+    assert fresh.seconds(RK45) is not None
+    process = fresh._process
+    assert process is not None
+    ended: list[tuple[int, int]] = []
+    kill = os.killpg
+    monkeypatch.setattr(os, "killpg", lambda *all_of: (ended.append(all_of), kill(*all_of)))
+    fresh.close()
+    assert ended == [(process.pid, signal.SIGKILL)]
+    assert process.poll() is not None
+    fresh.close()
 
 
 def test_without_a_process_there_is_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
