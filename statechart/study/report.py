@@ -103,7 +103,7 @@ def _parting(study: Study) -> str:
         why = f"{study.check} warns: " + "; ".join(told)
     two = f"the two leave each other at t = {study.parted:.6g}"
     if third is None:
-        return f"{two}: {why}"
+        return f"{two}, and no run of another kind can judge: {why}"
     if third.edge is None:
         return f"{two}, and {third.setting} the nearer of them at t = {third.parted:.6g}: {why}"
     return (

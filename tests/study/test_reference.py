@@ -156,3 +156,9 @@ def test_a_check_that_warns_of_another_law_is_not_called_chaotic() -> None:
     said = text(found)
     assert "impulse step 1e-4 warns: another law applies" in said
     assert "chaotic" not in said
+
+
+def test_where_no_third_kind_runs_the_model_it_is_said() -> None:
+    said = text(study(parted=0.5, check="impulse step 3e-4", step=3e-4))
+    assert "t = 0.5, and no run of another kind can judge: chaotic, or on a knife's edge" in said
+    assert "or their steps are too long" in said
