@@ -26,6 +26,12 @@ if TYPE_CHECKING:
 
 _MARKERS = "osD^vPX"
 _INK, _GRID = "#333333", "#E6E6E6"
+_LABELS = (
+    "time of a run, s (dots: cold)",
+    "evaluations of the rates (impulse: steps)",
+    "tolerance or accuracy (impulse: step)",
+    "tolerance",
+)
 # A scale of fewer decades has more than one mark in each.
 _SHORT = 100.0
 
@@ -85,12 +91,7 @@ def figure(study: Study) -> Figure:
         steps.set_ylabel("accepted steps")
         steps.set_yscale("log")
         steps.set_visible(bool(steps.lines))
-        for ax, label in (
-            (times, "time of a run, s (dots: cold)"),
-            (works, "evaluations of the rates (impulse: steps)"),
-            (promises, "tolerance or accuracy (impulse: step)"),
-            (steps, "tolerance"),
-        ):
+        for ax, label in zip((times, works, promises, steps), _LABELS, strict=True):
             _dress(ax, label)
         handles, labels = times.get_legend_handles_labels()
         if handles:
