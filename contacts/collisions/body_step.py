@@ -23,6 +23,7 @@ from contacts.collisions.islands import (
     swept_steady,
     velocity,
 )
+from contacts.collisions.meeting import met, nearby, overlap
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.step_impulses import solve_impacts, steady_impulses
 from contacts.states import FREE, PIN, SLIDE
@@ -40,7 +41,7 @@ from contacts.time_stepping.chunk import (
     pressed_guess,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 
 MEMORY = 5
 """What is kept of a contact from step to step: level, lasting, impulses, number of its basis."""
@@ -49,6 +50,14 @@ MEMORY = 5
 _POINTS = 16
 # What is past another, within this part of their radii, since the last look has missed it.
 _CORE = 0.9
+# Bodies that cross less than this part of their size in a step are looked at once.
+_CROSSED = 0.5
+# What is to be hit ahead of its arrival is by then no farther than this part of its gap.
+_ARRIVED = 0.01
+# The cosine of the angle by which the normal of a hit may turn from its look to the touch.
+_ALIKE = 0.8
+# What came in by another side than it leaves by has crossed for this part of a step at most.
+_ELSEWHERE = 0.5
 # Islands of more contacts are swept.
 _DENSE = 40
 
@@ -85,25 +94,6 @@ class BodyNumbers(NamedTuple):
     surfaces: Array
     pairs: Ints
     materials: Array
-
-
-@part
-def _overlap(
-    centres: Array, velocities: Array, b: int, c: int, apart: float
-) -> tuple[float, float]:
-    """When two bodies that move in straight lines are nearer than `apart`; inf, inf if never.
-
-    They are at `centres` at the time zero.
-    """
-    x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
-    u, v = velocities[b, 0] - velocities[c, 0], velocities[b, 1] - velocities[c, 1]
-    # |r + v t|^2 = apart^2
-    square, half, rest = u * u + v * v, x * u + y * v, x * x + y * y - apart * apart
-    inside = half * half - square * rest
-    if not inside > 0.0:
-        return math.inf, math.inf
-    root = math.sqrt(inside)
-    return (-half - root) / square, (-half + root) / square
 
 
 @kernel
@@ -143,7 +133,7 @@ def step_bodies(
     n = 3 * b_count
     most = len(keys)
     nothing, none = np.empty((0, 0)), np.empty((0, 2))
-    found = np.empty((_POINTS, FOUND))
+    found, aside = np.empty((_POINTS, FOUND)), np.empty((_POINTS, FOUND))
     bodies = np.empty((most, 2), np.int64)
     rows = np.empty((most, 2, 6))
     new_keys = np.empty((most, 2), np.int64)
@@ -160,6 +150,7 @@ def step_bodies(
     for k in range(len(codes)):
         old = state[n:].copy().reshape(b_count, 3)
         loose = old.copy()
+        places = state[:n].reshape(b_count, 3)
         for b in range(b_count):
             at = 3 * b
             x = state[at] + 0.5 * h * old[b, 0]
@@ -193,7 +184,7 @@ def step_bodies(
                     if away > sizes[b] + sizes[c] + within:
                         continue
                     # Of what grazes the approach is slow, and within the error of the step.
-                    begin, end = _overlap(centres, old, b, c, _CORE * (cores[b] + cores[c]))
+                    begin, end = overlap(centres, old, b, c, _CORE * (cores[b] + cores[c]))
                     if -h < begin and begin + end < 0.0:
                         passed[k] = max(passed[k], (end - begin) / h)
                     count, features = between(
@@ -246,8 +237,28 @@ def step_bodies(
                     )
                     if part == HIT and gap > 0.0 and c < b_count and radii[b] * radii[c] > 0.0:
                         # Discs that are near and fast may pass beside each other.
-                        touch, _ = _overlap(centres, old, b, c, radii[b] + radii[c])
+                        touch, _ = overlap(centres, old, b, c, radii[b] + radii[c])
                         part = HIT if touch <= h else APART
+                    known = at_old < remembered[0] and keys[at_old, 0] == pair
+                    # In short steps all that follows is within their error.
+                    known = known or c >= b_count or nearby(old, sizes, b, c, _CROSSED / h)
+                    if part == HIT and not known:
+                        # Ahead of its arrival, or behind, other corners and edges are the nearest.
+                        later = max(gap / nearing, -h)
+                        arrived, along = met(
+                            vertices, firsts, radii, places, old, (b, c), later, (nx, ny), aside
+                        )
+                        if gap > 0.0 and not arrived <= _ARRIVED * gap:
+                            part = APART
+                        elif along < _ALIKE:
+                            passed[k] = max(passed[k], _ELSEWHERE)
+                    if gap < 0.0 and -nearing > slow and not known:
+                        # It leaves: if it was not in it at the last look, it came by another side.
+                        earlier, _ = met(
+                            vertices, firsts, radii, places, old, (b, c), -h, (nx, ny), aside
+                        )
+                        if earlier > 0.0:
+                            passed[k] = max(passed[k], _ELSEWHERE)
                     if part == APART:
                         continue
                     hit[m] = part == HIT

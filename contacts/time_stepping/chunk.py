@@ -62,7 +62,7 @@ class Chunk(NamedTuple):
         Where something passed another between the middle of the step before and that of this one:
         the part of a step in which they overlapped.
     gained : (k,) array
-        What contacts add to the energy; see `contacts.time_stepping.energy`.
+        What contacts add to the energy, or would; see `contacts.time_stepping.energy`.
     """
 
     h: float

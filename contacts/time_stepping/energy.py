@@ -3,7 +3,9 @@
 With velocities U- before a step and U+ after it, impulses P change the energy by P (U+ + U-)/2,
 beside what surfaces do that move. Friction and restitution take energy. What keeps a contact on its
 surface, while the surface or the body turns, gives in its second half what it took in its first; a
-contact that lands where the surface turns by a radian within the step has taken nothing before.
+contact that lands where the surface turns by a radian within the step has taken nothing before. One
+that is struck there is struck in a direction that is as far off: what it would add had it landed
+counts for it as well.
 """
 
 from __future__ import annotations

@@ -305,8 +305,8 @@ class _Run:
             # What is added goes with the square of the step.
             part = math.sqrt(MOST_ADDED / chunk.gained[k])
             return k, StepTooLarge(
-                f"contacts add {chunk.gained[k]:.2g} of the energy that they move with in one step "
-                f"of {h:g}, as it does not follow how surfaces or bodies turn; take "
+                f"contacts would add {chunk.gained[k]:.2g} of the energy that they move with in "
+                f"one step of {h:g}, which does not follow how surfaces or bodies turn; take "
                 f"{0.1 * h * part:.1g} or less"
             )
         return k, StepTooLarge(

@@ -182,6 +182,10 @@ def step_scene(
                 gap, level[i], closed[i], nearing, free[i, 0] + bias, slow, BESIDE, h
             )
             active[i], hit[i] = part != APART, part == HIT
+            if part == HIT:
+                # The direction it is hit in is as far off as it turns within the step.
+                speed = max(math.hypot(before[i, 0], before[i, 1]), slowest)
+                gained[k] = max(gained[k], (bias / speed) ** 2)
             if part == LASTING:
                 wanted[i, 0] = above / h + bias
                 wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
@@ -261,9 +265,10 @@ def step_scene(
                     work[a] += pushes[a, d] * both
                 speed = max(math.hypot(start_at[a, 0], start_at[a, 1]), slowest)
                 moving[a] = speed * speed / delassus[2 * a, 2 * a]
-            gained[k] = energy_added(
+            made = energy_added(
                 numbers, state[n:], first + per * which, groups, work, moving, negligible
             )
+            gained[k] = max(gained[k], made)
             modes = np.full(m, FREE)
             # Whose impulses of this step are not those of forces alone.
             mixed = np.zeros(m, np.bool_)

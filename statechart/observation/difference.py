@@ -73,6 +73,7 @@ def compare(
     sizes_of_outputs: Mapping[str, Output] = MappingProxyType({}),
     endless: Collection[str] = (),
     brief: float = 0.0,
+    nothing: float = 0.0,
 ) -> Difference:
     """Compare two runs; a number that is not finite in both must be the same.
 
@@ -88,13 +89,15 @@ def compare(
         Outputs whose number of events has no limit: only those that both runs have are compared.
     brief : float
         As in `paired`.
+    nothing : float
+        What is no larger is the rounding of zero, whatever else is in the run.
     """
     pairs, diverged = paired(coarse, fine, brief=brief)
     same_end = coarse.outcome is fine.outcome
     if diverged is None and not same_end:
         diverged = min(coarse.t_end, fine.t_end)
     largest = np.maximum(sizes(coarse), sizes(fine))
-    nothing = _NOTHING * float(largest.max(initial=0.0))
+    nothing = max(nothing, _NOTHING * float(largest.max(initial=0.0)))
     state = max(
         (
             _relative(a, b, scale, nothing)

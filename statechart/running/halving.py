@@ -33,6 +33,9 @@ _SHORTEST = 2.0**-40
 """Part of the longest run that a step may be, where runs end early because it is too long."""
 _PATIENCE = 10
 """After so many runs, steps a 32nd as long, an estimate that has not even halved never will."""
+_ROUNDING = 1e-3
+"""Of the tolerance of speeds at the start, 1e-9 of the scene's: where a block is stuck from the
+start on, all of its motion is rounding."""
 SHARE = 1e-3
 """Of the run is the first step, where nothing else says how long it is."""
 
@@ -101,6 +104,7 @@ class _Steps:
             sizes_of_outputs=fine.sizes,
             endless=self.endless,
             brief=self._accuracy,
+            nothing=_ROUNDING * fine.trace.tolerances.get("speed", 0.0),
         )
         parts = {"the final state": found.state, "the times of events": found.times, **found.named}
         if found.diverged is not None and max(parts.values()) < math.inf:

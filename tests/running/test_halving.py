@@ -250,3 +250,12 @@ def test_modes_are_apart_for_as_long_as_they_differ() -> None:
     times = [trace.jumps[0].t for trace in runs]
     assert modes_apart(*runs) == pytest.approx(abs(times[0] - times[1]) / 2.0, rel=1e-12)
     assert modes_apart(runs[0], runs[0]) == 0.0
+
+
+def test_a_block_that_never_moves_is_as_accurate_as_can_be() -> None:
+    text = BLOCK.replace("{dx: v0}", "{x: 0}").replace(
+        "\nstop:", '\nforces: {f: {body: block, force: ["2.4*sin(0.84*time)", 0]}}\nstop:'
+    )
+    result = run(read_text(text), engine="impulse", accuracy=1e-6)
+    assert reached(result)
+    assert abs(float(result.outputs["distance"])) < 1e-15  # type: ignore[arg-type]

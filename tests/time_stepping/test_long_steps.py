@@ -57,7 +57,8 @@ def test_a_particle_does_not_fly_through_a_thin_post(x0: float, w: float) -> Non
     for step in (1e-4, 1e-3):
         found = runner(POST, step).run({"x0": x0, "w": w}, throw=False)
         if found.trace.outcome is Outcome.STEP_TOO_LARGE:
-            assert "passes through" in found.trace.message or "closes" in found.trace.message
+            words = ("passes through", "closes", "would add")
+            assert any(word in found.trace.message for word in words)
         else:
             assert abs(found.outputs["vx"] - 50.0) > 1.0  # type: ignore[operator]
 
@@ -129,9 +130,43 @@ def test_a_flank_that_turns_within_a_step_gives_no_energy(x0: float, w: float) -
 
 def test_a_flank_that_turns_within_a_step_ends_the_run_with_a_step_that_does() -> None:
     values = {"w": 0.0229, "x0": 0.803}
-    found = runner(POST, 1e-3).run(values, throw=False)
+    step, found = 1e-3, runner(POST, 1e-3).run(values, throw=False)
     assert found.trace.outcome is Outcome.STEP_TOO_LARGE
-    step = float(found.trace.message.rsplit("take ", 1)[1].split()[0])
-    found = runner(POST, step).run(values)
+    for _ in range(2):  # how fast it turns is seen once it is no longer passed
+        if found.trace.outcome is Outcome.STEP_TOO_LARGE:
+            step = float(found.trace.message.rsplit("take ", 1)[1].split()[0])
+            found = runner(POST, step).run(values, throw=False)
     exact = run(read_text(POST), parameters=values).outputs["vx"]
     assert found.outputs["vx"] == pytest.approx(exact, rel=0.1)
+
+
+SQUARES = """\
+kind: scene
+name: squares
+parameters: {x0: -0.6, y0: 0.0145, v: 9, w: 0.0064, spin: 0}
+gravity: 0
+bodies:
+  a:
+    mass: 1
+    inertia: 1e-3
+    shape: {polygon: [[-w, -w], [w, -w], [w, w], [-w, w]]}
+    start: {x: 0, y: 0}
+  b:
+    mass: 1
+    inertia: 1e-3
+    shape: {polygon: [[-w, -w], [w, -w], [w, w], [-w, w]]}
+    start: {x: x0, y: y0, dx: v, dangle: spin}
+collisions: {all: {bodies: [a, b], friction: 0, restitution: 0.5}}
+stop: {time: 0.1}
+outputs: {vx: {value: b.dx}}
+"""
+
+
+@given(
+    x0=st.floats(-0.7, -0.5),
+    y0=st.floats(0.0135, 0.03),
+    step=st.floats(6e-4, 5e-3),
+)
+def test_squares_that_miss_each_other_do_not_collide(x0: float, y0: float, step: float) -> None:
+    found = runner(SQUARES, step).run({"x0": x0, "y0": y0}, throw=False)
+    assert found.outputs["vx"] == 9.0

@@ -1,0 +1,82 @@
+"""When and how two bodies meet that move in straight lines between two looks of a time step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from contacts.collisions.detection import between, place
+from statechart.arrays import Array, Ints
+from statechart.kernels.jit import part
+
+
+@part
+def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> tuple[float, float]:
+    """When two bodies that move in straight lines are nearer than `apart`; inf, inf if never.
+
+    They are at `centres` at the time zero.
+    """
+    x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
+    u, v = velocities[b, 0] - velocities[c, 0], velocities[b, 1] - velocities[c, 1]
+    # |r + v t|^2 = apart^2
+    square, half, rest = u * u + v * v, x * u + y * v, x * x + y * y - apart * apart
+    inside = half * half - square * rest
+    if not inside > 0.0:
+        return math.inf, math.inf
+    root = math.sqrt(inside)
+    return (-half - root) / square, (-half + root) / square
+
+
+@part
+def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -> bool:
+    """Whether two bodies cross less than the smaller one's size at this rate, beside each other."""
+    x = velocities[one, 0] - velocities[other, 0]
+    y = velocities[one, 1] - velocities[other, 1]
+    return math.hypot(x, y) < rate * min(sizes[one], sizes[other])
+
+
+@part
+def met(
+    vertices: Array,
+    firsts: Ints,
+    radii: Array,
+    places: Array,
+    velocities: Array,
+    pair: tuple[int, int],
+    later: float,
+    normal: tuple[float, float],
+    found: Array,
+) -> tuple[float, float]:
+    """Return how two bodies touch that have moved on as they do: gap, cosine to a normal.
+
+    The gap is inf, and the cosine 1, where they are far apart.
+
+    Parameters
+    ----------
+    vertices, firsts, radii
+        See `contacts.collisions.body_step.BodyNumbers`.
+    places, velocities : (b, 3) array
+        At the time zero.
+    pair : (int, int)
+    later : float
+        How long they move.
+    normal : (float, float)
+        Which of their normals then is nearest to this one.
+    found : (p, FOUND) array
+        Is overwritten.
+    """
+    one, other = pair
+    first, second = places[one] + later * velocities[one], places[other] + later * velocities[other]
+    within = 2.0 * abs(later) * (np.abs(velocities[one]).max() + np.abs(velocities[other]).max())
+    count, _ = between(
+        place(vertices[firsts[one] : firsts[one + 1]], first[0], first[1], first[2]), first[:2],
+        radii[one],
+        place(vertices[firsts[other] : firsts[other + 1]], second[0], second[1], second[2]),
+        second[:2], radii[other], within, found,
+    )  # fmt: skip
+    gap, along = math.inf, 1.0 if count == 0 else -1.0
+    for p in range(count):
+        gap = min(gap, found[p, 4])
+        along = max(along, found[p, 0] * normal[0] + found[p, 1] * normal[1])
+    return gap, along
