@@ -68,7 +68,7 @@ class Limited(Engine):
     def __init__(self, engine: Engine, allowance: Allowance) -> None:
         self._engine, self._allowance = engine, allowance
         self.name, self.method, self.tolerance = engine.name, engine.method, engine.tolerance
-        self.allowed = engine.allowed
+        self.allowed, self.sharp = engine.allowed, engine.sharp
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> object:
         """Compile (see `Engine`)."""

@@ -90,6 +90,8 @@ class Engine(ABC):
         What it is called; `method` is `name` where there is only one.
     tolerance : float
         Relative.
+    sharp : bool
+        Whether the last digits cost little more than the first.
     evaluations : int
         Of the rates, so far; 0 where they are not counted.
     sizes : (n,) array or None
@@ -104,6 +106,7 @@ class Engine(ABC):
     name: str
     method: str
     tolerance: float
+    sharp: bool = False
     evaluations: int = 0
     sizes: Array | None = None
     floor: Array | float = 0.0

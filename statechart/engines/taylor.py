@@ -89,6 +89,8 @@ class Taylor(Engine):
 
     def __init__(self, tolerance: float, *, extended: bool = False) -> None:
         self.method = LONG_DOUBLE if extended else "taylor"
+        # The order rises with the digits.
+        self.sharp = not extended
         self._number: type[Any] = np.longdouble if extended else float
         self.tolerance = max(tolerance, float(np.finfo(self._number).eps))
         self.allowed = max(_SLOPE, _ORDERS * self.tolerance)

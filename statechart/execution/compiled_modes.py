@@ -1,4 +1,4 @@
-"""Modes compiled when a run first enters them, and kept for the next one."""
+"""Modes solved and compiled when a run first enters them, and kept for the next one."""
 
 from __future__ import annotations
 
@@ -47,50 +47,42 @@ class CompiledMode:
         return self.watched[guard][1]
 
 
-class CompiledModes:
-    """The modes of an automaton, each solved and compiled for an engine when it is first asked for.
+@dataclass(frozen=True, eq=False)
+class TapedMode:
+    """A mode with its guards and its rates on tape, whatever integrates it."""
+
+    mode: Mode
+    guards: Tape
+    rates: Tape
+
+
+class SolvedModes:
+    """The modes of an automaton, each solved and put on tape when it is first asked for.
 
     Parameters
     ----------
     automaton : Automaton
-        What is run.
-    engine : Engine
-        What it is run on.
+        What is run; by any number of engines, from any start.
     """
 
-    def __init__(self, automaton: Automaton, engine: Engine) -> None:
+    def __init__(self, automaton: Automaton) -> None:
         self.automaton = automaton
-        self.engine = engine
         self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
-        self._compiled: dict[tuple[Roles, frozenset[int]], CompiledMode] = {}
-        self._built: set[Key] = set()
+        self._taped: dict[Mode, TapedMode] = {}
 
-    def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
-        """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
-        found = self._compiled.get((roles, zeros))
+    def taped(self, roles: Roles, zeros: frozenset[int]) -> TapedMode:
+        """Return the mode of `roles` on tape, for zero parameters at the places `zeros`."""
+        mode = self.mode(roles, zeros)
+        found = self._taped.get(mode)
         if found is None:
-            mode = self.mode(roles, zeros)
-            found = next((made for made in self._compiled.values() if made.mode is mode), None)
-            if found is None:
-                bare = uncaptured(roles)
-                found = self._compile(mode, None if bare == roles else self.compiled(bare, zeros))
-                key = moving_mode(roles)
-                if HELD not in key:
-                    self._built.add(key)
-            self._compiled[roles, zeros] = found
+            guards = self.automaton.tape([margin.expression for margin in mode.margins], mode)
+            bare = uncaptured(roles)
+            if bare == roles:
+                rates = self.automaton.tape(mode.rates, mode)
+            else:
+                rates = self.taped(bare, zeros).rates
+            found = self._taped[mode] = TapedMode(mode, guards, rates)
         return found
-
-    def _compile(self, mode: Mode, bare: CompiledMode | None) -> CompiledMode:
-        """Put guards on tape; let the engine compile the rates unless they are those of `bare`."""
-        automaton = self.automaton
-        guards = automaton.tape([margin.expression for margin in mode.margins], mode)
-        watched = tuple((margin.name, margin.kind) for margin in mode.margins)
-        names = tuple(margin.name for margin in mode.margins)
-        if bare is not None:
-            return CompiledMode(mode, guards, bare.rates, watched, names, bare.stepper)
-        rates = automaton.tape(mode.rates, mode)
-        stepper = self.engine.compile(automaton, mode, rates)
-        return CompiledMode(mode, guards, rates, watched, names, stepper)
 
     def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
         """Return the mode of `roles`, solved for zero parameters at the places `zeros`."""
@@ -120,7 +112,52 @@ class CompiledModes:
         used: set[sp.Symbol] = set().union(*(part.free_symbols for part in parts))
         return frozenset(i for i, symbol in enumerate(automaton.parameters) if symbol in used)
 
+
+class CompiledModes:
+    """The modes of an automaton, each compiled for an engine when it is first entered.
+
+    Parameters
+    ----------
+    solved : SolvedModes
+        The modes.
+    engine : Engine
+        What they are run on.
+    """
+
+    def __init__(self, solved: SolvedModes, engine: Engine) -> None:
+        self.automaton, self.mode = solved.automaton, solved.mode
+        self.engine = engine
+        self._solved = solved
+        self._compiled: dict[tuple[Roles, frozenset[int]], CompiledMode] = {}
+        self._built: set[Key] = set()
+
+    def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
+        """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
+        found = self._compiled.get((roles, zeros))
+        if found is None:
+            taped = self._solved.taped(roles, zeros)
+            mode = taped.mode
+            found = next((made for made in self._compiled.values() if made.mode is mode), None)
+            if found is None:
+                found = self._compile(taped, roles, zeros)
+                key = moving_mode(roles)
+                if HELD not in key:
+                    self._built.add(key)
+            self._compiled[roles, zeros] = found
+        return found
+
+    def _compile(self, taped: TapedMode, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
+        """Let the engine compile the rates, unless they are those of another mode."""
+        mode, bare = taped.mode, uncaptured(roles)
+        watched = tuple((margin.name, margin.kind) for margin in mode.margins)
+        names = tuple(margin.name for margin in mode.margins)
+        if bare == roles:
+            stepper = self.engine.compile(self.automaton, mode, taped.rates)
+        else:
+            stepper = self.compiled(bare, zeros).stepper
+        return CompiledMode(mode, taped.guards, taped.rates, watched, names, stepper)
+
     @property
     def built(self) -> int:
-        """Number of modes whose equations were built so far."""
+        """Number of modes that were compiled so far."""
         return len(self._built)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -15,6 +16,9 @@ from statechart.automaton.laws import Setup
 _LEAST = 8.0 * float(np.finfo(float).eps)
 # Errors of what is smaller, in the sizes of the variables, are relative to this.
 _SMALL = 1e-3
+# The first look ahead ends elsewhere, and so do all steps after it: their rounding is another. What
+# has no scale of its own is cut at one.
+_CUT = 0.4
 # Two ends of a body may hit the ground in turn, ever faster, and be closed together once gaps are
 # below their tolerance: which one is last then depends on it. Half way, by ratio, to the next
 # tolerance of an estimate, as two tolerances may have the same one for the last.
@@ -33,7 +37,8 @@ def nudged(automaton: Automaton) -> Automaton:
         own = automaton.setup(overrides, relative)
         initial = own.initial + np.sign(own.initial) * _sizes(own) * max(relative, _LEAST)
         tolerances = _wider(own.tolerances, force=2.0, gap=_WIDER)
-        return replace(own, initial=initial, tolerances=tolerances)
+        horizon = _CUT * own.horizon if own.horizon < math.inf else 1.0
+        return replace(own, initial=initial, tolerances=tolerances, horizon=horizon)
 
     return replace(automaton, setup=setup)
 

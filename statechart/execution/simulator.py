@@ -11,7 +11,7 @@ from statechart.automaton.trace import Outcome, Roles, Trace
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
 from statechart.execution.certificate import Certificate
-from statechart.execution.compiled_modes import CompiledMode, CompiledModes
+from statechart.execution.compiled_modes import CompiledMode, CompiledModes, SolvedModes
 from statechart.execution.execution import Execution
 from statechart.execution.outcome import error_of
 
@@ -25,15 +25,24 @@ class Simulator:
         What to run.
     engine : Engine
         How to integrate.
+    solved : SolvedModes, optional
+        The automaton's modes, where others run it, too: from another start, or on another engine.
     progress : bool
         Whether runs above about a second report to stderr.
     """
 
-    def __init__(self, automaton: Automaton, engine: Engine, *, progress: bool = False) -> None:
+    def __init__(
+        self,
+        automaton: Automaton,
+        engine: Engine,
+        *,
+        solved: SolvedModes | None = None,
+        progress: bool = False,
+    ) -> None:
         self.automaton = automaton
         self.engine = engine
         self.progress = progress
-        self.modes = CompiledModes(automaton, engine)
+        self.modes = CompiledModes(solved or SolvedModes(automaton), engine)
         # Its arrays are used again, from flow to flow and from run to run.
         self.path = Path()
 

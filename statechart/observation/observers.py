@@ -10,6 +10,7 @@ from statechart.documents.setting import Setting
 from statechart.engines.budget import Allowance, Limited
 from statechart.engines.choice import choose
 from statechart.engines.engine import Engine
+from statechart.execution.compiled_modes import SolvedModes
 from statechart.execution.perturbation import nudged
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
@@ -36,6 +37,8 @@ class Observers:
         self._automaton, self._allowance, self._progress = automaton, allowance, progress
         self._kept: dict[tuple[Setting, bool], Observer] = {}
         self._outputs: dict[Observer, Outputs] = {}
+        # What is solved of a mode holds at any tolerance, on any engine and from any start.
+        self._solved = SolvedModes(automaton)
 
     def at(self, setting: Setting, *, off: bool = False) -> Observer:
         """Return the observer of a setting's simulator, the same one whenever asked.
@@ -68,8 +71,17 @@ class Observers:
         """Return the least tolerance of a setting's engine."""
         return self.engine(replace(setting, tolerance=math.ulp(0.0))).tolerance
 
+    def first(self, setting: Setting) -> float | None:
+        """Return the tolerance that a search for an accuracy begins with, if the engine says one.
+
+        Where the last digits cost little more than the first, the least: one compilation, and one
+        run with another that tells its error.
+        """
+        return self.floor(setting) if self.engine(setting).sharp else None
+
     def _simulator(self, setting: Setting, off: bool) -> Simulator | SteppingSimulator:
         if setting.step is not None:
             return SteppingSimulator(self._automaton, setting.step, progress=self._progress)
         automaton = nudged(self._automaton) if off else self._automaton
-        return Simulator(automaton, self.engine(setting), progress=self._progress)
+        engine, solved = self.engine(setting), self._solved
+        return Simulator(automaton, engine, solved=solved, progress=self._progress)

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from statechart.automaton.trace import Outcome, Trace
 from statechart.engines.request import TIGHTER
 from statechart.errors import DeclarationError
@@ -59,6 +61,15 @@ class Cost:
     steps: int
     evaluations: int
     seconds: float
+
+    def __add__(self, other: Cost) -> Cost:
+        """Return what both took."""
+        return Cost(
+            self.runs + other.runs,
+            self.steps + other.steps,
+            self.evaluations + other.evaluations,
+            self.seconds + other.seconds,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,31 +146,51 @@ class _Runs:
 
         Two runs may agree by luck, or because their flows are polynomials, on which the tolerance
         has no influence. So where they agree well, or nothing tighter follows, a third, from a
-        start that is off by the tolerance, shows how much an error so small is magnified.
+        start that is off by the tolerance, shows how much an error so small is magnified; it alone
+        tells the error of a first run that is the `last`.
         """
         now = Made.of(observer, trace)
-        if self._last is not None:
+        if self._last is None and last:
+            # Nothing is tighter, and what is looser need not be run.
+            self.estimate = self._magnified(now)
+        elif self._last is not None:
             before = self._last.trace
             estimate = self._difference(
                 self._last, now, f"at the tolerances {before.tolerance:.2g} and"
             )
             well = trace.tolerance if self._accuracy is None else self._accuracy
             if estimate <= well or (last and estimate < math.inf):
-                estimate = max(estimate, self._magnified(now))
+                estimate = max(estimate, self._grown(self._last, now, well))
             if estimate <= well:
                 estimate = max(estimate, self._counted(now))
             self.estimate = estimate
         self._last = now
 
-    def _magnified(self, now: Made) -> float:
-        """Return the difference from a run whose start is off; 0 where there is none."""
+    def _grown(self, before: Made, now: Made, well: float) -> float:
+        """Return what an error of the tolerance becomes; 0 where that cannot be told.
+
+        The run before is cheaper to make again than the last one, and it shows the same in
+        proportion, unless its own tolerance takes it into other modes.
+        """
+        found = self._magnified(before)
+        if found is not None:
+            found *= now.trace.tolerance / before.trace.tolerance
+            if found <= well:
+                return found
+        return self._magnified(now) or 0.0
+
+    def _magnified(self, now: Made) -> float | None:
+        """Return the difference from a run whose start is off; None where that says nothing."""
         try:
             observer, trace = self.make(now.trace.tolerance, nudged=True)
         except DeclarationError:
             # Off by so much, the start is no start.
-            return 0.0
-        if trace.outcome in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
-            return 0.0
+            return None
+        if _identical(trace, now.trace) or trace.outcome in (
+            Outcome.INTERRUPTED,
+            Outcome.OUT_OF_BUDGET,
+        ):
+            return None
         found = Made.of(observer, trace)
         return self._difference(
             found, now, "with gaps and from starts that differ by the tolerance"
@@ -235,11 +266,12 @@ def tighten(
     floor : float
         Least tolerance of the engine.
     first : float, optional
-        Tolerance of the first run, which is not the last; a tenth of the accuracy by default.
+        Tolerance of the first run; a tenth of the accuracy by default. At the floor it is the
+        last one, too.
     clock : callable
         Tells the time in seconds.
     """
-    tolerance = max(accuracy * _BELOW if first is None else first, floor / TIGHTER)
+    tolerance = max(accuracy * _BELOW if first is None else first, floor)
     runs = _Runs(once, clock, floor, accuracy)
     observer, trace = runs.make(tolerance)
     if trace.outcome is Outcome.UNSUPPORTED:
@@ -248,6 +280,9 @@ def tighten(
         runs.compare(observer, trace, last=tolerance <= floor)
         if runs.estimate is not None and (runs.estimate <= accuracy or tolerance <= floor):
             break
+        if tolerance <= floor:
+            runs.compare(*runs.make(floor / TIGHTER))
+            continue
         tolerance = max(tolerance * TIGHTER, floor)
         observer, trace = runs.make(tolerance)
     else:
@@ -325,6 +360,11 @@ def within(
         )
         answer = replace(answer, warnings=(*answer.warnings, warning))
     return replace(answer, cost=runs.cost)
+
+
+def _identical(one: Trace, other: Trace) -> bool:
+    times = [[jump.t for jump in trace.jumps] for trace in (one, other)]
+    return times[0] == times[1] and np.array_equal(one.final, other.final)
 
 
 def _advised(seconds: float) -> float:

@@ -12,26 +12,21 @@ from typing import TYPE_CHECKING
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
-from statechart.automaton.trace import Key, Outcome, Trace
+from statechart.automaton.trace import Key, Outcome
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
 from statechart.documents.setting import Setting
 from statechart.documents.validation import located
 from statechart.documents.yaml_reader import read
 from statechart.engines.budget import Allowance
-from statechart.engines.choice import choose
 from statechart.engines.request import planned
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
 from statechart.execution.outcome import error_of
-from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.loading.kind import kind
 from statechart.loading.load import find, interpret
-from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.running.confirmed import confirmed
-from statechart.running.estimate import UNTOLD, Answer, Cost, tighten, within
-from statechart.running.halving import SHARE, halve
+from statechart.running.answers import Answers
 from statechart.running.result import Asked, Result
 
 if TYPE_CHECKING:
@@ -113,11 +108,15 @@ class Runner:
         self._study, self._alone = study, once
         with located(self.document, {}):
             self._plan = planned(self._asked, model, self.automaton, study, once=once)
-        self.setting, self._reason = self._plan.setting, self._plan.reason
-        self._allowance = None if self.setting.budget is None else Allowance(self.setting.budget)
-        if not self.setting.stepped:
-            _, self._reason = choose(self.setting)
-        self.observers = Observers(self.automaton, allowance=self._allowance, progress=progress)
+        budget = self._plan.setting.budget
+        allowance = None if budget is None else Allowance(budget)
+        self.observers = Observers(self.automaton, allowance=allowance, progress=progress)
+        self._answers = Answers(model, self.document, self.observers, self._plan, allowance)
+
+    @property
+    def setting(self) -> Setting:
+        """How it is run; the engine is another one where the first choice could not."""
+        return self._answers.setting
 
     def __reduce__(self) -> tuple[object, ...]:
         """Travel as the model and what is asked for: what is compiled is compiled anew there."""
@@ -177,17 +176,17 @@ class Runner:
                 advice="leave certify out, or take the engine taylor or scipy",
             )
         began = time.perf_counter()
-        answer, basis = self._answer(overrides, end)
+        answer, basis = self._answers.answer(overrides, end)
         observer, trace, estimate = answer.observer, answer.trace, answer.estimate
         if certify:
-            trace = self._certified(answer, overrides, end)
+            trace = self._answers.certified(answer, overrides, end)
         asked = None
-        if self._searching:
+        if self._answers.searching:
             asked = Asked(self.setting, basis, answer.cost, answer.not_judged)
         if answer.warnings:
             trace = replace(trace, warnings=(*trace.warnings, *answer.warnings))
-        if self._reason:
-            trace = replace(trace, warnings=(self._reason, *trace.warnings))
+        if self._answers.reason:
+            trace = replace(trace, warnings=(self._answers.reason, *trace.warnings))
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         timings = {**self._timings, "run": time.perf_counter() - began}
@@ -216,7 +215,7 @@ class Runner:
         """
         overrides = dict(parameters or {})
         mode, warnings = self._begin(overrides)
-        found = (self._reason, *warnings)
+        found = (self._answers.reason, *warnings)
         return mode, tuple(dict.fromkeys(text for text in found if text))
 
     def setup(self, parameters: Mapping[str, float] | None = None) -> Setup:
@@ -238,11 +237,6 @@ class Runner:
         relative = math.nan if stepped else self.observers.engine(self.setting).tolerance
         with located(self.document, overrides):
             return self.automaton.setup(overrides, relative)
-
-    @property
-    def _searching(self) -> bool:
-        """Whether the tolerance or the step is looked for."""
-        return self.setting.accuracy is not None or self.setting.budget is not None
 
     def end(
         self, parameters: Mapping[str, float] | None = None, *, until: float | None = None
@@ -296,21 +290,6 @@ class Runner:
             if math.isnan(value):
                 raise DeclarationError(f"parameter {name!r} must be a number, not nan")
 
-    def _once(
-        self, setting: Setting, overrides: Mapping[str, float], end: float, *, off: bool = False
-    ) -> tuple[Observer, Trace]:
-        observer = self.observers.at(setting, off=off)
-        limit = self.model.settings.max_jumps
-        with located(self.document, overrides):
-            trace = observer.simulator.run(overrides, until=end, max_jumps=limit, throw=False)
-        picked = setting.engine == "auto" and trace.engine.startswith("taylor")
-        if trace.outcome is not Outcome.UNSUPPORTED or not picked:
-            return observer, trace
-        # Taylor cannot expand a flow, and was not asked for.
-        self.setting = replace(self.setting, engine="scipy")
-        self._reason = f"engine scipy: {trace.message}"
-        return self._once(replace(setting, engine="scipy"), overrides, end, off=off)
-
     def _other(self, model: Declaration, study: Measured | None) -> Runner:
         """Return what runs another model, or by another study, in the place of this one."""
         other = Runner(
@@ -318,50 +297,6 @@ class Runner:
         )
         other.document = self.document
         return other
-
-    def _answer(self, overrides: Mapping[str, float], end: float) -> tuple[Answer, str]:
-        """Return the run asked for, and what it was chosen by."""
-        basis = self._plan.basis
-
-        def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
-            return self._once(replace(self.setting, tolerance=tolerance), overrides, end, off=off)
-
-        def at(step: float) -> tuple[Observer, Trace]:
-            return self._once(replace(self.setting, accuracy=None, step=step), overrides, end)
-
-        if not self._searching:
-            observer, trace = self._once(self.setting, overrides, end)
-            return Answer(observer, trace, None, Cost(1, 0, 0, 0.0)), basis
-        if self.setting.stepped:
-            assert self.setting.accuracy is not None
-            first = self.setting.step or SHARE * end or 1.0
-            return halve(at, self.setting.accuracy, first=first, end=end), basis
-        floor = self.observers.floor(self.setting)
-        if self._allowance is not None:
-            self._allowance.begin()
-            seconds = self._allowance.seconds
-            return within(once, seconds, first=self._plan.first, floor=floor), basis
-        assert self.setting.accuracy is not None
-        if self._plan.chosen is not None:
-            answer = confirmed(once, self._plan.chosen)
-            if answer is not None:
-                return answer, f"{basis}, as that run"
-            basis += ", which runs otherwise here"
-        return tighten(once, self.setting.accuracy, first=self._plan.first, floor=floor), basis
-
-    def _certified(self, answer: Answer, overrides: Mapping[str, float], end: float) -> Trace:
-        """Return the run of an answer with what is proved of its motion."""
-        trace, simulator = answer.trace, answer.observer.simulator
-        if trace.outcome in (*UNTOLD, Outcome.INTERRUPTED) or isinstance(
-            simulator, SteppingSimulator
-        ):
-            return trace
-        if self._allowance is not None:
-            self._allowance.lift()
-        with located(self.document, overrides):
-            return simulator.certified(
-                trace, overrides, until=end, max_jumps=self.model.settings.max_jumps
-            )
 
     def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         with located(self.document, overrides):

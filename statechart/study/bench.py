@@ -57,7 +57,8 @@ class Bench:
 
         def answer() -> Answer:
             if setting.accuracy is not None:
-                return tighten(once, setting.accuracy, floor=observers.floor(setting))
+                floor, first = observers.floor(setting), observers.first(setting)
+                return tighten(once, setting.accuracy, floor=floor, first=first)
             observer = observers.at(setting)
             trace = self.once(observer)
             counts = trace.counts

@@ -110,8 +110,8 @@ def test_tightening_starts_where_it_is_told_and_ends_when_two_runs_agree() -> No
     assert answer.cost.runs == len(tolerances) > 2
     *tightened, last = tolerances
     assert tightened == pytest.approx([1e-3 / 20**k for k in range(len(tightened))], rel=1e-12)
-    # Before the answer is accepted, a start that is off is tried at its tolerance.
-    assert last == tightened[-1]
+    # Before the answer is accepted, a start that is off is tried at the tolerance before.
+    assert last == tightened[-2]
     assert nudges == [False] * len(tightened) + [True]
 
 
