@@ -145,6 +145,9 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--engine", choices=("auto", "taylor", "scipy", "impulse"))
     run.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
     run.add_argument(
+        "--max-step", metavar="H", type=_number, help="longest step of the other engines, in time"
+    )
+    run.add_argument(
         "--method", metavar="M",
         help="RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)",
     )  # fmt: skip

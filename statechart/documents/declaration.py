@@ -64,11 +64,22 @@ class Settings(Part):
         description="Length of every step in time, of the engine impulse; of the longest where an "
         "accuracy is asked for.",
     )
+    max_step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=None,
+        description="Length of the longest step in time, of an engine that chooses its own.",
+    )
     max_jumps: Annotated[StrictInt, Field(gt=0)] = 100_000
 
     @model_validator(mode="after")
     def _compatible(self) -> Self:
-        Setting(self.engine, self.method, self.tolerance, self.accuracy, self.step).check()
+        Setting(
+            self.engine,
+            self.method,
+            self.tolerance,
+            self.accuracy,
+            self.step,
+            max_step=self.max_step,
+        ).check()
         return self
 
 

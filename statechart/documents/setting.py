@@ -30,6 +30,8 @@ class Setting:
         Length of every step in time, of impulse; of the longest where an accuracy is asked for.
     budget : float or None
         Seconds allowed: tolerances are tightened as long as there is time.
+    max_step : float or None
+        Length of the longest step in time, of an engine that chooses its own.
     """
 
     engine: str | None = None
@@ -38,6 +40,7 @@ class Setting:
     accuracy: float | None = None
     step: float | None = None
     budget: float | None = None
+    max_step: float | None = None
 
     def check(self) -> None:
         """Check that the parts go together, and their numbers.
@@ -51,7 +54,7 @@ class Setting:
         finders = ("tolerance", "accuracy", "budget")
         named = [what for what in finders if getattr(self, what) is not None]
         if engine == "impulse":
-            for what in ("method", "tolerance", "budget"):
+            for what in ("method", "tolerance", "budget", "max_step"):
                 if getattr(self, what) is not None:
                     raise _misplaced(
                         what,
@@ -82,7 +85,8 @@ class Setting:
                 raise DeclarationProblem(
                     f"{what} must be above 0 and below 1, not {value:g}", loc=(what,)
                 )
-        for what, kind in (("step", "time"), ("budget", "time in seconds")):
+        times = (("step", "time"), ("budget", "time in seconds"), ("max_step", "time"))
+        for what, kind in times:
             value = getattr(self, what)
             if value is not None and not 0.0 < value < math.inf:
                 raise DeclarationProblem(

@@ -39,6 +39,7 @@ def choose(setting: Setting) -> tuple[Engine, str]:
         If there is no such engine or method, or the engine is not installed.
     """
     engine, method, tolerance = setting.engine or "auto", setting.method, setting.tolerance
+    longest = setting.max_step or math.inf
     if engine not in ENGINES:
         raise DeclarationError(f"no engine {engine!r}", advice="known: " + ", ".join(ENGINES))
     reason = ""
@@ -48,19 +49,19 @@ def choose(setting: Setting) -> tuple[Engine, str]:
         if engine == "scipy" and method is None:
             reason = "engine scipy: heyoka, which the engine taylor needs, is not installed"
     if engine == "taylor":
-        return _taylor(method, tolerance), reason
+        return _taylor(method, tolerance, longest), reason
     from statechart.engines.scipy import METHODS, SciPy
 
     if method is not None and method not in METHODS:
         raise DeclarationError(f"no method {method!r}", advice="known: " + ", ".join(METHODS))
-    return SciPy(tolerance or _SCIPY_TOLERANCE, method or _METHOD), reason
+    return SciPy(tolerance or _SCIPY_TOLERANCE, method or _METHOD, longest), reason
 
 
 def _has_heyoka() -> bool:
     return find_spec("heyoka") is not None
 
 
-def _taylor(method: str | None, tolerance: float | None) -> Engine:
+def _taylor(method: str | None, tolerance: float | None, longest: float) -> Engine:
     if not _has_heyoka():
         raise DeclarationError(
             "the engine taylor needs heyoka, which is not installed",
@@ -69,10 +70,10 @@ def _taylor(method: str | None, tolerance: float | None) -> Engine:
     from statechart.engines.taylor import Taylor, has_long_double
 
     if method is None:
-        return Taylor(tolerance or _TAYLOR_TOLERANCE)
+        return Taylor(tolerance or _TAYLOR_TOLERANCE, max_step=longest)
     if method != LONG_DOUBLE or not has_long_double():
         raise DeclarationError(
             f"the engine taylor has no method {method!r} on this machine",
             advice="leave the method out, or take the engine scipy",
         )
-    return Taylor(tolerance or math.ulp(0.0), extended=True)
+    return Taylor(tolerance or math.ulp(0.0), extended=True, max_step=longest)

@@ -116,6 +116,8 @@ def planned(
         return _stepping(asked, model, automaton, steps_only)
     if asked.method is None and asked.engine != "taylor":
         asked = replace(asked, method=settings.method)
+    if asked.max_step is None:
+        asked = replace(asked, max_step=settings.max_step)
     if asked.tolerance is None and asked.accuracy is None and asked.budget is None:
         asked = replace(asked, tolerance=settings.tolerance, accuracy=settings.accuracy)
     return _learned(Plan(asked), study, model, once=once)

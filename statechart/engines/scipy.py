@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,13 +46,17 @@ class SciPy(Engine):
         Relative tolerance; the absolute one follows from the size of each variable.
     method : str
         One of `METHODS`.
+    max_step : float
+        Longest step in time.
     """
 
     name = "scipy"
 
-    def __init__(self, tolerance: float, method: str = "DOP853") -> None:
+    def __init__(
+        self, tolerance: float, method: str = "DOP853", max_step: float = math.inf
+    ) -> None:
         self.tolerance = max(tolerance, _LEAST)
-        self.method = method
+        self.method, self.max_step = method, max_step
         self.allowed = _SLOPE * self.tolerance**_SLOWER
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
@@ -129,6 +134,8 @@ class SciPy(Engine):
             least = sizes * max(moving, _ROUNDING / self.tolerance)
         self.floor = np.maximum(magnitude, 1e-3 * least)
         options: dict[str, Any] = {"rtol": self.tolerance, "atol": self.tolerance * self.floor}
+        if self.max_step < math.inf:
+            options["max_step"] = self.max_step
         if stepper.suggested is not None and 0 < stepper.suggested < duration:
             options["first_step"] = stepper.suggested
         solver = getattr(integrate, self.method)

@@ -6,6 +6,7 @@ Steps and polynomials are heyoka's; its own event detection is not used, because
 from __future__ import annotations
 
 import functools
+import math
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -83,17 +84,22 @@ class Taylor(Engine):
     extended : bool
         Integrate every flow in long doubles (see `has_long_double`): slower, for references. What
         the flow hands on is rounded once: dense output, events and jumps are in doubles.
+    max_step : float
+        Longest step in time.
     """
 
     name = "taylor"
 
-    def __init__(self, tolerance: float, *, extended: bool = False) -> None:
+    def __init__(
+        self, tolerance: float, *, extended: bool = False, max_step: float = math.inf
+    ) -> None:
         self.method = LONG_DOUBLE if extended else "taylor"
         # The order rises with the digits.
         self.sharp = not extended
         self._number: type[Any] = np.longdouble if extended else float
         self.tolerance = max(tolerance, float(np.finfo(self._number).eps))
         self.allowed = max(_SLOPE, _ORDERS * self.tolerance)
+        self.max_step = max_step
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
         """Compile the rates; identical modes come from heyoka's cache on disk."""
@@ -175,7 +181,7 @@ class Taylor(Engine):
                     stepper.pars[0] = watch.start + reached
                     stepper.pars[1:] = watch.parameters[stepper.used]
             taken, finite, h, left = _one_by_one(
-                stepper, path, self._number(until - reached), count, end
+                stepper, path, self._number(until - reached), self.max_step, count, end
             )
             made = Steps(finite == taken and h == left, first, state)
             last = first + finite
@@ -218,6 +224,7 @@ class Taylor(Engine):
             state,
             *stepper.memory,
             self.tolerance,
+            self.max_step,
             until,
             count,
             LONGEST_CHUNK,
@@ -244,7 +251,7 @@ class Taylor(Engine):
 
 
 def _one_by_one(
-    stepper: _Stepper, path: Path, duration: Any, count: int, end: Array
+    stepper: _Stepper, path: Path, duration: Any, max_step: float, count: int, end: Array
 ) -> tuple[int, int, float, float]:
     """Do what the compiled loop does with heyoka's own calls, in the precision of `duration`."""
     if count > len(stepper.durations):
@@ -255,7 +262,8 @@ def _one_by_one(
     taken = 0
     order = np.arange(1, now.shape[1])
     while taken < count:
-        begun, began, longest = stepper.state.copy(), stepper.integrator.time, left
+        begun, began = stepper.state.copy(), stepper.integrator.time
+        longest = min(left, type(left)(max_step))
         for _ in range(HALVINGS):
             stepper.state[:], stepper.integrator.time = begun, began
             h = step(longest, True)[1]

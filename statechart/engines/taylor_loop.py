@@ -29,9 +29,9 @@ _ROUGH, _ROUNDING = 1e-3, 0.25
 # Where the rate itself ends no length of a step helps, and none is made.
 HALVINGS = 40
 
-Integrator = tuple[int, Array, Array, Array, Array, float]
+Integrator = tuple[int, Array, Array, Array, Array, float, float]
 """heyoka's, its step linked: address, state (n,), parameters (p,), clock (2,) with the time since
-the integration began and its rounding, series (n, d + 1), tolerance."""
+the integration began and its rounding, series (n, d + 1), tolerance, longest step."""
 
 
 @part
@@ -102,11 +102,11 @@ def _taylor_steps(
     h, left : float
         Length of the last step, and what was left before it.
     """
-    address, state, parameters, clock, series, tolerance = integrator
+    address, state, parameters, clock, series, tolerance, max_step = integrator
     n, allowed = series.shape[0], max(STRAY, _ORDERS * tolerance)
     step, here, begun = np.empty(1), np.empty(n), np.empty(n)
     left, total, taken = duration, 0.0, 0
-    longest, off, halvings, done, again = math.inf, math.inf, 0, False, False
+    longest, off, halvings, done, again = max_step, math.inf, 0, False, False
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
     while True:
         here[:] = state
@@ -127,7 +127,7 @@ def _taylor_steps(
                 if halvings > HALVINGS:
                     return taken, taken, 0.0, left
                 continue
-            longest, halvings = math.inf, 0
+            longest, halvings = max_step, 0
         if done:
             return taken, taken, h, left
         h, again = step[0], False
@@ -163,6 +163,7 @@ def taylor_flow(
     clock: Array,
     series: Array,
     tolerance: float,
+    max_step: float,
     until: float,
     count: int,
     longest: int,
@@ -194,7 +195,7 @@ def taylor_flow(
     ----------
     moved : bool
         Whether to start from `initial` instead of where the last call ended.
-    address, state, heyokas, clock, series, tolerance
+    address, state, heyokas, clock, series, tolerance, max_step
         An `Integrator`; its parameters `heyokas` are a time and those of `parameters` that are
         `used`.
     until : float
@@ -227,7 +228,7 @@ def taylor_flow(
     found : tuple
         What `search` returns for the last chunk, or `OFF` in the place of its verdict.
     """
-    integrator, boxes = (address, state, heyokas, clock, series, tolerance), 0
+    integrator, boxes = (address, state, heyokas, clock, series, tolerance, max_step), 0
     if moved:
         clock[0] = clock[1] = 0.0
         state[:] = initial

@@ -56,6 +56,8 @@ class Runner:
         the longest.
     budget : float, optional
         Seconds allowed for a run: tolerances are tightened as long as there is time.
+    max_step : float, optional
+        Longest step in time, of the engines that choose their own.
     study : Study, optional
         What was measured of this model: engine and tolerance are chosen by it.
     once : bool
@@ -81,6 +83,7 @@ class Runner:
         accuracy: float | None = None,
         step: float | None = None,
         budget: float | None = None,
+        max_step: float | None = None,
         study: Measured | None = None,
         once: bool = False,
         progress: bool = False,
@@ -104,7 +107,7 @@ class Runner:
                 raise
         self._timings = {"read": read_at - began, "compose": time.perf_counter() - read_at}
         self._progress = progress
-        self._asked = Setting(engine, method, tolerance, accuracy, step, budget)
+        self._asked = Setting(engine, method, tolerance, accuracy, step, budget, max_step)
         self._study, self._alone = study, once
         with located(self.document, {}):
             self._plan = planned(self._asked, model, self.automaton, study, once=once)
@@ -320,6 +323,7 @@ def run(
     accuracy: float | None = None,
     step: float | None = None,
     budget: float | None = None,
+    max_step: float | None = None,
     study: Measured | None = None,
     progress: bool = False,
     certify: bool = False,
@@ -335,7 +339,7 @@ def run(
     >>> result.trace.outcome.name
     'HORIZON'
     """
-    asked = Setting(engine, method, tolerance, accuracy, step, budget)
+    asked = Setting(engine, method, tolerance, accuracy, step, budget, max_step)
     runner = Runner(model, **asdict(asked), study=study, once=True, progress=progress)
     return runner.run(parameters, until=until, certify=certify, throw=throw)
 

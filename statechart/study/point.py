@@ -131,8 +131,9 @@ class Point(Record):
 
     @field_serializer("setting")
     def _plain(self, setting: Setting) -> dict[str, Any]:
-        # No run of a study has a budget.
-        return {name: value for name, value in asdict(setting).items() if name != "budget"}
+        # No run of a study has a budget, or a longest step.
+        unused = ("budget", "max_step")
+        return {name: value for name, value in asdict(setting).items() if name not in unused}
 
 
 class Third(Record):

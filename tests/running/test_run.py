@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -271,3 +272,44 @@ def test_steps_that_fill_the_memory_are_an_outcome() -> None:
         path.room(10**15, 3, 20)
     path.append(0.5, np.ones((3, 4)))
     assert path.arc()[0].tolist() == [0.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    "choice",
+    [
+        {"engine": "taylor"},
+        {"engine": "taylor", "method": "long double"},
+        {"engine": "scipy", "method": "DOP853"},
+        {"engine": "scipy", "method": "RK45"},
+        {"engine": "scipy", "method": "Radau"},
+        {"engine": "scipy", "method": "LSODA"},
+    ],
+    ids=lambda choice: choice.get("method", "taylor"),
+)
+def test_no_step_is_longer_than_the_longest(choice: dict[str, str]) -> None:
+    plain = run("toppling_stick", tolerance=1e-6, **choice)  # type: ignore[arg-type]
+    found = run("toppling_stick", tolerance=1e-6, max_step=0.02, **choice)  # type: ignore[arg-type]
+    steps = [np.diff(arc.times).max() for arc in found.trace.arcs]
+    assert max(steps) <= 0.02 * (1 + 1e-12)
+    assert max(np.diff(arc.times).max() for arc in plain.trace.arcs) > 0.02
+    assert found.outputs["t_impact"] == pytest.approx(plain.outputs["t_impact"], rel=1e-3)
+
+
+def test_a_file_may_say_the_longest_step_and_a_call_another() -> None:
+    model = load("toppling_stick")
+    settings = model.settings.model_copy(update={"max_step": 0.05})
+    model = model.model_copy(update={"settings": settings})
+    assert Runner(model).setting.max_step == 0.05
+    assert Runner(model, max_step=0.01).setting.max_step == 0.01
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"engine": "impulse", "step": 1e-3, "max_step": 0.1}, "has no max_step"),
+        ({"max_step": 0.0}, "must be a positive time"),
+    ],
+)
+def test_a_longest_step_that_means_nothing_is_refused(asked: dict[str, Any], words: str) -> None:
+    with pytest.raises(DeclarationError, match=words):
+        Runner("toppling_stick", **asked)
