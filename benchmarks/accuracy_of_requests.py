@@ -132,7 +132,7 @@ def cost(scene: str, parameters: dict[str, float], engine: str, accuracy: float)
     asked.run(parameters, throw=False)
     _, seconds = timed(lambda: asked.run(parameters, throw=False))
     reference = references(scene)[0].run(parameters, throw=False)
-    for power in range(round(-math.log10(accuracy)) - 2, 15):
+    for power in range(max(2, round(-math.log10(accuracy)) - 2), 15):
         one = runner(scene, engine, tolerance=10.0**-power)
         try:
             one.run(parameters, throw=False)

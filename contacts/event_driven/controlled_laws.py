@@ -88,7 +88,7 @@ class ControlledLaws:
             jump = replace(jump, source=flow.mode, target=(*jump.target, *own))
             pending = self._listening.heard(flow.pending, jump)
             return jump, self._joined(setup, clock, following, own, jump.after, pending)
-        guarded = self._due(setup, clock, flow, state, fired)
+        guarded, rows = self._due(setup, clock, flow, state, fired)
         firing = self._listening.first(self._names, own, flow.pending, guarded)
         if firing is None:
             return None
@@ -106,6 +106,10 @@ class ControlledLaws:
         )
         pending = self._listening.heard(firing.pending, jump)
         following = self._parted(flow)
+        if taken.on is None:
+            watch = self._states.guards(own).watch
+            early = watch.early(rows, firing.place, firing.transition, fired)
+            following = following._replace(warning=early or following.warning)
         return jump, self._joined(setup, clock, following, states, state, pending)
 
     def accumulate(
@@ -152,14 +156,15 @@ class ControlledLaws:
 
     def _due(
         self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array, fired: tuple[str, ...]
-    ) -> dict[int, int]:
-        """Return place -> transition whose guard is due."""
+    ) -> tuple[dict[int, int], Array]:
+        """Return place -> transition whose guard is due, and what was known of the guards."""
         own = flow.mode[self._count :]
         guarded = self._states.guards(own)
         watched = guarded.watch.guards
         tolerances = np.array([flow.tolerances[guard.margin] for guard in watched])
-        if (guarded.rows(setup, clock.high, state)[:, 0] > tolerances).all():
-            return {}
+        rows = guarded.rows(setup, clock.high, state)
+        if (rows[:, 0] > tolerances).all():
+            return {}, rows
         snapshot = self._at(own).snapshot(setup, state, clock.high)
         modes = moving_mode(flow.roles[: self._count])
         closed = [mode not in OPEN for mode in modes]
@@ -179,7 +184,7 @@ class ControlledLaws:
                 setup, flow.roles, guard.margin, state, setup.scales.sizes, clock.high, relative
             )
 
-        return guarded.watch.due(rows, flow.tolerances, fired, relative, later)
+        return guarded.watch.due(rows, flow.tolerances, fired, relative, later), rows
 
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow as the contacts' laws know it."""

@@ -35,6 +35,8 @@ from statechart.formulas.writer import compile_tape
 # Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts
 # at zero and rises from there with slope zero undecided.
 _UNDERFLOW = 1e-290
+# Of its terms, a margin that is so small is zero, however exactly a run is computed.
+_ROUNDED = 2.0**-40
 # A few roundings, of an instant and of what it is compared with.
 _OF_TIME = 8.0 * float(np.finfo(float).eps)
 
@@ -265,6 +267,21 @@ class GuardWatch:
             if now:
                 found[guard.place] = guard.transition
         return found
+
+    def early(self, rows: Array, place: int, transition: int, fired: Collection[str]) -> str:
+        """Say that a transition is taken before its guard is true, and not by rounding.
+
+        Two that follow each other within the tolerance are taken at once, with nothing in between.
+        """
+        for guard, row in zip(self.guards, rows.tolist(), strict=True):
+            margin, size = row[0], row[3]
+            taken = guard.place == place and guard.transition == transition
+            if taken and guard.margin not in fired and margin > _ROUNDED * size:
+                return (
+                    f"{guard.margin} is taken for true, {margin:.2g} short of it: that is within "
+                    "the tolerance of the run"
+                )
+        return ""
 
 
 class Listening:

@@ -38,6 +38,19 @@ class Allowance:
         """Count no more."""
         self._until = math.inf
 
+    def check_for(self, seconds: float) -> None:
+        """Raise where there is no time for what takes so many `seconds`.
+
+        Raises
+        ------
+        OutOfBudget
+        """
+        if self.clock() + seconds > self._until:
+            raise OutOfBudget(
+                f"the {self.seconds:g} s allowed are too few to compile what integrates the mode; "
+                "allow more time, or take the engine scipy"
+            )
+
     def check(self, now: float) -> None:
         """Raise where the time is over; `now` is how far the run came.
 
@@ -71,7 +84,8 @@ class Limited(Engine):
         self.allowed, self.sharp = engine.allowed, engine.sharp
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> object:
-        """Compile (see `Engine`)."""
+        """Compile (see `Engine`), unless the time would be over then."""
+        self._allowance.check_for(self._engine.compiling(rates))
         return self._engine.compile(automaton, mode, rates)
 
     def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:

@@ -116,6 +116,10 @@ class Engine(ABC):
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> object:
         """Return what `steps` needs to integrate `mode`, whose rates are also on a tape."""
 
+    def compiling(self, rates: Tape) -> float:
+        """Return about how many seconds `compile` takes."""
+        return 0.0
+
     def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:  # noqa: B027
         """Raise `Unsupported` where the method cannot go on from a state, whatever its steps."""
 

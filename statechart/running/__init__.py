@@ -1,7 +1,7 @@
 """A model and an end to a result.
 
 `runner` compiles a model once and runs it; `result` is what it returns. `answers` makes the runs
-that are asked for: `estimate` delivers an accuracy or keeps to a budget, `halving` delivers one by shorter time steps, `confirmed` by the run
-that was measured to; `alternatives` compares runs under other choices. `drawing` draws a model's
-statechart.
+that are asked for: `estimate` delivers an accuracy or keeps to a budget, `halving` delivers one by
+shorter time steps, `confirmed` by the run that was measured to. `alternatives` compares runs under
+other choices. `drawing` draws a model's statechart.
 """

@@ -99,9 +99,13 @@ class Answers:
             )
 
     def _other_engine(self, trace: Trace) -> bool:
-        """Take scipy where taylor was picked, and cannot expand a flow; whether that is so."""
+        """Take scipy where taylor was picked and cannot run the model; whether that is so.
+
+        It cannot expand every flow, and there may be no time to compile the first.
+        """
         picked = self.setting.engine == "auto" and trace.engine.startswith("taylor")
-        if trace.outcome is not Outcome.UNSUPPORTED or not picked:
+        late = trace.outcome is Outcome.OUT_OF_BUDGET and not trace.arcs
+        if not (picked and (late or trace.outcome is Outcome.UNSUPPORTED)):
             return False
         self.setting = replace(self.setting, engine="scipy")
         self.reason = f"engine scipy: {trace.message}"
@@ -124,14 +128,14 @@ class Answers:
             longest = setting.step or SHARE * end or 1.0
             return halve(at, setting.accuracy, first=longest, end=end), basis
         floor = self._observers.floor(setting)
+        first = self._observers.first(setting) if plan.first is None else plan.first
         if self._allowance is not None:
             left = self._allowance.seconds - spent
-            return within(once, left, first=plan.first, floor=floor), basis
+            return within(once, left, first=first, floor=floor), basis
         assert setting.accuracy is not None
         if plan.chosen is not None:
             answer = confirmed(once, plan.chosen)
             if answer is not None:
                 return answer, f"{basis}, as that run"
             basis += ", which runs otherwise here"
-        first = self._observers.first(setting) if plan.first is None else plan.first
         return tighten(once, setting.accuracy, first=first, floor=floor), basis

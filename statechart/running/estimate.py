@@ -13,7 +13,7 @@ import numpy as np
 from statechart.automaton.trace import Outcome, Trace
 from statechart.engines.request import TIGHTER
 from statechart.errors import DeclarationError
-from statechart.observation.difference import compare
+from statechart.observation.difference import compare, paired
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import OutputValue as Output
@@ -132,6 +132,7 @@ class _Runs:
         self.runs = self.steps = self.evaluations = 0
         self.estimate: float | None = None
         self.diverged = ""
+        self.merged: float | None = None
         self.endless: frozenset[str] = frozenset()
 
     def make(self, tolerance: float, *, nudged: bool = False) -> tuple[Observer, Trace]:
@@ -224,6 +225,9 @@ class _Runs:
             brief=self._brief,
         )
         runs, self.diverged = f"runs {how} {other.trace.tolerance:.2g}", ""
+        if found.diverged is None:
+            # Of events that one of the runs has, and the other not, the result is the same.
+            _, self.merged = paired(one.trace, other.trace)
         if found.diverged is not None:
             self.diverged = (
                 f"{runs} take different modes: accuracy is undefined from "
@@ -237,6 +241,18 @@ class _Runs:
     @property
     def seconds(self) -> float:
         return self._clock() - self._began
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader of the answer must know of how the runs compare."""
+        if self.diverged:
+            return (self.diverged,)
+        if self.merged is None:
+            return ()
+        return (
+            f"modes that last less than {self._brief:g} of the run are not told apart: from "
+            f"t = {self.merged:.17g} on one of the runs has some that another has not",
+        )
 
     @property
     def not_judged(self) -> tuple[str, ...]:
@@ -296,7 +312,7 @@ def tighten(
         or f"the accuracy {accuracy:g} was not reached: at the least tolerance of the engine the "
         f"estimated error is {runs.estimate:.2g}"
     )
-    warnings = (missed,) if missed else ()
+    warnings = (missed,) if missed else runs.warnings
     return Answer(observer, trace, runs.estimate, runs.cost, warnings, runs.not_judged)
 
 
@@ -341,9 +357,8 @@ def within(
         if cut and answer is not None:
             break
         if not cut:
-            runs.compare(observer, trace)
-        warnings = (runs.diverged,) if runs.diverged else ()
-        answer = Answer(observer, trace, runs.estimate, runs.cost, warnings, runs.not_judged)
+            runs.compare(observer, trace, last=tolerance <= floor)
+        answer = Answer(observer, trace, runs.estimate, runs.cost, runs.warnings, runs.not_judged)
         if cut or tolerance <= floor or runs.seconds + _LONGER * took > budget:
             break
         tolerance = max(tolerance * stride, floor)
@@ -356,7 +371,7 @@ def within(
     if runs.seconds > max(_OVERRUN * budget, budget + _MOMENT):
         warning = (
             f"{runs.seconds:.2g} s were taken of the {budget:g} s allowed: a mode that is being "
-            "compiled is not interrupted; what is compiled is kept for the next run"
+            "solved or compiled is not interrupted; what is made is kept for the next run"
         )
         answer = replace(answer, warnings=(*answer.warnings, warning))
     return replace(answer, cost=runs.cost)

@@ -26,6 +26,7 @@ from statechart.loading.load import interpret
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.reporting.figure import figure
+from statechart.running.result import Result
 from statechart.running.runner import Runner
 from statechart.testing.properties import generic
 from statechart.testing.subject import Subject
@@ -697,3 +698,38 @@ stop: {time: 2}
     found = violations(runner.model, result.observer, result.trace)  # type: ignore[arg-type]
     assert found == pytest.approx({"constraint": 0.0, "cone": 0.0}, abs=1e-12)
     assert result.trace.final[0] == pytest.approx(0.3342089959225, rel=1e-11)
+
+
+MERGED = """\
+kind: scene
+name: merged
+gravity: 9.81
+bodies: {b: {mass: 1, start: {y: 100, dx: 3}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0.3}}
+controls: {lift: 0}
+regions:
+  r:
+    initial: off
+    states: {off: {}, on: {sets: {lift: 50}}, done: {}}
+    transitions:
+      - {name: begin, from: off, to: on, guard: b.x >= 6}
+      - {name: end, from: on, to: done, guard: b.x >= 6.001}
+forces: {push: {body: b, force: [0, lift]}}
+stop: {time: 4}
+outputs: {vy: {value: b.dy}}
+"""
+
+
+def test_events_that_a_tolerance_merges_are_told() -> None:
+    def merged(accuracy: float) -> Result:
+        return Runner(read_text(MERGED), engine="scipy", method="RK45", accuracy=accuracy).run()
+
+    exact = -4 * 9.81 + 50 * 0.001 / 3
+    loose = merged(1e-2)
+    assert any("r.end is taken for true, 0.001 short of it" in text for text in loose.warnings)
+    assert loose.outputs["vy"] == pytest.approx(exact, rel=1e-2)
+    for accuracy in (1e-6, 1e-9):
+        tight = merged(accuracy)
+        assert not any("taken for true" in text for text in tight.warnings)
+        assert tight.outputs["vy"] == pytest.approx(exact, rel=accuracy)

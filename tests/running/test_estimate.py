@@ -108,11 +108,12 @@ def test_tightening_starts_where_it_is_told_and_ends_when_two_runs_agree() -> No
     assert answer.estimate is not None
     assert answer.estimate <= 1e-4
     assert answer.cost.runs == len(tolerances) > 2
-    *tightened, last = tolerances
+    *tightened, before, last = tolerances
     assert tightened == pytest.approx([1e-3 / 20**k for k in range(len(tightened))], rel=1e-12)
-    # Before the answer is accepted, a start that is off is tried at the tolerance before.
-    assert last == tightened[-2]
-    assert nudges == [False] * len(tightened) + [True]
+    # Before the answer is accepted, a start that is off is tried at the tolerance before; these
+    # runs do not start off, so that nothing is told by it, and it is tried at the last one.
+    assert (before, last) == (tightened[-2], tightened[-1])
+    assert nudges == [False] * len(tightened) + [True, True]
 
 
 def test_an_accuracy_that_is_not_reached_is_said_and_exits_with_1(
