@@ -706,7 +706,7 @@ name: merged
 gravity: 9.81
 bodies: {b: {mass: 1, start: {y: 100, dx: 3}}}
 surfaces: {floor: {height: 0}}
-contacts: {c: {point: {body: b}, surface: floor, friction: 0.3}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0.3, restitution: 0}}
 controls: {lift: 0}
 regions:
   r:
