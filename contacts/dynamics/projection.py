@@ -126,9 +126,9 @@ class Projection:
                     raise self._broken(np.abs(rows), near, slow, time)
             return projected
 
-        constraints = Constraints(
-            self._tape, targets, weights, project, self._unseen(flow), _UNSEEN * scales.length
-        )
+        # What may be off that far at a loose tolerance is not brought back.
+        room = max(_UNSEEN * scales.length, tolerances["gap"])
+        constraints = Constraints(self._tape, targets, weights, project, self._unseen(flow), room)
         return constraints
 
     def _unseen(self, flow: Key) -> Tape | None:

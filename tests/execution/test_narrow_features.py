@@ -167,3 +167,46 @@ stop: {time: 3}
 outputs: {x: {value: b.x}}
 """
     assert run(read_text(text)).outputs["x"] == pytest.approx(1.1, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("method", "tolerance", "parameters"),
+    [
+        (
+            "LSODA",
+            1e-3,
+            {
+                "A": 0.388,
+                "k": 1.784,
+                "phase": 4.147,
+                "y0": 1.821,
+                "vx0": 2.04,
+                "vy0": -0.49,
+                "e": 0.217,
+            },
+        ),
+        (
+            "DOP853",
+            0.1,
+            {
+                "A": 0.7579440998422889,
+                "k": 14.745975671628784,
+                "phase": 3.864576140227966,
+                "y0": 1.5821718366013298,
+                "vx0": 7.27,
+                "vy0": -1.22,
+                "e": 0.332,
+            },
+        ),
+    ],
+)
+def test_a_ball_that_slides_over_hills_at_a_loose_tolerance_arrives(
+    method: str, tolerance: float, parameters: dict[str, float]
+) -> None:
+    # It is off the ground by less than the tolerance of gaps: no step was blind to that.
+    found = run(
+        "bouncing_ball_hills", engine="scipy", method=method, tolerance=tolerance,
+        parameters=parameters,
+    )  # fmt: skip
+    assert found.trace.outcome is Outcome.HORIZON
+    assert found.trace.counts["steps"] < 2000
