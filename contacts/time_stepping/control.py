@@ -17,7 +17,8 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.scene_steps import SteppedScene, SteppedTape
+from contacts.time_stepping.scene_steps import SteppedScene
+from contacts.time_stepping.scene_tape import SteppedTape
 from statechart.arrays import Array, Bools
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key

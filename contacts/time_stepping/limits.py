@@ -4,23 +4,62 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.setup import SceneSetup
-from statechart.arrays import Array
+from contacts.time_stepping.unseen import unseen
+from statechart.arrays import Array, Bools
 from statechart.errors import StepTooLarge
-from statechart.kernels.resolution import roughness
 
 # The midpoint rule swings with growing amplitude from here on (radians a step), and is off by a
 # hundredth of a period's phase from the second.
 _UNSTABLE, _COARSE = 2.0, 0.5
 # So many radians a step are enough.
 _FINE = 0.1
-# Impulses that no step shows, in parts of the scene's momentum, are worth a word.
-_MISSED = 0.05
+
+
+class Swings(NamedTuple):
+    """How springs swing.
+
+    Attributes
+    ----------
+    speeds : (k,) array
+        In radians per time.
+    shapes : (n, k) array
+        How far each moves the coordinates.
+    parts : (k, n) array
+        What each has of the rates.
+    """
+
+    speeds: Array
+    shapes: Array
+    parts: Array
+
+    def off(self, rates: Array, smooth: Bools, h: float, span: float) -> Array:
+        """Return how far off rates (n,) are after so long, as the midpoint rule swings too fast.
+
+        What swings at w is ahead by (w h)^2/24 of its phase.
+
+        Parameters
+        ----------
+        rates : (k + 1, n) array
+            Of steps.
+        smooth : (k,) array of bool
+            Steps without impacts.
+        h, span : float
+        """
+        changes = np.diff(rates, axis=0)[smooth] @ self.parts.T
+        if len(changes) < 2:
+            return np.zeros(len(self.shapes))
+        # What goes on slowly, or is pulled at evenly, does not change its rate so.
+        turns = self.speeds * h
+        sizes = math.sqrt(2.0) * changes.std(axis=0) / turns
+        ahead = 2.0 * np.sin(np.minimum(self.speeds * span * turns**2 / 24.0, math.pi) / 2.0)
+        found: Array = (self.shapes * (ahead * sizes)).max(axis=1)
+        return found
 
 
 class StepLimits:
@@ -42,13 +81,14 @@ class StepLimits:
             if any(entry != 0 for entry in stiffness)
             else None
         )
+        self._mass = mechanics.tape([*mechanics.mass_matrix])
         changing = {*mechanics.q, *mechanics.v, mechanics.time}
         self._forces = (
             mechanics.tape(forces) if any(f.free_symbols & changing for f in forces) else None
         )
 
-    def swing(self, values: Array, state: Array, time: float, held: Array) -> float:
-        """Return the fastest swing of the springs in radians per time, 0 where there is none.
+    def swings(self, values: Array, state: Array, time: float, held: Array) -> Swings | None:
+        """Return how springs swing; None where there is none.
 
         Parameters
         ----------
@@ -60,41 +100,70 @@ class StepLimits:
             Directions in which contacts and joints hold.
         """
         if self._stiffness is None:
-            return 0.0
+            return None
         n = self._size
         mass, stiff = self._stiffness.values(state, values, time).reshape(2, n, n)
         if not (np.isfinite(mass).all() and np.isfinite(stiff).all()):
-            return 0.0
+            return None
         free = np.eye(n)
         if len(held):
             _, sizes, rows = np.linalg.svd(held)
             rank = int((sizes > _DEPENDENT * sizes[0]).sum()) if sizes[0] > 0.0 else 0
             free = rows[rank:].T
         if free.shape[1] == 0:
-            return 0.0
-        squares = np.linalg.eigvals(np.linalg.pinv(free.T @ mass @ free) @ (free.T @ stiff @ free))
-        return math.sqrt(max(float(squares.real.max()), 0.0))
+            return None
+        squares, shapes = np.linalg.eig(
+            np.linalg.pinv(free.T @ mass @ free) @ (free.T @ stiff @ free)
+        )
+        swinging = squares.real > 0.0
+        if not swinging.any():
+            return None
+        return Swings(
+            np.sqrt(squares.real[swinging]),
+            np.abs(free @ shapes[:, swinging]),
+            (np.linalg.pinv(shapes) @ free.T)[swinging],
+        )
 
-    def missed(self, setup: SceneSetup, start: float, times: Array, lines: Array) -> float:
-        """Return the impulses that steps may have missed, in parts of the scene's momentum.
+    def missed(
+        self, values: Array, start: float, h: float, states: Array
+    ) -> tuple[Array, Array] | None:
+        """Return the velocities that forces give in each step and their middles do not show.
 
         Parameters
         ----------
-        setup : SceneSetup
-        start, times, lines
-            As in `statechart.kernels.resolution.roughness`.
+        values : (p,) array
+            Of the parameters.
+        start, h : float
+            When the first step begins, and how long each is.
+        states : (k + 1, 2 n) array
+            Where they begin and end.
+
+        Returns
+        -------
+        known, unknown : (k, n) array
+            The unknown is a bound, of what is not among the known; None where forces are constant.
         """
-        tape, n = self._forces, self._size
-        if tape is None or not len(lines):
-            return 0.0
-        found = roughness(
-            *tape.program, tape.reads, tape.n_fixed, setup.values, start, times, lines
+        tape, n, count = self._forces, self._size, len(states) - 1
+        if tape is None or not count:
+            return None
+        lines = np.zeros((count, 2 * n, 2))
+        lines[:, :n, 0], lines[:, :n, 1] = states[:-1, :n], np.diff(states[:, :n], axis=0)
+        lines[:, n:, 0] = 0.5 * (states[:-1, n:] + states[1:, n:])
+        known, unknown = unseen(
+            *tape.program,
+            tape.reads,
+            tape.n_fixed,
+            values,
+            start,
+            h * np.arange(count + 1.0),
+            lines,
         )
-        impulses = np.diff(times) @ np.where(np.isfinite(found), found, 0.0)
-        scales = setup.scales
-        # What the scene's force gives in the time that its speed takes for its length.
-        sizes = scales.force * scales.length**2 / scales.speed / scales.sizes[:n]
-        return float((impulses / sizes).max(initial=0.0))
+        mass = self._mass.values(states[0], values, start).reshape(n, n)
+        if not np.isfinite(mass).all():
+            return None
+        # What has no inertia has no speed of its own.
+        inverse = np.linalg.pinv(mass, hermitian=True)
+        return known @ inverse, unknown @ np.abs(inverse)
 
 
 # Directions are one to within this part of the largest.
@@ -110,17 +179,11 @@ def check_swing(swing: float, h: float) -> None:
         )
 
 
-def remarks(swing: float, h: float, missed: float) -> tuple[str, ...]:
-    """Say what steps follow badly."""
-    found: list[str] = []
-    if swing * h > _COARSE:
-        found.append(
-            f"springs swing by up to {swing * h:.2g} radians in one step of {h:g}: their periods "
-            f"are off by {(swing * h) ** 2 / 24:.1%}; take {_FINE / swing:.1g} or less"
-        )
-    if missed > _MISSED:
-        found.append(
-            f"forces change within steps of {h:g} by more than these show: impulses of up to "
-            f"{missed:.2g} of the scene's own may be missed; take a tenth of the step"
-        )
-    return tuple(found)
+def remarks(swing: float, h: float) -> tuple[str, ...]:
+    """Say what springs steps follow badly."""
+    if not swing * h > _COARSE:
+        return ()
+    return (
+        f"springs swing by up to {swing * h:.2g} radians in one step of {h:g}: their periods "
+        f"are off by {(swing * h) ** 2 / 24:.1%}; take {_FINE / swing:.1g} or less",
+    )

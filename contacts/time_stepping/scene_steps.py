@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import sympy as sp
 
 from contacts.dynamics.contact_law import ContactLaw, cones
-from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import BAD_INERTIA, Chunk, softened_remark, stepped
-from contacts.time_stepping.equations import CONTACT, JOINT
-from contacts.time_stepping.limits import StepLimits, check_swing, remarks
+from contacts.time_stepping.limits import Swings, check_swing, remarks
+from contacts.time_stepping.misses import Equations, Misses
 from contacts.time_stepping.passing import passed
 from contacts.time_stepping.scene_step import step_scene
+from contacts.time_stepping.scene_tape import SteppedTape
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode
-from statechart.formulas.tape import Tape
 
 # Beside what a step moves at the scene's speed: what goes no deeper between two looks grazes.
 _GRAZED = 0.1
@@ -32,81 +30,6 @@ _NEGLIGIBLE = 1e-6
 # A landing goes as deep as its approach in a step.
 _LANDED = 2.0
 _CODES = {state: code for code, state in STATES.items()}
-
-
-class SteppedTape:
-    """What a step needs of a scene, on tape.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    states : mapping
-        Controller -> its state.
-    """
-
-    def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
-        set_: dict[sp.Symbol, sp.Expr] = {}
-        for control, value in mechanics.controlled(states):
-            set_[control] = value.xreplace(set_)
-        forces = [force.xreplace(set_) for force in mechanics.generalised_forces]
-        outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
-        derivatives = [sp.diff(force, rate) for force in forces for rate in mechanics.v]
-        self.damped = any(derivative != 0 for derivative in derivatives)
-        if self.damped:
-            outputs += derivatives
-        self.names = tuple(mechanics.scene.contacts)
-        for name in self.names:
-            geometry = mechanics.contact(name)
-            symbols = geometry.symbols
-            outputs += [*geometry.jacobian_n, *geometry.jacobian_t, geometry.bias_n]
-            outputs += [geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip]
-            conditions = [margin.expression.xreplace(set_) for margin in mechanics.conditions(name)]
-            outputs.append(sp.Min(*conditions) if conditions else sp.S.One)
-        rows = mechanics.joint_rows
-        for row in rows:
-            outputs += [*row.jacobian, row.gap, row.gap_rate, row.bias, row.redundant]
-        self.joint_rows = len(rows)
-        self.limits = StepLimits(mechanics, forces)
-        # A contact that its condition keeps off passes nothing.
-        self.gaps: Tape = mechanics.tape(
-            [
-                sp.Max(
-                    mechanics.contact(name).symbols.gap,
-                    *(-m.expression.xreplace(set_) for m in mechanics.conditions(name)),
-                )
-                for name in self.names
-            ]
-        )
-        outputs += [set_[control] for control in mechanics.controls]
-        self.controls = len(mechanics.controls)
-        self.tape: Tape = mechanics.tape(
-            outputs,
-        )
-        # Of pins the velocity is given, of slides without friction the normal one.
-        self.held = np.array(
-            [
-                2 if contact.kinds == {"pin"} else 1 if contact.kinds == {"slide"} and smooth else 0
-                for contact in mechanics.scene.contacts.values()
-                for smooth in (contact.frictionless,)
-            ],
-            dtype=np.int64,
-        )
-        declared = mechanics.scene.contacts.values()
-        self.slips = np.array(
-            [0 if "slide" not in c.kinds else 1 if c.frictionless else 2 for c in declared],
-            dtype=np.int64,
-        )
-        self.size = len(mechanics.q)
-        self.plastic = mechanics.scene.simultaneous == "plastic"
-
-    def contacts(self, values: Array, state: Array) -> Array:
-        """Return gap, gap rate, slip and condition (c, 4) at the start."""
-        n, c = self.size, len(self.names)
-        found = self.tape.values(state, values, 0.0)
-        first = n * n + n + (n * n if self.damped else 0)
-        rows = found[first : first + c * (2 * n + CONTACT)].reshape(c, 2 * n + CONTACT)
-        return rows[:, -4:]
 
 
 @dataclass(eq=False)
@@ -143,7 +66,7 @@ class SteppedScene:
     def __init__(self, source: SteppedTape, setup: SceneSetup, off: Bools) -> None:
         count = len(setup.contacts)
         self._values, self._near = setup.values, setup.tolerances["gap"]
-        self._setup, self._speed = setup, setup.scales.speed
+        self._speed = setup.scales.speed
         self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
         self.switch(source, setup.contacts)
         self._memory = _Memory(
@@ -159,7 +82,9 @@ class SteppedScene:
         )
         self._kept = self._memory.copy()
         self._softened = 0
-        self._swing = self._missed = self._length = 0.0
+        self._swing = self._length = 0.0
+        self._misses = Misses(setup.scales)
+        self._misses_kept = self._misses.copy()
 
     def switch(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Go on with other forces and coefficients."""
@@ -179,7 +104,7 @@ class SteppedScene:
 
     def forget(self) -> None:
         """Take back the last steps."""
-        self._memory = self._kept.copy()
+        self._memory, self._misses = self._kept.copy(), self._misses_kept.copy()
 
     @property
     def margins(self) -> dict[str, float]:
@@ -197,7 +122,8 @@ class SteppedScene:
         """What a reader must know of the run."""
         return (
             *softened_remark(self._softened),
-            *remarks(self._swing, self._length, self._missed),
+            *remarks(self._swing, self._length),
+            *self._misses.remarks(self._length),
         )
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
@@ -216,9 +142,9 @@ class SteppedScene:
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.room(h, state, n + r + 2 * c + source.controls, c, count)
-        self._kept = self._memory.copy()
+        self._kept, self._misses_kept = self._memory.copy(), self._misses.copy()
         memory = self._memory
-        self._check_springs(chunk, start)
+        swings = self._check_springs(chunk, start)
 
         def step(
             left: Chunk, done: int, given: Array, softened: bool
@@ -237,26 +163,27 @@ class SteppedScene:
         forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
         self._note(chunk.gaps, forces, chunk.codes)
         self._look_between(chunk, start)
+        if len(chunk.codes):
+            now = Equations(source, self._values, self._cones, self._restitution)
+            self._misses.look(now, chunk, start, self._kept.codes, swings)
         return chunk
 
-    def _check_springs(self, chunk: Chunk, start: float) -> None:
-        """Raise `StepTooLarge` where steps of this length make springs swing ever farther."""
+    def _check_springs(self, chunk: Chunk, start: float) -> Swings | None:
+        """Return how springs swing; raise `StepTooLarge` where steps make them, ever farther."""
         source, state = self._source, chunk.states[0]
-        n, r = source.size, source.joint_rows
-        found = source.tape.values(state, self._values, start)
-        first = n * n + n + (n * n if source.damped else 0)
-        contacts = found[first : first + len(source.names) * (2 * n + CONTACT)]
-        rows = contacts.reshape(len(source.names), 2 * n + CONTACT)
+        n = source.size
+        _, rows, joints = source.rows(self._values, state, start)
         codes = self._memory.codes
         closed = (codes != FREE) & (codes != OFF_CODE)
-        joints = found[first + contacts.size :][: r * (n + JOINT)].reshape(r, n + JOINT)
         held = np.concatenate([rows[closed, :n], rows[codes == PIN, n : 2 * n], joints[:, :n]])
-        swing = source.limits.swing(self._values, state, start, held)
+        swings = source.limits.swings(self._values, state, start, held)
+        swing = 0.0 if swings is None else float(swings.speeds.max())
         check_swing(swing, chunk.h)
         self._swing, self._length = max(self._swing, swing), max(self._length, chunk.h)
+        return swings
 
     def _look_between(self, chunk: Chunk, start: float) -> None:
-        """Note the first step that passed over a contact, and what steps miss of the forces."""
+        """Note the first step that passed over a contact."""
         gaps, count, h = self._source.gaps, len(chunk.codes), chunk.h
         if not count:
             return
@@ -273,7 +200,6 @@ class SteppedScene:
         taking = (chunk.codes != FREE) | chunk.struck
         seen = np.vstack([self._kept.codes != FREE, taking[:-1]])
         times, begin = np.concatenate([[0.0], np.cumsum(lengths)]), start - float(back[0])
-        self._missed += self._source.limits.missed(self._setup, begin, times, lines)
         line, _, part = passed(
             *gaps.program,
             gaps.reads,
@@ -291,12 +217,11 @@ class SteppedScene:
         # elsewhere.
         deep = (chunk.codes != OFF_CODE) & (chunk.gaps < -self._near)
         deep[1:] &= chunk.gaps[:-1] > 0.0
-        first = n * n + n + (n * n if self._source.damped else 0)
         for k, i in np.argwhere(deep).tolist():
             state = np.concatenate([lines[k, :n].sum(axis=1), rates[k]])
             before = gaps.values(lines[k, :, 0], self._values, begin + times[k])[i]
-            numbers = self._source.tape.values(state, self._values, begin + times[k + 1])
-            rate = numbers[first + i * (2 * n + CONTACT) + 2 * n + 3]
+            rows = self._source.rows(self._values, state, begin + times[k + 1])
+            rate = rows.velocities[i, 0]
             slow, depth = _GRAZED * self._speed, -chunk.gaps[k, i]
             approach = max(-rate, slow)
             if before > 0.0 and (rate > slow or depth > _LANDED * h * approach):

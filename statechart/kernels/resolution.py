@@ -16,10 +16,10 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.boxes import Along, place, prepare
+from statechart.kernels.boxes import Along, place
 from statechart.kernels.intervals import INF, LIBM, TINY, Interval
 from statechart.kernels.jets import run_jets
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part
 from statechart.kernels.polynomials import horner, local_time
 from statechart.kernels.tapes import (
     ABS,
@@ -44,7 +44,6 @@ from statechart.kernels.tapes import (
     SUB,
     TAN,
     TANH,
-    filled,
     run_tape,
 )
 
@@ -231,29 +230,3 @@ def at(along: Along, step: int, a: float, b: float, places: Array, regs: Array) 
                 start + local_time(times, step, s) if v == n else horner(coeffs, step, v, s)
             )
     run_tape(code, first, last, base, regs, places.shape[0])
-
-
-@kernel
-def roughness(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    parameters: Array,
-    start: float,
-    times: Array,
-    coeffs: Array,
-) -> Array:
-    """How far every output (m, n_out) may be from what is resolved in each of the steps."""
-    n = coeffs.shape[1]
-    base, regs = filled(code, constants, parameters, n, 1)
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
-    jets, bounds = ready(along, regs), np.zeros(n)
-    found = np.empty((coeffs.shape[0], outputs.shape[0]))
-    for step in range(coeffs.shape[0]):
-        prepare(coeffs, step, reads, bounds)
-        look(along, step, bounds, 0.0, 1.0, jets)
-        for i in range(outputs.shape[0]):
-            found[step, i] = jets[outputs[i], 2]
-    return found

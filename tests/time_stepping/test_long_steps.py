@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart import Outcome, Runner, run
 from statechart.documents.yaml_reader import read_text
+from statechart.running.result import Result
 
 POST = """\
 kind: scene
@@ -170,3 +173,127 @@ outputs: {vx: {value: b.dx}}
 def test_squares_that_miss_each_other_do_not_collide(x0: float, y0: float, step: float) -> None:
     found = runner(SQUARES, step).run({"x0": x0, "y0": y0}, throw=False)
     assert found.outputs["vx"] == 9.0
+
+
+DRIVE = """\
+kind: scene
+name: drive
+parameters: {A: 10, f: 25, phase: 2.5, mu: 0.1}
+gravity: 9.81
+bodies: {b: {mass: 1}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, modes: [slide, pin], friction: mu}}
+forces: {f: {body: b, force: ["A*sin(2*pi*f*time+phase)", 0]}}
+stop: {time: 1}
+outputs: {x: {value: b.x}, vx: {value: b.dx}}
+"""
+BAR = """\
+kind: scene
+name: bar
+parameters: {L: 0.0725, y0: 0.4904, dy: -1.111, spin: -200.8, e: 0.7, mu: 0.0678, angle: 0.8754}
+gravity: 9.81
+bodies: {b: {mass: 1, inertia: L**2/3, start: {y: y0, dy: dy, angle: angle, dangle: spin}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  A: {point: {body: b, at: [-L, 0]}, surface: floor, friction: mu, restitution: e, impact: moreau}
+  B: {point: {body: b, at: [L, 0]}, surface: floor, friction: mu, restitution: e, impact: moreau}
+stop: {time: 0.25}
+outputs: {dy: {value: b.dy}}
+"""
+
+
+def words(found: Result, what: str) -> list[str]:
+    return [warning for warning in found.warnings if what in warning]
+
+
+def named(warning: str) -> float:
+    return float(warning.rsplit("take ", 1)[1].split()[0])
+
+
+@pytest.mark.parametrize("turn", [2.0, 3.5, 6.0, 20.0])
+def test_a_drive_is_compared_with_the_speeds_that_it_makes(turn: float) -> None:
+    # The block moves at a hundredth of what gravity would give it in the run.
+    step = turn / (2.0 * math.pi * 25.0)
+    assert words(runner(DRIVE, step).run(), "forces change within steps")
+    (warning,) = words(runner(DRIVE, step).run({"mu": 0.0}), "forces change within steps")
+    # Where one look tells nothing of a turn, how many there are is seen at the second.
+    again = words(runner(DRIVE, named(warning)).run({"mu": 0.0}), "forces change within steps")
+    assert (turn > 6.0) == bool(again)
+    assert not again or not runner(DRIVE, named(again[0])).run({"mu": 0.0}).warnings
+
+
+def test_what_steps_miss_of_a_drive_is_its_integral_beside_its_middles() -> None:
+    # Without friction the speed is A (cos(phase) - cos(w t + phase)) / w.
+    w, step = 50.0 * math.pi, 0.02
+    found = runner(DRIVE, step).run({"mu": 0.0})
+    times = (np.arange(50) + 0.5) * step
+    rule = np.cumsum(10.0 * step * np.sin(w * times + 2.5))
+    exact = 10.0 * (math.cos(2.5) - np.cos(w * step * np.arange(1, 51) + 2.5)) / w
+    (warning,) = words(found, "forces change within steps")
+    expected = np.abs(exact - rule).max() / np.abs(rule).max()
+    assert f"up to {expected:.2g} of" in warning
+
+
+def test_a_drive_of_which_many_steps_see_every_turn_warns_of_nothing() -> None:
+    assert not runner(DRIVE, 1e-3).run().warnings
+    assert not runner(DRIVE, 3e-3).run({"mu": 0.0}).warnings
+
+
+def test_a_bar_that_turns_on_before_it_is_seen_to_be_struck_warns() -> None:
+    # A tip at 14.5 m/s turns by 0.036 radians in a step: by up to 0.5 of 3 m/s of its approach.
+    step, exact = 0.25 / 1404, float(run(read_text(BAR)).outputs["dy"])  # type: ignore[arg-type]
+    said = 0
+    for parts in np.linspace(0.9, 1.1, 9):
+        found = runner(BAR, step * parts).run()
+        off = abs(float(found.outputs["dy"]) - exact)  # type: ignore[arg-type]
+        warnings = words(found, "turn on before")
+        # The largest speed is that of its fall, 3.07 m/s.
+        assert bool(warnings) == (off > 0.15 * 3.07) or 0.12 < off / 3.07 < 0.18
+        said += len(warnings)
+    assert said > 0
+    assert not runner(BAR, step / 5.0).run().warnings
+
+
+def test_a_spring_that_swings_long_is_ahead_in_the_end() -> None:
+    values = {"k": 150.0**2}
+    (warning,) = words(runner(SPRING, 3e-3).run(values), "swing ahead")
+    assert not runner(SPRING, named(warning)).run(values).warnings
+    # As fast, and at rest where its weight lets it hang.
+    still = SPRING.replace("y: 1.1, x: 0.1", "y: 1-9.81/k")
+    assert not runner(still, 3e-3).run(values).warnings
+
+
+def test_a_slip_that_ends_in_its_first_step_warns() -> None:
+    text = DRIVE.replace("bodies: {b: {mass: 1}}", "bodies: {b: {mass: 1, start: {dx: 0.5}}}")
+    values = {"A": 0.0, "mu": 0.9}
+    (warning,) = words(runner(text, 0.1).run(values), "slips end")
+    fine = runner(text, named(warning)).run(values)
+    assert not fine.warnings
+    assert fine.outputs["x"] == pytest.approx(0.5**2 / (2 * 0.9 * 9.81), rel=0.1)
+
+
+def test_a_slow_drift_that_reversals_of_slip_carry_on_warns() -> None:
+    values = {"A": 18.9, "f": 41.4, "phase": 4.73}
+    coarse = runner(DRIVE, 1.0 / 1160).run(values)
+    assert words(coarse, "forces change within steps")
+    assert not runner(DRIVE, 1e-4).run(values).warnings
+
+
+def test_discs_that_graze_slower_than_a_tenth_of_their_speed_may_pass() -> None:
+    text = DISCS.replace("disc: 0.1", "disc: 0.02")
+    passed = Counter(
+        (part, runner(text, 3.9e-3).run({"y0": part * 0.04, "x0": x0}, throw=False).trace.outcome)
+        for part in (0.97, 1.01)
+        for x0 in np.linspace(-1.5, -1.3, 21)
+    )
+    ended = passed[0.97, Outcome.STEP_TOO_LARGE]
+    assert ended > 0
+    assert passed[1.01, Outcome.HORIZON] == 21
+
+
+def test_a_body_that_is_hit_and_turns_far_in_a_step_warns() -> None:
+    values = {"x0": -0.6, "y0": 0.01, "v": 9.0}
+    text = SQUARES.replace("inertia: 1e-3", "inertia: 1e-4")
+    # Corners of 6 mm at some meters per second: 270 radians per second.
+    (warning,) = words(runner(text, 2e-3).run(values), "turn by up to")
+    assert not words(runner(text, named(warning)).run(values), "turn by up to")

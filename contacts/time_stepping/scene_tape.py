@@ -1,0 +1,125 @@
+"""The equations of a scene of points against surfaces, as time steps read them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import sympy as sp
+
+from contacts.dynamics.mechanics import Mechanics
+from contacts.time_stepping.equations import CONTACT, JOINT
+from contacts.time_stepping.limits import StepLimits
+from statechart.arrays import Array
+from statechart.formulas.tape import Tape
+
+
+class Rows(NamedTuple):
+    """What the equations are in one state.
+
+    Attributes
+    ----------
+    mass : (n, n) array
+    contacts : (c, 2 n + CONTACT) array
+        Jacobian of each, then what `contacts.time_stepping.equations.CONTACT` lists.
+    joints : (r, n + JOINT) array
+        Likewise.
+    """
+
+    mass: Array
+    contacts: Array
+    joints: Array
+
+    @property
+    def gaps(self) -> Array:
+        """Gaps (c,)."""
+        return self.contacts[:, -4]
+
+    @property
+    def velocities(self) -> Array:
+        """Rates of gaps, and slips (c, 2)."""
+        return self.contacts[:, -3:-1]
+
+
+class SteppedTape:
+    """What a step needs of a scene, on tape.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        The scene's equations.
+    states : mapping
+        Controller -> its state.
+    """
+
+    def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
+        set_: dict[sp.Symbol, sp.Expr] = {}
+        for control, value in mechanics.controlled(states):
+            set_[control] = value.xreplace(set_)
+        forces = [force.xreplace(set_) for force in mechanics.generalised_forces]
+        outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
+        derivatives = [sp.diff(force, rate) for force in forces for rate in mechanics.v]
+        self.damped = any(derivative != 0 for derivative in derivatives)
+        if self.damped:
+            outputs += derivatives
+        self.names = tuple(mechanics.scene.contacts)
+        for name in self.names:
+            geometry = mechanics.contact(name)
+            symbols = geometry.symbols
+            outputs += [*geometry.jacobian_n, *geometry.jacobian_t, geometry.bias_n]
+            outputs += [geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip]
+            conditions = [margin.expression.xreplace(set_) for margin in mechanics.conditions(name)]
+            outputs.append(sp.Min(*conditions) if conditions else sp.S.One)
+        rows = mechanics.joint_rows
+        for row in rows:
+            outputs += [*row.jacobian, row.gap, row.gap_rate, row.bias, row.redundant]
+        self.joint_rows = len(rows)
+        self.limits = StepLimits(mechanics, forces)
+        # A contact that its condition keeps off passes nothing.
+        self.gaps: Tape = mechanics.tape(
+            [
+                sp.Max(
+                    mechanics.contact(name).symbols.gap,
+                    *(-m.expression.xreplace(set_) for m in mechanics.conditions(name)),
+                )
+                for name in self.names
+            ]
+        )
+        outputs += [set_[control] for control in mechanics.controls]
+        self.controls = len(mechanics.controls)
+        self.tape: Tape = mechanics.tape(
+            outputs,
+        )
+        # Of pins the velocity is given, of slides without friction the normal one.
+        self.held = np.array(
+            [
+                2 if contact.kinds == {"pin"} else 1 if contact.kinds == {"slide"} and smooth else 0
+                for contact in mechanics.scene.contacts.values()
+                for smooth in (contact.frictionless,)
+            ],
+            dtype=np.int64,
+        )
+        declared = mechanics.scene.contacts.values()
+        self.slips = np.array(
+            [0 if "slide" not in c.kinds else 1 if c.frictionless else 2 for c in declared],
+            dtype=np.int64,
+        )
+        self.size = len(mechanics.q)
+        self.plastic = mechanics.scene.simultaneous == "plastic"
+
+    def rows(self, values: Array, state: Array, time: float) -> Rows:
+        """Return what the tape says of a state."""
+        n, c, r = self.size, len(self.names), self.joint_rows
+        found = self.tape.values(state, values, time)
+        first = n * n + n + (n * n if self.damped else 0)
+        second = first + c * (2 * n + CONTACT)
+        return Rows(
+            found[: n * n].reshape(n, n),
+            found[first:second].reshape(c, 2 * n + CONTACT),
+            found[second : second + r * (n + JOINT)].reshape(r, n + JOINT),
+        )
+
+    def contacts(self, values: Array, state: Array) -> Array:
+        """Return gap, gap rate, slip and condition (c, 4) at the start."""
+        return self.rows(values, state, 0.0).contacts[:, -4:]
