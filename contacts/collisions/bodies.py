@@ -41,6 +41,8 @@ _START_DEPTH = 1e-6
 # and lasts this part of the time in which it falls by half its size: 3e-4 s to 2e-3 s for the
 # shipped heaps, which are written for 1e-3 s.
 _CROSSED, _FALLEN = 0.1, 0.02
+# Radians that a body turns in a step in which it is hit: worth a word, and followed.
+_TURNED, _FOLLOWED = 0.5, 0.1
 # Contacts that there is place for at first.
 _PER_BODY = 24
 
@@ -229,6 +231,7 @@ class SteppedHeap:
         self._softened = 0
         self._plastic = scene.simultaneous == "plastic"
         self._least = np.full(count, np.inf)
+        self._turned = self._length = 0.0
 
     @property
     def margins(self) -> dict[str, float]:
@@ -242,7 +245,14 @@ class SteppedHeap:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a reader must know of the run."""
-        return softened_remark(self._softened)
+        found = softened_remark(self._softened)
+        if self._turned > _TURNED:
+            found += (
+                f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
+                f"{self._length:g}, in which nothing follows how they touch; take "
+                f"{_FOLLOWED * self._length / self._turned:.1g} or less",
+            )
+        return found
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps; see `SteppedScene.steps`."""
@@ -261,6 +271,9 @@ class SteppedHeap:
         self._softened += softened
         chunk = chunk.first(done)
         self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
+        turns = h * np.abs(chunk.states[1:, 3 * bodies + 2 :: 3]) * (self.numbers.radii == 0.0)
+        self._turned = max(self._turned, float(np.max(turns, where=chunk.struck, initial=0.0)))
+        self._length = max(self._length, h)
         return chunk
 
     def _failure(self, status: int) -> NonFinite | None:

@@ -48,8 +48,9 @@ MEMORY = 5
 
 # Points of contact that a pair can have: a polygon on a surface has as many as corners.
 _POINTS = 16
-# What is past another, within this part of their radii, since the last look has missed it.
-_CORE = 0.9
+# What is past another, within this part of their radii, since the last look has missed it; and of
+# what crosses much of its size in a step, where farther out it approaches at a tenth of its speed.
+_CORE, _WHOLE = 0.9, 0.995
 # Bodies that cross less than this part of their size in a step are looked at once.
 _CROSSED = 0.5
 # What is to be hit ahead of its arrival is by then no farther than this part of its gap.
@@ -183,8 +184,9 @@ def step_bodies(
                     away = math.hypot(centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1])
                     if away > sizes[b] + sizes[c] + within:
                         continue
-                    # Of what grazes the approach is slow, and within the error of the step.
-                    begin, end = overlap(centres, old, b, c, _CORE * (cores[b] + cores[c]))
+                    # Of what grazes the approach is slow.
+                    core = _CORE if nearby(old, sizes, b, c, _CROSSED / h) else _WHOLE
+                    begin, end = overlap(centres, old, b, c, core * (cores[b] + cores[c]))
                     if -h < begin and begin + end < 0.0:
                         passed[k] = max(passed[k], (end - begin) / h)
                     count, features = between(
