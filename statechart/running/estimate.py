@@ -40,6 +40,9 @@ Once = Callable[[float, bool], tuple[Observer, Trace]]
 
 # How far below a run is another, that tells how many events there are.
 _FAR = TIGHTER**2
+# What is equal to a few roundings is not known any better.
+_ROUNDED = 8.0 * float(np.finfo(float).eps)
+_NEARLY = 1.0 + 1e-9
 
 UNTOLD = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
 """How runs end that say nothing of their error."""
@@ -162,7 +165,7 @@ class _Runs:
             well = trace.tolerance if self._accuracy is None else self._accuracy
             if estimate <= well or (last and estimate < math.inf):
                 estimate = max(estimate, self._grown(self._last, now, well))
-            if estimate <= well:
+            if estimate <= well and trace.tolerance > _NEARLY * _FAR * before.tolerance:
                 estimate = max(estimate, self._counted(now))
             self.estimate = estimate
         self._last = now
@@ -203,14 +206,18 @@ class _Runs:
         Impacts that follow each other within the tolerance are one, and two runs whose tolerances
         are near each other may agree on that.
         """
-        counted = [k for k, v in now.outputs.items() if isinstance(v, int | list)]
         tolerance = max(now.trace.tolerance * _FAR, self._floor)
-        if set(counted) <= now.endless or not tolerance < now.trace.tolerance:
+        if not (_counts(now) and tolerance < now.trace.tolerance):
             return 0.0
         observer, trace = self.make(tolerance)
         if trace.outcome in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
             return 0.0
         return self._difference(now, Made.of(observer, trace), "at the tolerances far apart, to")
+
+    @property
+    def stride(self) -> float:
+        """From the first tolerance to the next; where events are counted, a far tighter one."""
+        return _FAR if self._last is not None and _counts(self._last) else TIGHTER
 
     def _difference(self, one: Made, other: Made, how: str) -> float:
         # How many events of a Zeno sequence are resolved follows from the tolerance.
@@ -236,7 +243,7 @@ class _Runs:
         elif found.outputs == math.inf:
             names = [name for name, off in found.named.items() if off == math.inf]
             self.diverged = f"{runs} have {', '.join(names)} the one, and not the other"
-        return found.largest
+        return max(found.largest, _ROUNDED)
 
     @property
     def seconds(self) -> float:
@@ -299,7 +306,8 @@ def tighten(
         if tolerance <= floor:
             runs.compare(*runs.make(floor / TIGHTER))
             continue
-        tolerance = max(tolerance * TIGHTER, floor)
+        stride = runs.stride if runs.runs == 1 else TIGHTER
+        tolerance = max(tolerance * stride, floor)
         observer, trace = runs.make(tolerance)
     else:
         warning = "interrupted before its error was estimated"
@@ -375,6 +383,12 @@ def within(
         )
         answer = replace(answer, warnings=(*answer.warnings, warning))
     return replace(answer, cost=runs.cost)
+
+
+def _counts(made: Made) -> bool:
+    """Whether a run has outputs that count or list events, of which there is an end."""
+    counted = {name for name, value in made.outputs.items() if isinstance(value, int | list)}
+    return not counted <= made.endless
 
 
 def _identical(one: Trace, other: Trace) -> bool:
