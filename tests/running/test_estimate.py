@@ -10,16 +10,20 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from runs import golden
 
-from statechart.automaton.trace import Outcome
+from statechart.automaton.trace import Outcome, Trace
 from statechart.cli.main import main
+from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.budget import Allowance
 from statechart.errors import OutOfBudget
 from statechart.observation.difference import compare, paired, parted
+from statechart.observation.observer import Observer
 from statechart.running.estimate import Once, tighten, within
 from statechart.running.runner import Runner, run
 
@@ -341,3 +345,68 @@ def test_a_budget_that_was_overrun_is_told() -> None:
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
     kept = within(once, 2.9, floor=1e-13, clock=clock).warnings
     assert not any("were taken" in warning for warning in kept)
+
+
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-10])
+def test_taylor_begins_at_its_least_tolerance_and_one_run_with_another_tells_its_error(
+    accuracy: float,
+) -> None:
+    result = run("hopper", accuracy=accuracy)
+    assert result.trace.engine == "taylor"
+    assert result.asked is not None
+    assert result.asked.cost.runs == 2
+    assert result.error_estimate is not None
+    assert 1e-15 < result.error_estimate < 1e-10
+
+
+def test_a_run_that_starts_at_zero_is_rounded_otherwise_for_its_estimate() -> None:
+    # A force grows from nothing: there is no start to be off.
+    text = """\
+kind: scene
+name: pushed
+bodies: {b: {mass: 3}}
+forces: {f: {body: b, force: ["sin(time)*exp(time/3)", 0]}}
+stop: {time: 20}
+outputs: {x: {value: b.x}}
+"""
+    result = run(read_text(text), accuracy=1e-9)
+    assert result.asked is not None
+    assert result.asked.cost.runs == 2
+    assert result.error_estimate is not None
+    assert 1e-15 < result.error_estimate < 1e-11
+    # x'' = sin(t) exp(t/3)/3
+    a, t = complex(1 / 3, 1.0), 20.0
+    exact = ((np.exp(a * t) - 1 - a * t) / a**2).imag / 3
+    assert result.outputs["x"] == pytest.approx(exact, rel=1e-12)
+
+
+def test_a_chart_that_rests_is_compared_by_its_events() -> None:
+    result = run("bouncing_ball_chart", accuracy=1e-6)
+    assert result.asked is not None
+    assert result.asked.cost.runs == 2
+
+
+def test_where_events_are_counted_the_second_run_is_far_tighter() -> None:
+    runner = Runner("newtons_cradle", engine="scipy", accuracy=1e-6)
+    tolerances: list[float] = []
+    once = runner._answers._once
+
+    def watched(setting: Setting, *args: Any, **options: Any) -> tuple[Observer, Trace]:
+        assert setting.tolerance is not None
+        tolerances.append(setting.tolerance)
+        return once(setting, *args, **options)
+
+    runner._answers._once = watched  # type: ignore[method-assign]
+    result = runner.run()
+    assert tolerances[:2] == pytest.approx([1e-7, 1e-7 / 400])
+    assert result.trace.tolerance == pytest.approx(1e-7 / 400)
+    assert result.outputs["clicks"] == run("newtons_cradle").outputs["clicks"]
+
+
+def test_a_budget_compiles_nothing_that_it_has_no_time_for() -> None:
+    result = run("compass_walker", budget=0.02, throw=False)
+    assert result.trace.engine == "scipy DOP853"
+    assert any("allowed are too few to compile" in text for text in result.warnings)
+    named = run("compass_walker", engine="taylor", budget=0.02, throw=False)
+    assert named.trace.outcome is Outcome.OUT_OF_BUDGET
+    assert not named.trace.arcs
