@@ -18,7 +18,7 @@ _LEAST = 8.0 * float(np.finfo(float).eps)
 _SMALL = 1e-3
 # The first look ahead ends elsewhere, and so do all steps after it: their rounding is another. What
 # has no scale of its own is cut at one.
-_CUT = 0.4
+_CUT = 1e-3
 # Two ends of a body may hit the ground in turn, ever faster, and be closed together once gaps are
 # below their tolerance: which one is last then depends on it. Half way, by ratio, to the next
 # tolerance of an estimate, as two tolerances may have the same one for the last.

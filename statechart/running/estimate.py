@@ -40,8 +40,8 @@ Once = Callable[[float, bool], tuple[Observer, Trace]]
 
 # How far below a run is another, that tells how many events there are.
 _FAR = TIGHTER**2
-# What is equal to a few roundings is not known any better.
-_ROUNDED = 8.0 * float(np.finfo(float).eps)
+# Runs of many steps that are equal to so many roundings are not known any better.
+_ROUNDED = 32.0 * float(np.finfo(float).eps)
 _NEARLY = 1.0 + 1e-9
 
 UNTOLD = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
