@@ -32,6 +32,8 @@ _FIRST, _STRIDE = 1e-4, TIGHTER**2
 # The next run is expected to take at least so many times the time of the last one.
 _LONGER = 1.5
 
+# So many times one run allows a second, tighter one besides.
+_ADVISED = 5.0
 # A budget is kept to within this factor, or so many seconds.
 _OVERRUN, _MOMENT = 1.2, 0.05
 
@@ -373,7 +375,7 @@ def within(
     if answer.estimate is None and answer.trace.outcome not in UNTOLD:
         warning = (
             f"within {budget:g} s there was time for one run only, so its error was not "
-            f"estimated: allow {_advised(runs.seconds):.2g} s"
+            f"estimated: allow {_ADVISED * runs.seconds:.2g} s"
         )
         answer = replace(answer, warnings=(warning,))
     if runs.seconds > max(_OVERRUN * budget, budget + _MOMENT):
@@ -394,8 +396,3 @@ def _counts(made: Made) -> bool:
 def _identical(one: Trace, other: Trace) -> bool:
     times = [[jump.t for jump in trace.jumps] for trace in (one, other)]
     return times[0] == times[1] and np.array_equal(one.final, other.final)
-
-
-def _advised(seconds: float) -> float:
-    """Return a time that allows a second, tighter run besides one that took `seconds`."""
-    return 5.0 * seconds
