@@ -13,7 +13,7 @@ from statechart.automaton.trace import Arc, Jump, Motion, Trace, sizes
 from statechart.engines.engine import Engine
 from statechart.errors import SimulationError
 from statechart.execution.compiled_modes import CompiledMode
-from statechart.formulas.tape import Tape
+from statechart.formulas.tape import Tape, contiguous
 from statechart.kernels.enclosed_defect import MOMENTS, enclosed_defect
 
 # Most pieces of a step.
@@ -152,6 +152,7 @@ class Certificate:
 
     def _displaced(self, state: Array, by: Array) -> list[Array]:
         """Return a state, and those that small displacements (the columns) lead to."""
+        state = contiguous(state)
         return [state, *(state + _STEP * self._scale * column for column in by.T)]
 
     def _through(self, states: list[Array]) -> Array:

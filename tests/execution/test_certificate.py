@@ -11,6 +11,7 @@ from runs import EVENT_BASED
 from statechart import DeclarationError, Runner, run
 from statechart.documents.yaml_reader import read_text
 from statechart.execution import flow
+from statechart.kernels.tapes import tape_values
 from statechart.observation.difference import compare
 
 METHODS = [
@@ -104,6 +105,11 @@ def test_a_run_to_an_accuracy_is_certified_once(monkeypatch):
     result = Runner("toppling_stick", engine="scipy", accuracy=1e-6).run(certify=True)
     assert result.trace.certified is True
     assert result.trace.motion.whole <= result.error_estimate * 10.0 < 1e-5
+
+
+def test_what_is_displaced_compiles_no_kernel_for_other_arrays() -> None:
+    run("rimless_wheel", engine="scipy", method="RK45", tolerance=1e-6, certify=True)
+    assert len(tape_values.signatures) == 1
 
 
 def test_time_steps_cannot_be_certified():
