@@ -234,7 +234,7 @@ class Motion:
         The most that any step adds to the error of a variable, in parts of its largest size in
         the run; a bound, proved by enclosures of the defect.
     at, of : float, str
-        When that step begins, and the variable.
+        When that step begins, and the variable; empty where there was no step.
     whole : float
         Estimate of what all steps together amount to: of the final state, in the same parts, and
         of the times of events, in parts of the end. Infinite where there is none.
@@ -249,6 +249,8 @@ class Motion:
     proved: bool
 
     def __str__(self) -> str:
+        if not self.of:
+            return "there was no step to take"
         most = f"{self.local:.2g} of the size of a variable ({self.of} from t = {self.at:.6g} on)"
         if not self.proved:
             return f"not proved: a step may be off by {most}"

@@ -112,6 +112,12 @@ def test_what_is_displaced_compiles_no_kernel_for_other_arrays() -> None:
     assert len(tape_values.signatures) == 1
 
 
+def test_a_run_without_steps_has_nothing_to_prove() -> None:
+    trace = run("toppling_stick", until=0, certify=True).trace
+    assert trace.certified is True
+    assert trace.evidence["motion"] == "there was no step to take"
+
+
 def test_time_steps_cannot_be_certified():
     with pytest.raises(DeclarationError, match="impulse cannot certify"):
         run("toppling_stick", engine="impulse", step=1e-3, certify=True)
