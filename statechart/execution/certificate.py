@@ -93,7 +93,6 @@ class Certificate:
                 self._begin(arc, rates)
             bounds, moments, unknown = enclosed_defect(
                 *rates.program,
-                rates.reads,
                 rates.n_fixed,
                 self._setup.values,
                 arc.start.high,
@@ -109,6 +108,7 @@ class Certificate:
             shifts[np.abs(shifts) <= _ROUNDED * np.abs(arc.coefficients).sum(axis=2)] = 0.0
             bounds += np.abs(shifts)
             bounds /= scale
+            bounds[np.isnan(bounds)] = np.inf
             worst, variable = divmod(int(bounds.argmax()), len(scale))
             if not bounds[worst, variable] <= self._local:
                 self._local = float(bounds[worst, variable])

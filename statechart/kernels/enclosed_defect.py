@@ -115,7 +115,6 @@ def enclosed_defect(
     code: Ints32,
     constants: Array,
     outputs: Ints32,
-    reads: Ints32,
     n_fixed: int,
     parameters: Array,
     start: float,
@@ -129,7 +128,7 @@ def enclosed_defect(
 
     Parameters
     ----------
-    code, constants, outputs, reads, n_fixed
+    code, constants, outputs, n_fixed
         Tape of the rates of all variables.
     parameters, start, times, coeffs
         As in `statechart.kernels.search.search`.

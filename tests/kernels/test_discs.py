@@ -84,7 +84,7 @@ def defect(rates, coefficients, *, h=1.0, start=0.0, floors=1.0, allowed=1e-12):
     tape = compile_tape(rates, variables=[X, Y], parameters=[P], time=T)
     coeffs = np.array([coefficients], dtype=float)
     return enclosed_defect(
-        *tape.program, tape.reads, tape.n_fixed, np.array([2.0]), start, np.array([0.0, h]),
+        *tape.program, tape.n_fixed, np.array([2.0]), start, np.array([0.0, h]),
         coeffs, np.full(2, floors), allowed, 4096,
     )  # fmt: skip
 
