@@ -30,7 +30,8 @@ def nudged(automaton: Automaton) -> Automaton:
 
     That part is the tolerance of the run, or a few roundings where that is more: of the value or,
     where that is small, of the size of its variable, as the errors of its integration are. Zeros
-    stay zero, and symmetric starts symmetric. The tolerance of gaps is larger, too.
+    stay zero, and symmetric starts symmetric. The tolerance of gaps is larger, too, and
+    steps are cut elsewhere, which shows what their rounding comes to.
     """
 
     def setup(overrides: Mapping[str, float], relative: float) -> Setup:
