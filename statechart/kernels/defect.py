@@ -8,6 +8,7 @@ from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import Along, prepare
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel, part
+from statechart.kernels.polynomials import reaches
 from statechart.kernels.resolution import NARROW, PLACES, at, look, look_closer, ready
 from statechart.kernels.tapes import filled
 
@@ -83,11 +84,7 @@ def unseen(
         if not h > 0.0:
             continue
         prepare(coeffs, step, reads, bounds)
-        for v in range(n):
-            reach = abs(coeffs[step, v, 0])
-            for k in range(1, coeffs.shape[2]):
-                reach += k * abs(coeffs[step, v, k])
-            sizes[v] = max(reach, floors[v])
+        reaches(coeffs, step, floors, sizes)
         top, looked, known = 1, 0, False
         rounding[:] = 0.0
         lefts[0], rights[0] = 0.0, 1.0

@@ -21,6 +21,7 @@ from statechart.kernels.discs import run_discs
 from statechart.kernels.intervals import EPS, INF, mul, sub
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel, part
+from statechart.kernels.polynomials import reaches
 from statechart.kernels.resolution import NARROW
 from statechart.kernels.tapes import filled, run_tape
 
@@ -167,11 +168,7 @@ def enclosed_defect(
         if not h > 0.0:
             continue
         prepare(coeffs, step, every, thirds)
-        for v in range(n):
-            reach = abs(coeffs[step, v, 0])
-            for k in range(1, coeffs.shape[2]):
-                reach += k * abs(coeffs[step, v, k])
-            sizes[v] = max(reach, floors[v])
+        reaches(coeffs, step, floors, sizes)
         top, looked = 1, 0
         lefts[0], rights[0] = 0.0, 1.0
         while top > 0:

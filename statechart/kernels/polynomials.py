@@ -19,6 +19,16 @@ def horner(coeffs: Array, step: int, v: int, s: float) -> float:
     return value
 
 
+@part
+def reaches(coeffs: Array, step: int, floors: Array, sizes: Array) -> None:
+    """Write how large each variable (n,) is and moves in a step, and no less than its floor."""
+    for v in range(coeffs.shape[1]):
+        reach = abs(coeffs[step, v, 0])
+        for k in range(1, coeffs.shape[2]):
+            reach += k * abs(coeffs[step, v, k])
+        sizes[v] = max(reach, floors[v])
+
+
 @kernel
 def local_time(times: Array, step: int, s: float) -> float:
     """Local time of the place s in a step; exact at both ends."""
