@@ -45,6 +45,11 @@ class Projection:
         The scene's equations.
     snapshots : SnapshotTape
         Asked only where something has to be projected.
+
+    Attributes
+    ----------
+    tape : Tape
+        Outputs: what constraints keep, five numbers a contact, two a row of a joint.
     """
 
     def __init__(self, mechanics: Mechanics, snapshots: SnapshotTape) -> None:
@@ -60,7 +65,7 @@ class Projection:
         # Of the last tolerances: those of the runs of a sweep are often equal.
         self._weighed: dict[Key, tuple[tuple[float, float] | None, Array]] = {}
         self._compile = mechanics.tape
-        self._tape = mechanics.tape(outputs)
+        self.tape = mechanics.tape(outputs)
         self._gaps = tuple(outputs[: 5 * len(mechanics.scene.contacts) : 5])
         self._curved = tuple(mechanics.curved(name) for name in mechanics.scene.contacts)
         self._within: dict[Key, Tape | None] = {}
@@ -99,7 +104,7 @@ class Projection:
         weights = self._weights(flow, near, slow)
         targets = np.zeros(len(weights))
         if pinned:
-            then = self._tape.at(anchor, values, start)
+            then = self.tape.at(anchor, values, start)
             for i, name in enumerate(flow):
                 if name == "pin":
                     targets[5 * i + 3 : 5 * i + 5] = then[5 * i + 3 : 5 * i + 5]
@@ -122,16 +127,15 @@ class Projection:
                     why = dependent([(self._joints[i], rows[i]) for i in kept])
                     if why:
                         raise SingularMode(why)
-                    rows = self._tape.at(projected, values, time)[5 * len(flow) :].reshape(-1, 2)
+                    rows = self.tape.at(projected, values, time)[5 * len(flow) :].reshape(-1, 2)
                     raise self._broken(np.abs(rows), near, slow, time)
             return projected
 
-        # What may be off that far at a loose tolerance is not brought back.
-        room = max(_UNSEEN * scales.length, tolerances["gap"])
-        constraints = Constraints(self._tape, targets, weights, project, self._unseen(flow), room)
+        room = unseen_room(tolerances, scales)
+        constraints = Constraints(self.tape, targets, weights, project, self.unseen(flow), room)
         return constraints
 
-    def _unseen(self, flow: Key) -> Tape | None:
+    def unseen(self, flow: Key) -> Tape | None:
         """Return what tells that a step passed over a bump of a surface, or a dip, unseen.
 
         Curved surfaces alone can be flat where a step begins and not where it ends.
@@ -168,6 +172,12 @@ class Projection:
             f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all be kept at "
             f"t = {time:.17g}: {self._joints[k]!r} {apart}"
         )
+
+
+def unseen_room(tolerances: Mapping[str, float], scales: Scales) -> float:
+    """Return how far a step may be off a surface before it counts as blind."""
+    # What may be off that far at a loose tolerance is not brought back.
+    return max(_UNSEEN * scales.length, tolerances["gap"])
 
 
 def landing(tolerances: Mapping[str, float]) -> tuple[float, float]:

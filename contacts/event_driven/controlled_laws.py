@@ -44,6 +44,9 @@ class ControlledLaws:
         All, those of the controllers last.
     """
 
+    # Controllers are asked at every instant.
+    ordinary = None
+
     def __init__(
         self,
         contacts: SceneLaws,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from contacts.event_driven.impact_jump import (
     impact_jump,
     shown_roles,
 )
+from contacts.event_driven.ordinary import SceneInstants
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
 from contacts.modes.classification import Choice, Considered
@@ -36,6 +38,7 @@ from statechart.automaton.laws import (
     UNBOUNDED,
     Flow,
     Instant,
+    Ordinary,
     Setup,
     moving_mode,
     roles_in,
@@ -76,11 +79,15 @@ class SceneLaws:
         # Without joints and conditions, an instant may be a usual one.
         self._plain = not mechanics.joint_rows and not self._conditions.present
         self._projection = Projection(mechanics, self._tape)
+        self._instants = SceneInstants(self._names, self._tape, self._projection, self._paradox)
+        self.ordinary: Ordinary | None = self._instants if self._plain else None
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
         laws = copy.copy(self)
         laws._tape, laws._conditions = tape, conditions
+        laws._instants = SceneInstants(self._names, tape, self._projection, self._paradox)
+        laws.ordinary = None
         return laws
 
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
@@ -261,19 +268,12 @@ class SceneLaws:
         if target == at.flow.mode:
             return None
 
-        def considered() -> Mapping[str, str]:
-            snapshot = self._tape.at(setup.values, at.state, at.clock.high)
-            near = setup.tolerances["gap"]
-            touching = [
-                c.gap <= near and c.gap_rate <= setup.tolerances["speed"] for c in snapshot.contacts
-            ]
-            choice = decide(setup, snapshot, touching, self._paradox)
-            return {} if isinstance(choice, Jam) else choice.considered
-
         jump = at.jump(
             *cause(self._names, at.flow.mode, target, False),
             target,
-            considered=Considered(considered),
+            considered=Considered(
+                partial(self._instants.considered, setup, at.state, at.clock.high)
+            ),
             energy=(energy, energy),
         )
         return jump, flow_in(setup, target)

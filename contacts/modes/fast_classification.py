@@ -51,7 +51,7 @@ def fast_mode(
         state,
         setup.values,
         time,
-        _allowed(tuple([law.states for law in contacts])),
+        allowed(tuple([law.states for law in contacts])),
         cones(contacts),
         *_kept(flow, len(contacts)),
         near,
@@ -71,7 +71,7 @@ def fast_mode(
 
 
 @lru_cache(maxsize=1024)
-def _allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
+def allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
     """Return (c, 5): whether a contact's region has the state of that code."""
     allowed = np.zeros((len(states), len(_NAMES)), np.bool_)
     for i, several in enumerate(states):

@@ -17,8 +17,10 @@ from statechart.automaton.trace import Clock, Jump, Key, Role, Roles
 if TYPE_CHECKING:
     from statechart.automaton.constraints import Constraints
     from statechart.automaton.feasibility import Feasibility
+    from statechart.automaton.recording import Event
     from statechart.automaton.regions import Mode
     from statechart.automaton.trace import Trace
+    from statechart.formulas.tape import Tape
 
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -189,6 +191,11 @@ class Instant(NamedTuple):
 class Laws(Protocol):
     """What happens at the instants between flows; the executor knows nothing else."""
 
+    @property
+    def ordinary(self) -> Ordinary | None:
+        """What of it is compiled."""
+        ...
+
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode and the state to start from."""
         ...
@@ -238,6 +245,46 @@ class Laws(Protocol):
 
         None where there is no reason against any; see `statechart.automaton.product.feasibility`.
         """
+        ...
+
+
+class Ordinary(Protocol):
+    """Usual instants in compiled code: runs on from flow to flow until one is not usual."""
+
+    @property
+    def tapes(self) -> tuple[Tape, ...]:
+        """Tapes that it reads."""
+        ...
+
+    @property
+    def series(self) -> tuple[tuple[str, str], ...]:
+        """Regions and causes of the jumps that it makes (see `statechart.execution.zeno`)."""
+        ...
+
+    def compiled(self) -> bool:
+        """Whether it lies compiled on disk; if not, that takes a while."""
+        ...
+
+    def listed(self, mode: Key, roles: Roles) -> Sequence[int] | None:
+        """Return what it is to know of a mode, as whole numbers; None where it cannot enter it."""
+        ...
+
+    def within(self, mode: Key) -> Tape | None:
+        """Return what is to stay above a room, as `Constraints.within`."""
+        ...
+
+    def takes(self, setup: Setup, flow: Flow) -> bool:
+        """Whether it can go on from the start of a flow in a mode that it knows."""
+        ...
+
+    def ready(
+        self, setup: Setup, loop: Any, floors: Array
+    ) -> Callable[..., tuple[int, int, float]]:
+        """Return the loop for the numbers of a run; see `statechart.execution.ahead`."""
+        ...
+
+    def jump(self, setup: Setup, event: Event, fired: str) -> Jump:
+        """Return the jump of an event that it made."""
         ...
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal, NamedTuple
@@ -270,7 +270,7 @@ class Trace:
         Names, in the order of the keys and of the states.
     parameters : mapping
         Name -> value, of this run.
-    arcs, jumps : tuple
+    arcs, jumps : sequence
         In order; an arc's `j` says how many jumps precede it.
     initial, final : (n,) array
         First and last state.
@@ -312,8 +312,8 @@ class Trace:
     regions: tuple[str, ...]
     variables: tuple[str, ...]
     parameters: Mapping[str, float]
-    arcs: tuple[Arc, ...]
-    jumps: tuple[Jump, ...]
+    arcs: Sequence[Arc]
+    jumps: Sequence[Jump]
     initial: Array
     final: Array
     start_mode: Key

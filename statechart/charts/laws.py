@@ -156,6 +156,9 @@ class ChartLaws:
         Its regions, composed.
     """
 
+    # What its transitions say is not compiled.
+    ordinary = None
+
     def __init__(self, chart: Chart, symbols: _Symbols, regions: Sequence[Region]) -> None:
         self._chart = chart
         self._symbols = symbols

@@ -6,6 +6,9 @@ from abc import ABC, abstractmethod
 from enum import Enum
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import Constraints
@@ -79,6 +82,43 @@ class Steps(NamedTuple):
     found: Search | None = None
 
 
+class Pace(NamedTuple):
+    """How an engine integrates.
+
+    Attributes
+    ----------
+    tolerance, max_step, allowed : float
+        See `Engine`, and the longest step in time.
+    terms : int
+        Of its series.
+    """
+
+    tolerance: float
+    max_step: float
+    allowed: float
+    terms: int
+
+
+class Entry(NamedTuple):
+    """Where compiled loops enter a mode's step.
+
+    Attributes
+    ----------
+    address : int
+        See `statechart.engines.heyoka_step.Step`.
+    used : (k,) array of int
+        Places of the automaton's parameters that it takes, behind the time.
+    takes : int
+        How many parameters it takes, the time among them.
+    pace : Pace
+    """
+
+    address: int
+    used: NDArray[np.intp]
+    takes: int
+    pace: Pace
+
+
 class Engine(ABC):
     """An integrator: it makes a mode's steps, and knows nothing of events.
 
@@ -115,6 +155,10 @@ class Engine(ABC):
     @abstractmethod
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> object:
         """Return what `steps` needs to integrate `mode`, whose rates are also on a tape."""
+
+    def entry(self, stepper: object) -> Entry | None:
+        """Return where compiled loops enter what `compile` returned; None where they cannot."""
+        return None
 
     def compiling(self, rates: Tape) -> float:
         """Return about how many seconds `compile` takes."""

@@ -21,7 +21,16 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.documents.setting import LONG_DOUBLE
-from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch, Steps
+from statechart.engines.engine import (
+    LONGEST_CHUNK,
+    NEAR,
+    Begin,
+    Engine,
+    Entry,
+    FlowWatch,
+    Pace,
+    Steps,
+)
 from statechart.engines.event_location import BOXES, Verdict, as_search
 from statechart.engines.heyoka_step import Step
 from statechart.engines.path import Path
@@ -146,6 +155,15 @@ class Taylor(Engine):
             automaton.tape([power.base for power in convert.singular], mode),
             rates,
         )
+
+    def entry(self, stepper: object) -> Entry | None:
+        """Return where loops enter a step (see `Engine`)."""
+        assert isinstance(stepper, _Stepper)
+        if stepper.compiled is None:
+            return None
+        address, used, takes = stepper.compiled.address, stepper.used, len(stepper.pars)
+        pace = Pace(self.tolerance, self.max_step, self.allowed, stepper.shape[1])
+        return Entry(address, used, takes, pace)
 
     def compiling(self, rates: Tape) -> float:
         """Return about how many seconds `compile` takes."""

@@ -20,7 +20,7 @@ OFF = -1
 # So far off the rate may the slope at the end of a step be, in parts of the motion in it and for
 # orders that do better: stiff springs at rest are by less in rounding.
 STRAY = 1e-9
-_ORDERS = 1e2  # likewise in tolerances, for orders that do worse
+ORDERS = 1e2  # likewise in tolerances, for orders that do worse
 # The motion counts as so much at least: below 1 heyoka's tolerance is absolute.
 LEAST_MOTION = 1e-6
 # Above this it is never rounding; below, what falls by less as a step is halved is: what a series
@@ -35,7 +35,7 @@ the integration began and its rounding, series (n, d + 1), tolerance, longest st
 
 
 @part
-def _stray(row: Array, h: float, series: Array) -> float:
+def stray(row: Array, h: float, series: Array) -> float:
     """How far the slope at the end of a step is off the rate there, in parts of the motion."""
     worst, size = 0.0, LEAST_MOTION
     for v in range(row.shape[0]):
@@ -51,7 +51,7 @@ def _stray(row: Array, h: float, series: Array) -> float:
 
 
 @part
-def _expand(series: Array, h: float, row: Array) -> bool:
+def expand(series: Array, h: float, row: Array) -> bool:
     """Write a series in time as a polynomial in s = time / h; False if it is not finite."""
     bounded = True
     for v in range(series.shape[0]):
@@ -66,7 +66,7 @@ def _expand(series: Array, h: float, row: Array) -> bool:
 
 
 @part
-def _pass(clock: Array, h: float) -> None:
+def let_pass(clock: Array, h: float) -> None:
     """Let the time `h` pass (Knuth's two-sum)."""
     later = clock[0] + h
     passed = later - clock[0]
@@ -103,7 +103,7 @@ def _taylor_steps(
         Length of the last step, and what was left before it.
     """
     address, state, parameters, clock, series, tolerance, max_step = integrator
-    n, allowed = series.shape[0], max(STRAY, _ORDERS * tolerance)
+    n, allowed = series.shape[0], max(STRAY, ORDERS * tolerance)
     step, here, begun = np.empty(1), np.empty(n), np.empty(n)
     left, total, taken = duration, 0.0, 0
     longest, off, halvings, done, again = max_step, math.inf, 0, False, False
@@ -115,7 +115,7 @@ def _taylor_steps(
         # The step before the one that is made again has been looked at.
         if taken > 0 and not again:
             last = first + taken - 1
-            before, off = off, _stray(coeffs[last], h, series)
+            before, off = off, stray(coeffs[last], h, series)
             falls = halvings == 0 or off > _ROUGH or off <= _ROUNDING * before
             if off > allowed and falls:
                 halvings += 1
@@ -132,10 +132,10 @@ def _taylor_steps(
             return taken, taken, h, left
         h, again = step[0], False
         begun[:] = here
-        bounded = _expand(series, h, coeffs[first + taken])
+        bounded = expand(series, h, coeffs[first + taken])
         taken += 1
         summed, length, since, rest = total, left, clock[0], clock[1]
-        _pass(clock, h)
+        let_pass(clock, h)
         if not bounded:
             return taken, taken - 1, h, left
         total += h

@@ -8,8 +8,8 @@ import numpy as np
 
 from statechart import interrupts
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
+from statechart.automaton.recording import Recording
 from statechart.automaton.trace import (
-    Arc,
     Clock,
     Jump,
     Key,
@@ -20,9 +20,9 @@ from statechart.automaton.trace import (
     check_size,
 )
 from statechart.engines.engine import FlowWatch
-from statechart.engines.event_location import Crossing
 from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
+from statechart.execution.ahead import Ahead
 from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.flow import UNFOLLOWED, Advance
@@ -55,6 +55,8 @@ class Execution:
         The automaton and the engine, with the modes entered so far, in this run or before.
     path : Path
         Takes the steps of the flow under way.
+    record : Recording
+        Takes its arcs and jumps.
     setup : Setup
         The numbers of the run.
     zeros : frozenset of int
@@ -65,28 +67,29 @@ class Execution:
         End after so many jumps.
     progress : bool
         Whether to report to stderr.
+    ahead : Ahead or None
+        Takes the run through usual instants in compiled code, where that can be.
     certificate : Certificate or None
         Takes all flows and jumps, where the run is made again to prove its motion.
     """
 
     modes: CompiledModes
     path: Path
+    record: Recording
     setup: Setup
     zeros: frozenset[int]
     until: float
     max_jumps: int
     progress: bool
+    ahead: Ahead | None = None
     certificate: Certificate | None = None
     clock: Clock = field(default_factory=Clock)
-    arcs: list[Arc] = field(default_factory=list)
-    jumps: list[Jump] = field(default_factory=list)
     outcome: Outcome = Outcome.HORIZON
     message: str = ""
     warnings: dict[str, None] = field(default_factory=dict)
     evidence: dict[str, str] = field(default_factory=dict)
     boxes: int = 0
     steps: int = 0
-    size: int = 0
     entered: dict[Roles, CompiledMode] = field(default_factory=dict)
     grazed: bool = False
     failure: SimulationError | None = None
@@ -100,7 +103,8 @@ class Execution:
         self.horizon = min(self.setup.horizon, _FARTHEST)
         self.evaluations = self.engine.evaluations
         self._progress = Progress(self.until)
-        self._accumulation = Accumulation()
+        ordinary = None if self.ahead is None else self.automaton.laws_of_events.ordinary
+        self.accumulation = Accumulation(() if ordinary is None else ordinary.series)
         self._livelock = Livelock()
 
     def run(self) -> Trace:
@@ -128,8 +132,9 @@ class Execution:
         if not self.flow.settled and self._settle(fired):
             return
         while True:
-            fired = self._flow()
-            if self.outcome is Outcome.STOPPED:
+            ahead = None if self.ahead is None else self.ahead.go(self)
+            fired = self._flow() if ahead is None else ahead
+            if self.outcome is not Outcome.HORIZON:
                 return
             if not fired:
                 if not self._ending() or not self._settle(()):
@@ -150,6 +155,8 @@ class Execution:
         if duration <= 0.0:
             return ("zeno",) if remaining <= 0.0 else ()
         compiled = self._enter(flow.roles)
+        if self.ahead is not None:
+            self.ahead.modes.add(flow.mode, flow.roles, compiled)
         reached = Advance(
             self.engine,
             compiled,
@@ -158,7 +165,7 @@ class Execution:
             self.state,
             duration,
             self.horizon,
-            self._show if self.progress else None,
+            self.show if self.progress else None,
         ).run()
         self._keep(flow, reached)
         if isinstance(reached.failure, StepFailure | NonFinite | TooLong):
@@ -166,10 +173,10 @@ class Execution:
             return (UNBOUNDED,)
         if reached.failure is not None:
             raise reached.failure
-        check_size(self.size, len(self.jumps), self.clock.high)
+        check_size(0, self.record.made, self.clock.high)
         if reached.crossing is None:
             return ("zeno",) if duration == remaining else ()
-        return self._event(compiled, reached.crossing, reached.graze)
+        return self.fell(compiled, reached.crossing.guard, graze=reached.graze)
 
     def _enter(self, roles: Roles) -> CompiledMode:
         """Return the mode that a flow is in, compiled."""
@@ -196,32 +203,29 @@ class Execution:
             self.evidence["motion"] = UNFOLLOWED
             self.warnings[f"from t = {reached.unfollowed:.17g} on {UNFOLLOWED}"] = None
         self.boxes += reached.boxes
-        self.steps += reached.steps
-        if self.progress:  # flows that end in their first steps say nothing themselves
-            self._show(0.0, 0)
+        self.steps += path.count
+        self.show()  # flows that end in their first steps say nothing themselves
         elapsed, terms = 0.0, flow.terms
         if path.count > 0:
             times, coefficients = path.arc()
             elapsed, terms = times.item(-1), summands(times, coefficients)
-            arc = Arc(flow.mode, flow.roles, self.clock, len(self.jumps), times, coefficients)
-            self.arcs.append(arc)
+            self.record.add_arc(flow.mode, flow.roles, self.clock, times, coefficients)
             if self.certificate is not None:
-                self.certificate.flow(arc, self._enter(flow.roles))
-            self.size += times.nbytes + coefficients.nbytes
+                self.certificate.flow(self.record.arcs[-1], self._enter(flow.roles))
         self.clock = self.clock.later(elapsed)
         if elapsed > 0.0:
             # A mode may flow on from where a margin fell, without a jump.
-            since = self.jumps[-1].t if self.jumps else 0.0
+            since = self.record.jumps[-1].t if self.record.jumps else 0.0
             self.horizon = _AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
         remaining, special = flow.remaining - elapsed, flow.tolerances
         self.flow = Flow(flow.mode, flow.roles, remaining, "", False, (), flow.held, special, terms)
 
-    def _event(self, compiled: CompiledMode, crossing: Crossing, graze: bool) -> tuple[str, ...]:
+    def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:
         """Return what fired where a margin fell; a stop ends the run."""
-        margin = compiled.mode.margins[crossing.guard]
+        margin = compiled.mode.margins[guard]
         # They stand last; zeros and controls have been replaced in their formulas.
-        stops = crossing.guard >= len(compiled.mode.margins) - len(self.automaton.stops)
+        stops = guard >= len(compiled.mode.margins) - len(self.automaton.stops)
         self.grazed = graze
         if graze and stops and self._unbounded():
             # Rates without bound make noise of what is watched next to where they end.
@@ -231,23 +235,23 @@ class Execution:
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.17g}"] = None
         if stops:
             now = self._instant(margin.name)
-            self.jumps.append(now.jump("", "stop", now.flow.mode))
+            self.record.add_jump(now.jump("", "stop", now.flow.mode))
             self._end(Outcome.STOPPED, f"{margin.name} at t = {self.clock.high:.17g}")
         return (margin.name,)
 
     def _unbounded(self) -> bool:
         """Whether rates have grown without bound towards here, and a jump resolves it."""
         flow, laws = self.flow, self.automaton.laws_of_events
-        if flow is None or flow.terms is None or not self.arcs:
+        if flow is None or flow.terms is None or not self.record.arcs:
             return False
-        sizes = np.abs(self.arcs[-1].coefficients[:, :, 0]).max(axis=0)
+        sizes = np.abs(self.record.arcs[-1].coefficients[:, :, 0]).max(axis=0)
         if not (np.abs(flow.terms[:, -1]) > _STEEP * sizes).any():
             return False
         return laws.jump(self._instant(UNBOUNDED)) is not None
 
     def _instant(self, *fired: str) -> Instant:
         assert self.flow is not None
-        return Instant(self.setup, self.clock, len(self.jumps), self.flow, self.state, fired)
+        return Instant(self.setup, self.clock, len(self.record.jumps), self.flow, self.state, fired)
 
     def _ending(self) -> bool:
         """Whether something may just be happening as the run ends: it belongs to the run.
@@ -303,20 +307,18 @@ class Execution:
                 self.certificate.jump(self._instant(*fired), jump)
             self.flow = following
             self._warn()
-            self.jumps.append(jump)
+            self.record.add_jump(jump)
             self.state = jump.after
             self._skip(jump)
             fired = ()
-            if not self.automaton.stops:
-                check_pace(self.jumps, self.clock, self.until, self.max_jumps)
-            if len(self.jumps) >= self.max_jumps:
-                self._end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
+            if self.counted():
                 return True
             if self.flow.settled:
                 break
         else:
             recent = ", ".join(
-                f"{jump.cause} -> {self.automaton.label(jump.target)}" for jump in self.jumps[-6:]
+                f"{jump.cause} -> {self.automaton.label(jump.target)}"
+                for jump in self.record.jumps[-6:]
             )
             raise EventLoop(f"{JUMPS_AT_ONCE} jumps at t = {self.clock.high:.17g}: {recent}")
         if fired and not moved:
@@ -330,17 +332,40 @@ class Execution:
         self.failure = None
         return False
 
+    def counted(self) -> bool:
+        """Whether the run ends here, as there were as many jumps as may be.
+
+        Raises
+        ------
+        TooLong
+            Where it is plain that they will be too many.
+        """
+        if not self.automaton.stops:
+            check_pace(self.record.jumps, self.clock, self.until, self.max_jumps)
+        many = len(self.record.jumps) >= self.max_jumps
+        if many:
+            self._end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
+        return many
+
     def _skip(self, jump: Jump) -> None:
         """Skip the rest of a sequence of jumps that accumulate, where the laws can."""
-        rest = self._accumulation.watch(jump, self.clock, self.setup.short)
-        if rest is None:
-            return
+        pair, flowed = (jump.region, jump.cause), bool(jump.fired)
+        rest = self.accumulation.watch(pair, self.clock, self.setup.short, flowed=flowed)
+        if rest is not None:
+            self._skip_by(rest)
+
+    def accumulated(self, place: int, rest: float) -> None:
+        """Do so where a loop has seen that they do; see `Accumulation.found`."""
+        self._skip_by(self.accumulation.found(place, rest))
+
+    def _skip_by(self, rest: float) -> None:
         assert self.flow is not None
-        recent, laws = self.jumps[-JUMPS_AT_ONCE:], self.automaton.laws_of_events
+        recent, laws = self.record.jumps[-JUMPS_AT_ONCE:], self.automaton.laws_of_events
         made = laws.accumulate(self.setup, self.clock, self.flow, recent, rest)
         if made is not None:
-            self.jumps[-1], self.flow = made
-            self.state = self.jumps[-1].after
+            jump, self.flow = made
+            self.record.replace_last(jump)
+            self.state = jump.after
             self._warn()
 
     def _widen(self, margin: str) -> bool:
@@ -365,5 +390,8 @@ class Execution:
         ] = None
         return True
 
-    def _show(self, local: float, steps: int) -> None:
-        self._progress.show(self.clock.high + local, len(self.jumps), self.steps + steps)
+    def show(self, local: float = 0.0, steps: int = 0) -> None:
+        """Tell how far the run is, where that is wanted."""
+        if self.progress:
+            time, jumps = self.clock.high + local, len(self.record.jumps)
+            self._progress.show(time, jumps, self.steps + steps)

@@ -219,7 +219,7 @@ class Advance:
                 path.coefficients,
                 first,
                 last if where is None else where.step + 1,
-                _floors(self.engine, len(self.initial)),
+                floors(self.engine, len(self.initial)),
                 max(self.engine.allowed, self._rounded),
                 _LOOKS,
             )
@@ -289,11 +289,11 @@ class Advance:
         self._begin = Begin.MOVED if moved or finished else Begin.ON
 
 
-def _floors(engine: Engine, variables: int) -> Array:
-    """Return how small each variable can be and still count."""
-    floors = np.empty(variables)
-    floors[:] = _LEAST if engine.sizes is None else _LEAST * engine.sizes
-    return np.maximum(floors, engine.floor)
+def floors(engine: Engine, variables: int) -> Array:
+    """Return how small each variable (n,) can be and still count."""
+    least = np.empty(variables)
+    least[:] = _LEAST if engine.sizes is None else _LEAST * engine.sizes
+    return np.maximum(least, engine.floor)
 
 
 def _check_pace(steps: int, took: float, left: float) -> None:

@@ -23,14 +23,15 @@ def trace_of(run: Execution) -> Trace:
     proved = motion is not None and motion.proved
     doubtful = run.evidence.keys() - ({"motion"} if proved else set())
     decided = not doubtful and run.outcome not in (Outcome.UNDECIDED, Outcome.NON_FINITE)
+    arcs, jumps = run.record.close()
     start = run.started_mode or tuple(r.states[0] for r in automaton.regions)
     return Trace(
         name=automaton.name,
         regions=tuple(region.name for region in automaton.regions),
         variables=automaton.names,
         parameters=dict(zip(automaton.parameter_names, run.setup.values.tolist(), strict=True)),
-        arcs=tuple(run.arcs),
-        jumps=tuple(run.jumps),
+        arcs=arcs,
+        jumps=jumps,
         initial=run.started_state,
         final=run.state,
         start_mode=start,
@@ -48,7 +49,7 @@ def trace_of(run: Execution) -> Trace:
             "steps": run.steps,
             "evaluations": engine.evaluations - run.evaluations,
             "boxes": run.boxes,
-            "jumps": len(run.jumps),
+            "jumps": len(jumps),
             "modes_built": run.modes.built,
         },
         motion=motion,

@@ -7,9 +7,12 @@ from dataclasses import replace
 from functools import partial
 
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import Setup
+from statechart.automaton.recording import Kind, Recording, pad
 from statechart.automaton.trace import Outcome, Roles, Trace
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
+from statechart.execution.ahead import Ahead, Modes
 from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes, SolvedModes
 from statechart.execution.execution import Execution
@@ -43,8 +46,9 @@ class Simulator:
         self.engine = engine
         self.progress = progress
         self.modes = CompiledModes(solved or SolvedModes(automaton), engine)
-        # Its arrays are used again, from flow to flow and from run to run.
-        self.path = Path()
+        # Their arrays are used again, from flow to flow and from run to run.
+        self.path, self._pad = Path(), pad(len(automaton.variables))
+        self._loops: dict[frozenset[int], Modes] = {}
 
     def run(
         self,
@@ -107,6 +111,7 @@ class Simulator:
         """
         made = self._execution(parameters or {}, until, max_jumps)
         laws = self.automaton.laws_of_events
+        made.ahead = None
         made.certificate = Certificate(trace, made.setup, laws, self.engine)
         return made.run()
 
@@ -117,7 +122,26 @@ class Simulator:
         zeros = setup.zeros
         setup = replace(setup, modes=partial(self.modes.mode, zeros=zeros))
         self.engine.sizes = setup.sizes
-        return Execution(self.modes, self.path, setup, zeros, until, max_jumps, self.progress)
+        kinds: list[Kind] = []
+        ahead, jump = self._ahead(setup), None
+        if ahead is not None:
+            kinds, jump = ahead.modes.kinds, partial(ahead.modes.jump, setup)
+        record = Recording(len(self.automaton.variables), kinds, self._pad, jump)
+        return Execution(
+            self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, ahead
+        )
+
+    def _ahead(self, setup: Setup) -> Ahead | None:
+        """Return what runs usual instants in compiled code; None where nothing can."""
+        laws = self.automaton.laws
+        ordinary = None if laws is None else laws.ordinary
+        if ordinary is None:
+            return None
+        modes = self._loops.get(setup.zeros)
+        if modes is None:
+            stops = len(self.automaton.stops)
+            modes = self._loops[setup.zeros] = Modes(ordinary, self.engine, stops)
+        return Ahead(ordinary, modes, setup)
 
     def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""

@@ -13,7 +13,7 @@ import pytest
 
 from models import path
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.trace import Clock, Jump, Outcome, Trace
+from statechart.automaton.trace import Clock, Outcome, Trace
 from statechart.charts.chart import Chart
 from statechart.charts.laws import automaton
 from statechart.engines.scipy import SciPy
@@ -218,16 +218,11 @@ def test_a_sequence_that_takes_turns_between_states_is_recognised() -> None:
     assert times(trace, "close") == pytest.approx([2.0], abs=1e-11)
 
 
-def _jump(t: float, region: str = "r", fired: tuple[str, ...] = ("m",)) -> Jump:
-    state = np.zeros(1)
-    return Jump(t, 0, region, "hit", ("a",), ("a",), state, state, fired)
-
-
 def test_the_sum_of_a_geometric_sequence_is_predicted_and_no_other() -> None:
     def predicted(ratio: float, power: float = 1.0) -> float | None:
         watch, clock = Accumulation(), Clock()
         for n in range(200):
-            rest = watch.watch(_jump(clock.high), clock, 1e-6)
+            rest = watch.watch(("r", "hit"), clock, 1e-6, flowed=True)
             if rest is not None:
                 return clock.later(rest).high
             clock = clock.later(ratio ** (n**power))
@@ -245,7 +240,7 @@ def test_regions_are_watched_apart() -> None:
     found: dict[str, float] = {}
     for n in range(60):
         for name in ("a", "b"):
-            rest = watch.watch(_jump(clocks[name].high, name), clocks[name], 1e-6)
+            rest = watch.watch((name, "hit"), clocks[name], 1e-6, flowed=True)
             if rest is not None:
                 found.setdefault(name, clocks[name].later(rest).high)
             clocks[name] = clocks[name].later(0.5**n)
@@ -254,5 +249,5 @@ def test_regions_are_watched_apart() -> None:
 
 def test_jumps_at_one_instant_without_flows_between_are_a_loop_and_no_accumulation() -> None:
     watch = Accumulation()
-    found = [watch.watch(_jump(1.0, fired=()), Clock(1.0), 1e-6) for _ in range(60)]
+    found = [watch.watch(("r", "hit"), Clock(1.0), 1e-6, flowed=False) for _ in range(60)]
     assert found == [None] * 60

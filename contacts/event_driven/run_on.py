@@ -1,0 +1,312 @@
+"""A run in compiled code, from flow to flow, as long as its instants are usual ones."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.modes.fast_classification import usual
+from contacts.states import FREE, PIN
+from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.recording import ARCS, EVENTS, TERMS, TIMES, Block
+from statechart.engines.engine import Pace
+from statechart.engines.whole_flow import (
+    ADDRESS,
+    ENDED,
+    LAWS_AT,
+    STOPS,
+    UNUSUAL,
+    Program,
+    Scratch,
+    Watch,
+    flow_to_event,
+    tape_of,
+)
+from statechart.execution.ahead import (
+    ACCUMULATES,
+    AHEAD,
+    COUNTED,
+    FELL,
+    FLOW,
+    FULL,
+    N_BOXES,
+    N_JUMPS,
+    N_MODE,
+    N_MOST,
+    N_STEPS,
+    OVER,
+    PAUSED,
+    T_END,
+    T_HIGH,
+    T_HORIZON,
+    T_LOW,
+    T_SINCE,
+)
+from statechart.kernels.accumulation import follow
+from statechart.kernels.jit import kernel, part
+from statechart.kernels.tapes import tape_values
+
+# Numbers of a contact among the constraints: gap, its rate, slip, point.
+_PER_CONTACT = 5
+TOUCHDOWN, LIFTOFF, STICK, SLIP, REVERSE = range(5)
+"""What a change of a contact's state is called, see `contacts.states.cause_of`."""
+# So many steps and boxes in one call, some tens of milliseconds.
+_STEPS, _BOXES = 4096, 65536
+_STEADY = 4096
+
+
+class SceneWatch(NamedTuple):
+    """What classification takes of a run (see `contacts.modes.fast_classification.usual`).
+
+    Attributes
+    ----------
+    numbers : (9,) array of int64
+        Tape of the scene's numbers.
+    allowed : (c, 5) array of bool
+    cones : (c, 2) array
+    near, creep, gap, speed, tie, force, acceleration, short : float
+    """
+
+    numbers: NDArray[np.int64]
+    allowed: Bools
+    cones: Array
+    near: float
+    creep: float
+    gap: float
+    speed: float
+    tie: float
+    force: float
+    acceleration: float
+    short: float
+
+
+@part
+def _cause(before: int, after: int) -> int:
+    if before == FREE:
+        return TOUCHDOWN
+    if after == FREE:
+        return LIFTOFF
+    if after == PIN:
+        return STICK
+    return SLIP if before == PIN else REVERSE
+
+
+@part
+def _hold(
+    program: Program,
+    watch: Watch,
+    scene: SceneWatch,
+    states: Ints,
+    state: Array,
+    time: float,
+) -> None:
+    """Write targets and weights of the constraints of a flow that begins here."""
+    watch.weights[:] = 0.0
+    pinned = False
+    for c in range(states.shape[0]):
+        at = _PER_CONTACT * c
+        if states[c] != FREE:
+            watch.weights[at] = 1.0 / scene.gap
+            watch.weights[at + 1] = 1.0 / scene.speed
+        if states[c] == PIN:
+            pinned = True
+            watch.weights[at + 2] = 1.0 / scene.speed
+            watch.weights[at + 3] = watch.weights[at + 4] = 1.0 / scene.gap
+    if not pinned:
+        return
+    code, constants, outputs, _, _ = tape_of(program, watch.off)
+    tape_values(code, constants, outputs, state, watch.parameters, time, watch.targets)
+    for c in range(states.shape[0]):
+        at = _PER_CONTACT * c
+        for k in range(at, at + _PER_CONTACT):
+            if states[c] != PIN or k < at + 3:
+                watch.targets[k] = 0.0
+
+
+@part
+def _row(program: Program, states: Ints) -> int:
+    """Return the mode of these states of the contacts; -1 where it is not compiled."""
+    modes = program.modes
+    for row in range(modes.shape[0]):
+        at = modes[row, LAWS_AT]
+        if modes[row, ADDRESS] == 0 or at < 0:
+            continue
+        same = True
+        for c in range(states.shape[0]):
+            same = same and program.ints[at + c] == states[c]
+        if same:
+            return row
+    return -1
+
+
+@part
+def _record_arc(
+    block: Block, memory: Scratch, mode: int, j: int, steps: int, high: float, low: float
+) -> None:
+    """Write the steps of a flow behind the others, without terms that are zero in all of them."""
+    coeffs, used = memory.coefficients, block.used
+    n, width = coeffs.shape[1], coeffs.shape[2]
+    zero = True
+    while zero and width > 1:
+        for i in range(steps):
+            for v in range(n):
+                zero = zero and coeffs[i, v, width - 1] == 0.0
+        if zero:
+            width -= 1
+    arc, at, place = used[ARCS], used[TIMES], used[TERMS]
+    block.arcs[arc, 0], block.arcs[arc, 1] = mode, j
+    block.arcs[arc, 2], block.arcs[arc, 3] = steps, width
+    block.places[arc, 0], block.places[arc, 1] = at, place
+    block.starts[arc, 0], block.starts[arc, 1] = high, low
+    for i in range(steps + 1):
+        block.times[at + i] = memory.times[i]
+    for i in range(steps):
+        for v in range(n):
+            for k in range(width):
+                block.coefficients[place] = coeffs[i, v, k]
+                place += 1
+    used[ARCS], used[TIMES], used[TERMS] = arc + 1, at + steps + 1, place
+
+
+@kernel
+def run_on(
+    program: Program,
+    pace: Pace,
+    watch: Watch,
+    memory: Scratch,
+    scene: SceneWatch,
+    block: Block,
+    now: Array,
+    place: Ints,
+    state: Array,
+    series: Array,
+    entered: Bools,
+) -> tuple[int, int, float]:
+    """Flow and jump until something is to be done that is not usual.
+
+    Parameters
+    ----------
+    program, pace, watch, memory
+        See `statechart.engines.whole_flow`.
+    scene : SceneWatch
+        For the classification of instants.
+    block : Block
+        Takes arcs and jumps.
+    now : (5,), place : (5,) array
+        Where the run is, see `statechart.execution.ahead`; brought up to date.
+    state : (n,) array
+        Likewise.
+    series : (5 c, ..) array
+        Of jumps, for every contact and cause (see `statechart.kernels.accumulation`).
+    entered : (m,) array of bool
+        Modes that the run has been in; brought up to date.
+
+    Returns
+    -------
+    reason : int
+        Why it ends.
+    margin : int
+        That fell, or the series that accumulates.
+    rest : float
+        Time to the accumulation.
+    """
+    contacts = scene.allowed.shape[0]
+    kept, taken = np.empty(contacts, np.int64), np.empty(contacts, np.int64)
+    code, constants, outputs, _, _ = tape_of(program, scene.numbers)
+    numbers = np.empty(outputs.shape[0])
+    half = state.shape[0] // 2
+    most = memory.coefficients.shape[0]
+    most_terms = memory.coefficients.size
+    begun_steps, begun_boxes = place[N_STEPS], place[N_BOXES]
+    while True:
+        used = block.used
+        if (
+            used[ARCS] == block.arcs.shape[0]
+            or used[EVENTS] == block.events.shape[0]
+            or used[TIMES] + most + 1 > block.times.shape[0]
+            or used[TERMS] + most_terms > block.coefficients.shape[0]
+        ):
+            return FULL, -1, 0.0
+        if place[N_STEPS] - begun_steps > _STEPS or place[N_BOXES] - begun_boxes > _BOXES:
+            return PAUSED, -1, 0.0
+        mode = place[N_MODE]
+        high, low = now[T_HIGH], now[T_LOW]
+        duration = (now[T_END] - high) - low
+        if duration <= 0.0:
+            return OVER, -1, 0.0
+        entered[mode] = True
+        at = program.modes[mode, LAWS_AT]
+        for c in range(contacts):
+            kept[c] = program.ints[at + c]
+        _hold(program, watch, scene, kept, state, high)
+        verdict, margin, steps, boxes = flow_to_event(
+            program, mode, pace, watch, memory, state, high, duration, now[T_HORIZON]
+        )
+        if verdict == UNUSUAL:
+            return FLOW, -1, 0.0
+        place[N_STEPS] += steps
+        place[N_BOXES] += boxes
+        if steps > 0:
+            _record_arc(block, memory, mode, place[N_JUMPS], steps, high, low)
+            elapsed = memory.times[steps]
+            total = high + elapsed
+            error = total - high
+            error = (high - (total - error)) + (elapsed - error) + low
+            now[T_HIGH] = total + error
+            now[T_LOW] = error - (now[T_HIGH] - total)
+            if elapsed > 0.0:
+                now[T_HORIZON] = AHEAD * max(elapsed, now[T_HIGH] - now[T_SINCE])
+        if verdict == ENDED:
+            return OVER, -1, 0.0
+        high = now[T_HIGH]
+        if margin >= program.modes[mode, STOPS]:
+            return FELL, margin, 0.0
+        found = usual(
+            code,
+            constants,
+            outputs,
+            state,
+            watch.parameters,
+            high,
+            scene.allowed,
+            scene.cones,
+            True,
+            kept,
+            scene.near,
+            scene.creep,
+            scene.gap,
+            scene.speed,
+            scene.tie,
+            scene.force,
+            scene.acceleration,
+            numbers,
+            taken,
+        )
+        target = _row(program, taken) if found else -1
+        if target < 0 or target == mode:
+            return FELL, margin, 0.0
+        event, energy = used[EVENTS], numbers[half * half + half]
+        block.events[event, 0], block.events[event, 1] = mode, target
+        block.events[event, 2], block.events[event, 3] = margin, 0
+        block.numbers[event, 0] = high
+        block.numbers[event, 1] = block.numbers[event, 2] = energy
+        block.numbers[event, 3] = 0.0
+        block.states[event, 0] = state
+        block.states[event, 1] = state
+        used[EVENTS] += 1
+        place[N_MODE] = target
+        place[N_JUMPS] += 1
+        now[T_SINCE] = high
+        first = 0
+        while kept[first] == taken[first]:
+            first += 1
+        row = 5 * first + _cause(kept[first], taken[first])
+        rest = follow(series[row], high, now[T_LOW], True, scene.short)
+        if rest >= 0.0:
+            return ACCUMULATES, row, rest
+        count = place[N_JUMPS]
+        steady = count >= _STEADY and count & (count - 1) == 0
+        if count >= place[N_MOST] or steady:
+            return COUNTED, -1, 0.0

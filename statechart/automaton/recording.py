@@ -1,0 +1,364 @@
+"""Arcs and jumps of a run in arrays, as compiled loops write them; made when they are looked at.
+
+They are written on a pad, memory that is used again; what stands there is copied to a `Block`
+whenever it is full, and at the end of the run.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from typing import Generic, NamedTuple, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.arrays import Array
+from statechart.automaton.trace import LARGEST, Arc, Clock, Jump, Key, Roles
+from statechart.errors import TooLong
+
+T = TypeVar("T")
+Kind = tuple[Key, Roles]
+"""The mode that a flow shows, and whose equations apply."""
+
+ARCS, TIMES, TERMS, EVENTS = range(4)
+"""Places in `Block.used`."""
+MADE = -1
+"""As the kind of an event's source: the jump is kept as it was made."""
+
+# What a pad holds: so many arcs and events, times, coefficients.
+_ARCS, _TIMES, _TERMS = 1 << 13, 1 << 14, 1 << 19
+# Of a sequence, the first so many are kept once they have been made.
+_SHORT = 1 << 12
+
+
+class Block(NamedTuple):
+    """Arcs and events in the order in which they were made.
+
+    Attributes
+    ----------
+    arcs : (a, 4) array of int32
+        Kind, number of jumps before it, steps, terms of its polynomials.
+    places : (a, 2) array of int64
+        Where its times and its coefficients begin.
+    starts : (a, 2) array
+        When it starts, a `Clock`.
+    times, coefficients : (..,) arrays
+        Of all arcs, one behind the other (see `Arc`).
+    events : (e, 4) array of int32
+        Kind left and kind entered, the margin that fell; the last is the laws' own.
+    numbers : (e, 4) array
+        When, energy before and after, time skipped.
+    states : (e, 2, n) array
+        Before and after.
+    used : (4,) array of int64
+        How much of it is written: arcs, times, coefficients, events.
+    """
+
+    arcs: NDArray[np.int32]
+    places: NDArray[np.int64]
+    starts: Array
+    times: Array
+    coefficients: Array
+    events: NDArray[np.int32]
+    numbers: Array
+    states: Array
+    used: NDArray[np.int64]
+
+
+class Event(NamedTuple):
+    """One event of a block, as the laws are asked to make a jump of it.
+
+    Attributes
+    ----------
+    j : int
+        Number of jumps before it.
+    source, target : Key
+    fired : int
+        Margin of the mode left.
+    code : int
+        The laws' own.
+    t, energy_before, energy_after, skipped : float
+    before, after : (n,) array
+    """
+
+    j: int
+    source: Key
+    target: Key
+    fired: int
+    code: int
+    t: float
+    energy_before: float
+    energy_after: float
+    skipped: float
+    before: Array
+    after: Array
+
+
+def pad(variables: int) -> Block:
+    """Return memory to write on, for states of so many variables."""
+    return _empty((_ARCS, _TIMES, _TERMS, _ARCS), variables)
+
+
+def _empty(room: tuple[int, int, int, int], variables: int) -> Block:
+    arcs, times, terms, events = room
+    return Block(
+        np.empty((arcs, 4), np.int32),
+        np.empty((arcs, 2), np.int64),
+        np.empty((arcs, 2)),
+        np.empty(times),
+        np.empty(terms),
+        np.empty((events, 4), np.int32),
+        np.empty((events, 4)),
+        np.empty((events, 2, variables)),
+        np.zeros(4, np.int64),
+    )
+
+
+class Recording:
+    """What a run has left so far.
+
+    Parameters
+    ----------
+    variables : int
+        Of a state.
+    kinds : list of (Key, Roles)
+        Those that blocks name by their places; may grow.
+    memory : Block
+        To be written on.
+    jump : callable, optional
+        Makes the jump of an event that a loop has written; asked when one is looked at.
+    """
+
+    def __init__(
+        self,
+        variables: int,
+        kinds: list[Kind],
+        memory: Block,
+        jump: Callable[[Event], Jump] | None = None,
+    ) -> None:
+        self.memory, self.variables = memory, variables
+        self._kinds, self._jump = kinds, jump
+        self._places = {kind: place for place, kind in enumerate(kinds)}
+        self._made: dict[int, Jump] = {}
+        self._blocks: list[Block] = []
+        # How many arcs and events stand in the blocks before each.
+        self._arcs, self._events = [0], [0]
+        self._bytes = 0
+        memory.used[:] = 0
+        self.arcs, self.jumps = self._sequences()
+
+    def _sequences(self) -> tuple[Recorded[Arc], Recorded[Jump]]:
+        return (
+            Recorded(self._arc, lambda: self._arcs[-1] + int(self.memory.used[ARCS])),
+            Recorded(self._event, lambda: self._events[-1] + int(self.memory.used[EVENTS])),
+        )
+
+    def close(self) -> tuple[Recorded[Arc], Recorded[Jump]]:
+        """Leave the pad to others; return the arcs and the jumps of the run, which has ended."""
+        self.seal()
+        self.memory = _empty((0, 0, 0, 0), self.variables)
+        # A trace that nobody has any more is to go at once: nothing here may point back at it.
+        del self.arcs, self.jumps
+        return self._sequences()
+
+    @property
+    def made(self) -> int:
+        """How many jumps are kept as they were made."""
+        return len(self._made)
+
+    def kind(self, mode: Key, roles: Roles) -> int:
+        """Return the place of a kind, a new one where it was none."""
+        kind = mode, roles
+        place = self._places.get(kind)
+        if place is None:
+            known = len(self._places)
+            # Those that others have added since.
+            self._places |= {kind: known + i for i, kind in enumerate(self._kinds[known:])}
+            place = self._places.setdefault(kind, len(self._kinds))
+            if place == len(self._kinds):
+                self._kinds.append(kind)
+        return place
+
+    def add_arc(self, mode: Key, roles: Roles, start: Clock, times: Array, terms: Array) -> None:
+        """Add a flow; `times` and `terms` as those of an `Arc`."""
+        steps, width = len(times) - 1, _width(terms)
+        size = steps * self.variables * width
+        if self._room(1, len(times), size, 0):
+            block = self.memory
+        else:
+            # Longer than any pad: a block of its own.
+            self.seal()
+            block = _empty((1, len(times), size, 0), self.variables)
+        arc, at, place, _ = block.used.tolist()
+        block.arcs[arc] = self.kind(mode, roles), len(self.jumps), steps, width
+        block.places[arc] = at, place
+        block.starts[arc] = start
+        block.times[at : at + len(times)] = times
+        block.coefficients[place : place + size] = terms[:, :, :width].ravel()
+        block.used[:3] += (1, len(times), size)
+        if block is not self.memory:
+            self._keep(block)
+
+    def add_jump(self, jump: Jump) -> None:
+        """Add a jump that is kept as it is."""
+        self._room(0, 0, 0, 1)
+        self._made[len(self.jumps)] = jump
+        block = self.memory
+        block.events[block.used[EVENTS]] = MADE
+        block.used[EVENTS] += 1
+
+    def replace_last(self, jump: Jump) -> None:
+        """Replace the last jump."""
+        self._made[len(self.jumps) - 1] = jump
+        self.jumps.forget(len(self.jumps) - 1)
+
+    def seal(self) -> None:
+        """Copy what is on the pad to a block."""
+        if not self.memory.used.any():
+            return
+        arcs, times, terms, events = self.memory.used.tolist()
+        memory = self.memory
+        self._keep(
+            Block(
+                memory.arcs[:arcs].copy(),
+                memory.places[:arcs].copy(),
+                memory.starts[:arcs].copy(),
+                memory.times[:times].copy(),
+                memory.coefficients[:terms].copy(),
+                memory.events[:events].copy(),
+                memory.numbers[:events].copy(),
+                memory.states[:events].copy(),
+                memory.used.copy(),
+            )
+        )
+        memory.used[:] = 0
+
+    def _room(self, arcs: int, times: int, terms: int, events: int) -> bool:
+        """Make room on the pad; False where it can never hold that much."""
+        memory = self.memory
+        room = len(memory.arcs), len(memory.times), len(memory.coefficients), len(memory.events)
+        wanted = arcs, times, terms, events
+        used = memory.used.tolist()
+        if all(u + w <= most for u, w, most in zip(used, wanted, room, strict=True)):
+            return True
+        self.seal()
+        return all(w <= most for w, most in zip(wanted, room, strict=True))
+
+    def _keep(self, block: Block) -> None:
+        self._bytes += sum(array.nbytes for array in block)
+        if self._bytes > LARGEST:
+            block = self._on_disk(block)
+        self._blocks.append(block)
+        self._arcs.append(self._arcs[-1] + int(block.used[ARCS]))
+        self._events.append(self._events[-1] + int(block.used[EVENTS]))
+
+    def _on_disk(self, block: Block) -> Block:
+        """Write a block to a file that is gone once nobody reads it."""
+        arrays = []
+        try:
+            with tempfile.TemporaryFile(prefix="statechart-") as file:
+                for array in block:
+                    at = file.tell()
+                    file.write(array.tobytes())
+                    file.flush()
+                    # Nothing cannot be mapped.
+                    if array.size:
+                        array = np.memmap(file, array.dtype, "r", at, array.shape)
+                    arrays.append(array)
+        except OSError as error:
+            raise TooLong(
+                f"a trace of {self._bytes >> 20} MB is more than memory may take, and the disk "
+                f"does not take it ({error.strerror}); end the run earlier"
+            ) from None
+        return Block._make(arrays)
+
+    def _arc(self, place: int) -> Arc:
+        block, row = self._found(self._arcs, place)
+        kind, j, steps, width = block.arcs[row].tolist()
+        at, begin = block.places[row].tolist()
+        mode, roles = self._kinds[kind]
+        times = block.times[at : at + steps + 1]
+        terms = block.coefficients[begin : begin + steps * self.variables * width]
+        if block is self.memory:  # which is written on again
+            times, terms = times.copy(), terms.copy()
+        start = Clock._make(block.starts[row].tolist())
+        return Arc(mode, roles, start, j, times, terms.reshape(steps, self.variables, width))
+
+    def _event(self, j: int) -> Jump:
+        made = self._made.get(j)
+        if made is not None:
+            return made
+        block, row = self._found(self._events, j)
+        source, target, fired, code = block.events[row].tolist()
+        ends = self._kinds[source][0], self._kinds[target][0]
+        numbers, states = block.numbers[row].tolist(), block.states[row]
+        if block is self.memory:
+            states = states.copy()
+        assert self._jump is not None
+        return self._jump(Event(j, *ends, fired, code, *numbers, *states))
+
+    def _found(self, begins: list[int], place: int) -> tuple[Block, int]:
+        """Return the block that holds a place of a sequence, and its row there."""
+        block = bisect_right(begins, place) - 1
+        row = place - begins[block]
+        return (self.memory if block == len(self._blocks) else self._blocks[block]), row
+
+
+class Recorded(Sequence[T], Generic[T]):
+    """What is made when it is looked at, in order.
+
+    Parameters
+    ----------
+    make : callable
+        Makes what stands at a place.
+    count : callable
+        How many there are.
+    """
+
+    def __init__(self, make: Callable[[int], T], count: Callable[[], int]) -> None:
+        self._make, self._count = make, count
+        self._seen: dict[int, T] = {}
+
+    def __len__(self) -> int:
+        return self._count()
+
+    @overload
+    def __getitem__(self, place: int) -> T: ...
+    @overload
+    def __getitem__(self, place: slice) -> tuple[T, ...]: ...
+    def __getitem__(self, place: int | slice) -> T | tuple[T, ...]:
+        if isinstance(place, slice):
+            return tuple([self._at(i) for i in range(*place.indices(len(self)))])
+        count = len(self)
+        if not -count <= place < count:
+            raise IndexError(f"there are {count} of them, and none at {place}")
+        return self._at(place % count)
+
+    def __iter__(self) -> Iterator[T]:
+        return map(self._at, range(len(self)))
+
+    def forget(self, place: int) -> None:
+        """Make what stands at a place anew when it is looked at again."""
+        self._seen.pop(place, None)
+
+    def _at(self, place: int) -> T:
+        found = self._seen.get(place)
+        if found is None:
+            found = self._make(place)
+            if place < _SHORT:
+                self._seen[place] = found
+        return found
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Travel as what is seen here."""
+        return tuple, (tuple(self),)
+
+
+def _width(terms: Array) -> int:
+    """Return how many terms of polynomials are not zero in all; one at least."""
+    width = terms.shape[2]
+    while width > 1 and not terms[:, :, width - 1].any():
+        width -= 1
+    return width

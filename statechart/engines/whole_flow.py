@@ -1,0 +1,312 @@
+"""A flow to its first event in compiled code, as long as nothing in it is out of the ordinary.
+
+What `statechart.execution.flow` does step by step, and to the same bits: chunks of Taylor steps,
+each searched for events and held against its rates. Where a step strays, a guard cannot be decided,
+a state has to be brought back, or a flow is long, it says so, and the flow is made again there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.arrays import Array, Ints32
+from statechart.engines.engine import LONGEST_CHUNK, NEAR, Pace
+from statechart.engines.event_location import BOXES
+from statechart.engines.heyoka_step import call_step
+from statechart.engines.taylor_loop import ORDERS, STRAY, expand, let_pass, stray
+from statechart.kernels.constraints import off_by
+from statechart.kernels.defect import unseen
+from statechart.kernels.jit import part
+from statechart.kernels.polynomials import cut_steps, horner
+from statechart.kernels.search import CROSSING, NONE, search
+from statechart.kernels.tapes import tape_values
+
+ENDED, EVENT, UNUSUAL = range(3)
+"""How a flow ends: at the end of its duration, at an event, or not in this way."""
+
+TAPE = 9
+"""Columns of a tape in a table: begin and number of operations, constants, outputs, reads; n_fixed.
+"""
+
+(ADDRESS, PARS_AT, PARS, MARGINS_AT, MARGINS, STOPS, LAWS_AT) = range(7)
+GUARDS = 7
+RATES = GUARDS + TAPE
+WITHIN = RATES + TAPE
+COLUMNS = WITHIN + TAPE
+"""Columns of a mode in a table. Address of heyoka's step; where its parameters are listed, and how
+many it takes, the time among them; where the kinds of its margins are listed, each with the place
+of a tolerance of its own, how many, and which is the first stop; where the laws list what
+they know of it; tapes of the margins, of the rates, and of what is to stay above the room."""
+
+PLAIN, FORCE = 0, 3
+
+# Chunks are as for flows that are made step by step.
+_FIRST_CHUNK, _GROWTH = 4, 16.0
+_LOOKS = 256
+
+
+class Program(NamedTuple):
+    """The modes of an automaton for compiled loops.
+
+    Attributes
+    ----------
+    ints : (..,) array of int32
+    floats : (..,) array
+        Codes, outputs and reads of tapes, and their constants, one behind the other.
+    modes : (m, `COLUMNS`) array of int64
+        Rows of zeros are modes that have not been compiled.
+    """
+
+    ints: Ints32
+    floats: Array
+    modes: NDArray[np.int64]
+
+
+class Watch(NamedTuple):
+    """What a flow is watched for, beside its margins.
+
+    Attributes
+    ----------
+    parameters : (p,) array
+    kinds : (4,) array
+        Tolerance of each kind of margin.
+    bands : (b,) array
+        Tolerances of single margins; -1 where that of the kind is the one.
+    floors : (n,) array
+        What is smaller counts as so large.
+    off : (9,) array of int64
+        Tape of the constraints.
+    targets, weights : (k,) array
+        Of the constraints.
+    room : float
+        How far what is to stay above zero may fall.
+    """
+
+    parameters: Array
+    kinds: Array
+    bands: Array
+    floors: Array
+    off: NDArray[np.int64]
+    targets: Array
+    weights: Array
+    room: float
+
+
+class Scratch(NamedTuple):
+    """Memory of a flow: its steps, as in `statechart.engines.path.Path`, and what they begin with.
+
+    Attributes
+    ----------
+    times : (s + 1,), coefficients : (s, n, terms) array
+        Of the steps; times[0] is 0.
+    state, ended : (n,) array
+    pars : (p + 1,) array
+    clock : (2,) array
+    series : (n, terms) array
+    """
+
+    times: Array
+    coefficients: Array
+    state: Array
+    ended: Array
+    pars: Array
+    clock: Array
+    series: Array
+
+
+def scratch(steps: int, variables: int, parameters: int, terms: int) -> Scratch:
+    """Return memory for flows of so many steps."""
+    return Scratch(
+        np.zeros(steps + 1),
+        np.empty((steps, variables, terms)),
+        np.empty(variables),
+        np.empty(variables),
+        np.empty(parameters + 1),
+        np.zeros(2),
+        np.empty((variables, terms)),
+    )
+
+
+@part
+def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, Ints32, Ints32, int]:
+    """Code, constants, outputs, reads and n_fixed of a tape."""
+    ints, floats = program.ints, program.floats
+    return (
+        ints[row[0] : row[0] + 3 * row[1]].reshape((row[1], 3)),
+        floats[row[2] : row[2] + row[3]],
+        ints[row[4] : row[4] + row[5]],
+        ints[row[6] : row[6] + row[7]],
+        row[8],
+    )
+
+
+@part
+def _enter(
+    program: Program,
+    row: NDArray[np.int64],
+    watch: Watch,
+    memory: Scratch,
+    state: Array,
+    now: float,
+) -> None:
+    """Let the integrator begin in a state."""
+    memory.clock[:] = 0.0
+    memory.state[:] = state
+    if row[PARS] > 0:
+        memory.pars[0] = now
+        for i in range(row[PARS] - 1):
+            memory.pars[i + 1] = watch.parameters[program.ints[row[PARS_AT] + i]]
+
+
+@part
+def flow_to_event(
+    program: Program,
+    mode: int,
+    pace: Pace,
+    watch: Watch,
+    memory: Scratch,
+    initial: Array,
+    start: float,
+    duration: float,
+    horizon: float,
+) -> tuple[int, int, int, int]:
+    """Flow in a mode from `initial`; write the steps and, to `initial`, the state at their end.
+
+    A step is searched when the one after it has been made, with whose series its slope at the end
+    is compared: one step at most is made in vain.
+
+    Parameters
+    ----------
+    start : float
+        When the flow begins.
+    duration : float
+        Longest flow.
+    horizon : float
+        How far to look ahead at first.
+
+    Returns
+    -------
+    verdict : int
+    margin : int
+        That fell, at an event.
+    count : int
+        Steps that stand in the memory.
+    boxes : int
+        Looked at.
+    """
+    row = program.modes[mode]
+    times, coeffs, ended = memory.times, memory.coefficients, memory.ended
+    code, constants, outputs, reads, n_fixed = tape_of(program, row[GUARDS : GUARDS + TAPE])
+    off_code, off_constants, off_outputs, _, _ = tape_of(program, watch.off)
+    pars, h = memory.pars[: row[PARS]], np.empty(1)
+    margins, n = row[MARGINS], initial.shape[0]
+    tolerances = np.empty(margins)
+    for i in range(margins):
+        own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
+        tolerances[i] = own if own >= 0.0 else watch.kinds[program.ints[row[MARGINS_AT] + 2 * i]]
+    allowed = max(STRAY, ORDERS * pace.tolerance)
+    made, boxes, pending, length = 0, 0, False, 0.0
+    end = min(horizon, duration)
+    chunk, chunk_end, base, total, left = _FIRST_CHUNK, _FIRST_CHUNK, 0.0, 0.0, end
+    found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
+    _enter(program, row, watch, memory, initial, start)
+    while True:
+        if chunk_end > coeffs.shape[0]:
+            return UNUSUAL, -1, 0, boxes
+        # After the last step before an end, one of no length: for the series alone.
+        h[0] = min(left, pace.max_step)
+        call_step(row[ADDRESS], memory.state, pars, memory.clock, h, memory.series)
+        if pending:
+            if stray(coeffs[made - 1], length, memory.series) > allowed:
+                return UNUSUAL, -1, 0, boxes
+            found = search(
+                code, constants, outputs, reads, n_fixed, tolerances, times, coeffs,
+                watch.parameters, start, made - 1, made, BOXES,
+            )  # fmt: skip
+            boxes += found[6]
+            if found[0] != NONE:
+                break
+            if left == 0.0:
+                if end == duration:
+                    break
+                horizon *= _GROWTH
+                end = min(times[made] + horizon, duration)
+                _enter(program, row, watch, memory, ended, start + times[made])
+                base, total, left, pending = times[made], 0.0, end - times[made], False
+                chunk = min(chunk + chunk // 2, LONGEST_CHUNK)
+                chunk_end = made + chunk
+                continue
+        length = h[0]
+        if not expand(memory.series, length, coeffs[made]):
+            return UNUSUAL, -1, 0, boxes
+        let_pass(memory.clock, length)
+        total += length
+        made, pending = made + 1, True
+        last = length == left
+        times[made] = end if last else base + total
+        if not times[made] > times[made - 1]:
+            return UNUSUAL, -1, 0, boxes
+        left = 0.0 if last else left - length
+        if last or made == chunk_end:
+            for v in range(n):
+                ended[v] = horner(coeffs, made - 1, v, 1.0)
+            if (
+                off_by(
+                    off_code, off_constants, off_outputs, watch.targets, watch.weights, ended,
+                    watch.parameters, start + times[made],
+                )
+                > NEAR
+            ):  # fmt: skip
+                return UNUSUAL, -1, 0, boxes
+        if made == chunk_end and not last:
+            chunk = min(chunk + chunk // 2, LONGEST_CHUNK)
+            chunk_end += chunk
+            base, total, left = times[made], 0.0, end - times[made]
+    verdict, guard, step, _, at, crossed, _ = found
+    if verdict not in (NONE, CROSSING) or _missed(
+        program, row, pace, watch, times, coeffs, start, made if verdict == NONE else step + 1
+    ):
+        return UNUSUAL, -1, 0, boxes
+    if verdict == NONE:
+        initial[:] = ended
+        return ENDED, -1, made, boxes
+    kind = program.ints[row[MARGINS_AT] + 2 * guard]
+    if kind == PLAIN:
+        begun = np.empty(margins)
+        tape_values(code, constants, outputs, initial, watch.parameters, start, begun)
+        if abs(begun[guard]) <= tolerances[guard]:
+            return UNUSUAL, -1, 0, boxes
+    cut = crossed if kind == FORCE else at
+    return EVENT, guard, cut_steps(times, coeffs, made, cut, initial), boxes
+
+
+@part
+def _missed(
+    program: Program,
+    row: NDArray[np.int64],
+    pace: Pace,
+    watch: Watch,
+    times: Array,
+    coeffs: Array,
+    start: float,
+    upto: int,
+) -> bool:
+    """Whether the first so many steps may have missed something of their surfaces, or rates."""
+    code, constants, outputs, reads, n_fixed = tape_of(program, row[WITHIN : WITHIN + TAPE])
+    if outputs.shape[0] > 0:
+        rooms = np.full(outputs.shape[0], watch.room)
+        found = search(
+            code, constants, outputs, reads, n_fixed, rooms, times, coeffs,
+            watch.parameters, start, 0, upto, BOXES,
+        )  # fmt: skip
+        if found[0] != NONE:
+            return True
+    code, constants, outputs, reads, n_fixed = tape_of(program, row[RATES : RATES + TAPE])
+    found_at = unseen(
+        code, constants, outputs, reads, n_fixed, watch.parameters, start, times, coeffs,
+        0, upto, watch.floors, pace.allowed, _LOOKS,
+    )[0]  # fmt: skip
+    return bool(found_at >= 0)
