@@ -1,9 +1,9 @@
 """Hybrid statecharts: declared, composed, drawn, run and checked.
 
 A model is a YAML file, or its pydantic model (`Chart` here, `Scene` in `contacts`). `run` runs it
-once, `Runner` many times; `draw` draws its statechart, `graph` makes a networkx graph of it,
-`check` tests what must hold of its runs, `trade` measures what speed costs in accuracy. What this
-page does not name is internal.
+once, `Runner` many times, `sweep` over its parameters; `draw` draws its statechart, `graph` makes a
+networkx graph of it, `check` tests what must hold of its runs, `trade` measures what speed costs in
+accuracy. What this page does not name is internal.
 """
 
 from importlib import import_module
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from statechart.running.result import Result
     from statechart.running.runner import Runner, run
     from statechart.study.trade import trade
+    from statechart.sweeps.sweep import sweep
     from statechart.testing.checking import check
 
     __version__: str
@@ -77,6 +78,7 @@ __all__ = [
     "graph",
     "load",
     "run",
+    "sweep",
     "trade",
 ]
 
@@ -91,6 +93,7 @@ _HOMES = {
     "running.result": ("Result",),
     "running.runner": ("Runner", "run"),
     "study.trade": ("trade",),
+    "sweeps.sweep": ("sweep",),
     "testing.checking": ("check",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}

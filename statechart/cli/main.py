@@ -177,6 +177,8 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--output", metavar="DIR",
         help="keep table, data and figure there; what was interrupted goes on from there",
     )  # fmt: skip
+    sweep = verb("sweep", "run a model over its parameters: grids, tables, samples")
+    _sweeping(sweep)
     modes = verb("modes", "list a model's modes, which are possible, and their transitions")
     _settable(modes)
     where = modes.add_mutually_exclusive_group()
@@ -208,6 +210,41 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _sweeping(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--over", metavar="NAME=RANGE", action="append", default=[], type=_range,
+        help="values of a parameter: lin:A:B:N, log:A:B:N, or 0.1,1/3,inf; "
+        "all combinations of them are run",
+    )  # fmt: skip
+    cells = parser.add_mutually_exclusive_group()
+    cells.add_argument(
+        "--sobol", metavar="N", type=_positive,
+        help="so many points of a Sobol sequence over NAME=lin:A:B, a power of two",
+    )  # fmt: skip
+    cells.add_argument(
+        "--samples", metavar="TABLE.csv", help="a column for every parameter, a row for every run"
+    )
+    parser.add_argument(
+        "--outputs", metavar="NAMES", type=_names, help="separated by commas; else all"
+    )
+    parser.add_argument("--until", metavar="T", type=_number, help="end of the runs")
+    parser.add_argument("--engine", choices=("auto", "taylor", "scipy", "impulse"))
+    parser.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
+    error = parser.add_mutually_exclusive_group()
+    error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
+    error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", metavar="N", type=_positive, help="processes of this machine")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://HOST:PORT")
+    parser.add_argument(
+        "-o", "--output", metavar="PATH",
+        help="STORE.zarr, which is written block by block, or FILE.nc",
+    )  # fmt: skip
+    parser.add_argument("--resume", action="store_true", help="go on with the sweep in STORE.zarr")
+    parser.add_argument("--plot", metavar="PICTURE", help="draw it: .svg .png .pdf")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
 def _settable(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", dest="parameters", metavar="NAME=VALUE", action="append", default=[],
@@ -234,6 +271,19 @@ def _assignment(text: str) -> tuple[str, float]:
     if not equals or not name.strip():
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
     return name.strip(), _number(value)
+
+
+def _range(text: str) -> tuple[str, str]:
+    import argparse
+
+    name, equals, values = text.partition("=")
+    if not equals or not name.strip() or not values.strip():
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=RANGE")
+    return name.strip(), values.strip()
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _place(text: str) -> tuple[str, float]:

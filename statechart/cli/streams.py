@@ -87,3 +87,10 @@ class _Err(io.TextIOBase):
         with suppress(OSError):
             if self._stream is not None:
                 self._stream.flush()
+
+    def isatty(self) -> bool:
+        return self._stream is not None and self._stream.isatty()
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return "utf-8" if self._stream is None else self._stream.encoding

@@ -11,11 +11,13 @@ import tempfile
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
 from statechart.errors import DeclarationError, SimulationError, StatechartError, close_matches
 from statechart.reporting.pieces import Pieces
+
+T = TypeVar("T")
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -173,6 +175,41 @@ def trade(arguments: argparse.Namespace) -> int:
         again = "the same command goes on" if arguments.output is not None else "-o DIR keeps it"
         print(f"interrupted; {again}", file=sys.stderr)
     return 0 if study.complete and not pieces.failed else 1
+
+
+def sweep(arguments: argparse.Namespace) -> int:
+    """Run a model over its parameters; print how cells ended and between what outputs lie."""
+    from statechart.documents.setting import Setting
+    from statechart.sweeps import summary
+    from statechart.sweeps.deliver import Target
+    from statechart.sweeps.ranges import cells
+    from statechart.sweeps.sweep import make, planned
+    from statechart.sweeps.workers import crew
+
+    over, samples = cells(_assigned("--over", arguments.over), arguments.samples, arguments.sobol)
+    names = {part.name for part in fields(Setting)} & set(vars(arguments))
+    setting = Setting(**{name: getattr(arguments, name) for name in names})
+    plan = planned(
+        arguments.file, over, samples, setting, until=arguments.until, outputs=arguments.outputs
+    )
+    target = Target(arguments.output, arguments.plot, arguments.resume)
+    target.check(plan)
+    with crew(arguments.workers, arguments.scheduler) as executor:
+        made = make(plan, executor, store=target.store, resume=arguments.resume, progress=True)
+    pieces = Pieces()
+    with interrupts.held(), interrupts.limited(_PATIENCE):
+        data = made.dataset().load()
+        target.write(plan, data, pieces)
+        told = summary.report(plan, data, where=arguments.output)
+        if arguments.json:
+            _print_json(told)
+        else:
+            print(summary.text(told), end="")
+        _say_left_out(pieces)
+    if made.ended:
+        again = "--resume goes on" if target.store else "-o STORE.zarr keeps what is done"
+        print(f"{made.ended}; {again}", file=sys.stderr)
+    return 0 if summary.succeeded(told) and not pieces.failed else 1
 
 
 def _alternatives(
@@ -336,8 +373,8 @@ def _runner(file: str, **options: Any) -> Runner:
     return runner
 
 
-def _assigned(option: str, pairs: Iterable[tuple[str, float]]) -> dict[str, float]:
-    found: dict[str, float] = {}
+def _assigned(option: str, pairs: Iterable[tuple[str, T]]) -> dict[str, T]:
+    found: dict[str, T] = {}
     for name, value in pairs:
         if name in found:
             raise DeclarationError(f"{option} {name} is given twice", advice="give it once")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,11 +24,15 @@ class Outputs:
     ----------
     observer : Observer
         Of the simulator that makes the runs.
+    names : collection of str, optional
+        Those to compute; all by default.
     """
 
-    def __init__(self, observer: Observer) -> None:
+    def __init__(self, observer: Observer, names: Collection[str] | None = None) -> None:
         self.observer = observer
         declared = observer.automaton.declaration.outputs
+        if names is not None:
+            declared = {name: output for name, output in declared.items() if name in names}
         self._names = tuple(declared)
         self._at: list[tuple[str, Value, str, tuple[Event, ...]]] = []
         self._counts: list[tuple[str, tuple[Event, ...]]] = []

@@ -26,11 +26,13 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-# Names of the coordinates and dimensions, and those that the file format keeps for itself.
-_TAKEN = frozenset({"t", "j", "mode", "sample", "event"}) | frozenset(
+RESERVED = frozenset(
     {"byte", "char", "short", "ushort", "int", "uint", "int64", "uint64", "float", "real"}
     | {"double", "bool", "string"}
 )
+"""Names that NetCDF keeps for itself."""
+# And those of the coordinates and dimensions.
+_TAKEN = RESERVED | {"t", "j", "mode", "sample", "event"}
 _FILES = ("run.json", "trace.nc", "events.csv", "samples.csv", "figure.svg", "figure.png")
 _ADVICE = "name a place that is writable and has room, nothing was written"
 _ROWS = 8  # in every step of the integrator

@@ -38,7 +38,8 @@ class Answers:
     Attributes
     ----------
     setting : Setting
-        That of the plan, with another engine where the one that was picked could not.
+        That of the plan, with another engine where the one that was picked could not make the last
+        run.
     reason : str
         Why an engine was taken that nobody asked for; else empty.
     """
@@ -56,6 +57,7 @@ class Answers:
         self.setting, self.reason = plan.setting, plan.reason
         if not self.setting.stepped:
             _, self.reason = choose(self.setting)
+        self._first = self.setting, self.reason
 
     @property
     def searching(self) -> bool:
@@ -64,10 +66,12 @@ class Answers:
 
     def answer(self, overrides: Mapping[str, float], end: float) -> tuple[Answer, str]:
         """Return the run asked for, and what it was chosen by."""
+        # What another run could not do says nothing of this one, which may enter other modes.
+        self.setting, self.reason = self._first
         if not self.searching:
             observer, trace = self._once(self.setting, overrides, end)
             if self._other_engine(trace):
-                return self.answer(overrides, end)
+                observer, trace = self._once(self.setting, overrides, end)
             return Answer(observer, trace, None, Cost(1, 0, 0, 0.0)), self._plan.basis
         if self._allowance is not None:
             self._allowance.begin()

@@ -1,0 +1,260 @@
+"""A block of cells: runs of a model one after another, and what is kept of each."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import pickle
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from importlib.metadata import version
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart import interrupts
+from statechart.arrays import Array, Bools, Ints32
+from statechart.automaton.trace import Key, Outcome, Trace
+from statechart.documents.declaration import Declaration
+from statechart.errors import (
+    DeclarationError,
+    DeclarationProblem,
+    FormulaError,
+    SimulationError,
+)
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
+from statechart.running.result import Result
+from statechart.running.runner import Runner
+from statechart.sweeps.plan import Task, lists
+
+REFUSED = "DECLARATION_ERROR"
+"""Outcome of a cell whose values the declaration does not allow."""
+FAULTY = "INTERNAL_ERROR"
+"""Outcome of a cell that a defect of this package ended."""
+WORDS = {
+    **{outcome.name: outcome.value for outcome in Outcome},
+    REFUSED: "The declaration does not allow these values, or no run can start there.",
+    FAULTY: "An internal error ended the run; please report it.",
+}
+"""Outcomes of a cell, in a sentence each."""
+
+# Letters of a sequence of modes; a longer one is told by its beginning, its length and a digest.
+_LONGEST = 240
+# What is compiled of models with other structures is kept of so many.
+_STRUCTURES = 8
+# So many texts of sequences are made once.
+_REMEMBERED = 4096
+# A runner makes one run at a time, whatever threads a worker has.
+_ONE_AT_A_TIME = threading.Lock()
+
+
+@dataclass
+class Block:
+    """What some cells gave, cell by cell.
+
+    Attributes
+    ----------
+    numbers : mapping of str to (n,) array
+        Output -> its value; not a number where there is none.
+    lists : mapping of str to list of (k,) array
+        Output -> its values at each event.
+    outcome, message : (n,) array of str
+        Why each run ended; the message where that is no end that the declaration names.
+    certified : (n,) array
+        Whether every guard of every step was decided.
+    modes : (n,) array
+        Place among `sequences`; -1 where nothing ran.
+    sequences : tuple of str
+        Sequences of modes.
+    t_end, seconds, error_estimate : (n,) array
+        When the run ended, what it took, and its estimated error where that was asked for.
+    """
+
+    numbers: dict[str, Array]
+    lists: dict[str, list[Array]]
+    outcome: NDArray[np.object_]
+    message: NDArray[np.object_]
+    certified: Bools
+    modes: Ints32
+    sequences: tuple[str, ...]
+    t_end: Array
+    seconds: Array
+    error_estimate: Array
+
+    def take(self, places: NDArray[np.intp], other: Block, modes: Ints32) -> None:
+        """Take the cells of another block to places of this one, their modes coded by `modes`."""
+        for name, values in self.numbers.items():
+            values[places] = other.numbers[name]
+        for name, rows in self.lists.items():
+            for place, row in zip(places.tolist(), other.lists[name], strict=True):
+                rows[place] = row
+        for part in ("outcome", "message", "certified", "t_end", "seconds", "error_estimate"):
+            getattr(self, part)[places] = getattr(other, part)
+        self.modes[places] = modes
+
+    def end(self, k: int, outcome: str, message: str) -> None:
+        """Note why a cell ended."""
+        self.outcome[k], self.message[k] = outcome, message
+
+    @classmethod
+    def empty(cls, size: int, numbers: Iterable[str], lists: Iterable[str]) -> Block:
+        """Return a block of cells that have not run: their outcome is the empty text."""
+        return cls(
+            {name: np.full(size, math.nan) for name in numbers},
+            {name: [np.empty(0)] * size for name in lists},
+            np.full(size, "", dtype=object),
+            np.full(size, "", dtype=object),
+            np.zeros(size, dtype=bool),
+            np.full(size, -1, dtype=np.int32),
+            (),
+            np.full(size, math.nan),
+            np.full(size, math.nan),
+            np.full(size, math.nan),
+        )
+
+
+def run_block(task: Task, rows: Array) -> Block:
+    """Run cells, in whatever process this is.
+
+    Parameters
+    ----------
+    task : Task
+        What is asked of each.
+    rows : (n, p) array
+        The values of the swept parameters.
+
+    Raises
+    ------
+    DeclarationError
+        If this process has another version of the package.
+    KeyboardInterrupt
+        If it is to end.
+    """
+    here = version("contact-statecharts")
+    if task.version != here:
+        raise DeclarationError(
+            f"a worker has version {here} of contact-statecharts, not {task.version}",
+            advice="install the same version on all workers",
+        )
+    with _ONE_AT_A_TIME:
+        return _cells(task).block(rows)
+
+
+@lru_cache(maxsize=2)
+def _cells(task: Task) -> _Cells:
+    """Return what runs the cells of a task: compiled once in a process, for all its blocks."""
+    return _Cells(task)
+
+
+class _Cells:
+    """Runs cells; what is kept between them is compiled programs alone."""
+
+    def __init__(self, task: Task) -> None:
+        model = pickle.loads(task.model)
+        assert isinstance(model, Declaration)
+        self._task, self._model = task, model
+        self._whole = [k for k, name in enumerate(task.names) if name in model.whole]
+        self._lists = lists(model, task.outputs)
+        self._numbers = tuple(name for name in task.outputs if name not in self._lists)
+        self._structures: dict[tuple[float, ...], _Structure] = {}
+
+    def block(self, rows: Array) -> Block:
+        """Run rows of values, those of one structure of the model one after another."""
+        found = Block.empty(len(rows), self._numbers, self._lists)
+        names, structures = self._task.names, rows[:, self._whole].tolist()
+        codes: dict[str, int] = {}
+        for k in sorted(range(len(rows)), key=structures.__getitem__):
+            began = time.perf_counter()
+            try:
+                structure = self._structure(tuple(structures[k]))
+                values = dict(zip(names, rows[k].tolist(), strict=True))
+                result = structure.runner.run(values, until=self._task.until, throw=False)
+                self._tell(structure, result, found, k, codes)
+            except SimulationError as error:
+                found.end(k, error.outcome or FAULTY, error.message)
+            except DeclarationError as error:
+                found.end(k, REFUSED, str(error))
+            except MemoryError:
+                raise
+            except Exception as error:
+                interrupts.check()  # in compiled code a signal becomes another error
+                found.end(k, FAULTY, f"{type(error).__name__}: {error}")
+            found.seconds[k] = time.perf_counter() - began
+        found.sequences = tuple(codes)
+        return found
+
+    def _structure(self, key: tuple[float, ...]) -> _Structure:
+        """Return what runs the model as it is with these numbers of copies."""
+        found = self._structures.pop(key, None)
+        if found is None:
+            whole = {self._task.names[k]: value for k, value in zip(self._whole, key, strict=True)}
+            try:
+                model = self._model.variant(whole)
+            except (DeclarationProblem, FormulaError) as error:
+                raise DeclarationError(str(error)) from None
+            found = _Structure(Runner(model, **asdict(self._task.setting)))
+        self._structures[key] = found
+        if len(self._structures) > _STRUCTURES:
+            del self._structures[next(iter(self._structures))]
+        return found
+
+    def _tell(
+        self, structure: _Structure, result: Result, block: Block, k: int, codes: dict[str, int]
+    ) -> None:
+        trace = result.trace
+        if trace.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        block.end(k, trace.outcome.name, "" if trace.outcome.succeeded else trace.message)
+        block.certified[k] = trace.certified is not False
+        block.t_end[k] = trace.t_end
+        block.modes[k] = codes.setdefault(structure.sequence(trace), len(codes))
+        if result.error_estimate is not None:
+            block.error_estimate[k] = result.error_estimate
+        if not self._task.outputs:
+            return
+        outputs = structure.outputs(result.observer, self._task.outputs)
+        for name, value in outputs.of(trace).items():
+            if isinstance(value, list):
+                block.lists[name][k] = np.array(value, dtype=float)
+            elif value is not None:
+                block.numbers[name][k] = value
+
+
+class _Structure:
+    """A runner of the model with one structure, and what looks at its runs."""
+
+    def __init__(self, runner: Runner) -> None:
+        self.runner = runner
+        self._outputs: dict[Observer, Outputs] = {}
+        self._texts: dict[tuple[Key, ...], str] = {}
+
+    def outputs(self, observer: Observer, names: Sequence[str]) -> Outputs:
+        """Return what computes some of the outputs, made ready once."""
+        found = self._outputs.get(observer)
+        if found is None:
+            found = self._outputs[observer] = Outputs(observer, names)
+        return found
+
+    def sequence(self, trace: Trace) -> str:
+        """Return the modes of a run, in order, as text."""
+        modes = trace.modes
+        found = self._texts.get(modes)
+        if found is None:
+            if len(self._texts) >= _REMEMBERED:
+                self._texts.clear()
+            found = self._texts[modes] = self._text(modes)
+        return found
+
+    def _text(self, modes: Sequence[Key]) -> str:
+        alone = len(self.runner.automaton.regions) == 1
+        words = [key[0] if alone else self.runner.automaton.label(key) for key in modes]
+        text = " > ".join(words)
+        if len(text) <= _LONGEST:
+            return text
+        digest = hashlib.sha256(text.encode()).hexdigest()[:8]
+        begin = " > ".join(words[: max(text.count(" > ", 0, _LONGEST), 1)])
+        return f"{begin} > ... ({len(words)} modes, {digest})"

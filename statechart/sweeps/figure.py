@@ -1,0 +1,390 @@
+"""A sweep as a picture: lines over one parameter, maps over two; modes in colours.
+
+Lines join neighbours that went through the same modes: where these change, outputs may jump. A
+list is drawn as points, which makes a bifurcation diagram.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.arrays import Array, Bools
+from statechart.automaton.trace import Outcome
+from statechart.errors import DeclarationError
+from statechart.reporting.figure import LINES, STYLE
+from statechart.sweeps.plan import Plan
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+# Sequences of modes with a colour of their own; the rest are others.
+_MOST = 12
+# Light enough for letters, apart enough for legends: Okabe and Ito's first, then Tol's (2021).
+_COLOURS = (
+    "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2",
+    "#D55E00", "#882255", "#999933", "#AA4499", "#332288", "#117733",
+)  # fmt: skip
+_OTHERS, _NOTHING, _GRID = "#BBBBBB", "#FFFFFF", "#E6E6E6"
+# A second axis of so few values is lines beside each other, where the first has so many times more.
+_FEW, _DENSER = 7, 3
+# An axis may be logarithmic where the largest value is so many times the least.
+_WIDE = 5.0
+_LONGEST = 48
+_SUCCEEDED = [outcome.name for outcome in Outcome if outcome.succeeded]
+
+
+def check(plan: Plan) -> None:
+    """Check that a sweep can be drawn.
+
+    Raises
+    ------
+    DeclarationError
+        If it varies more than two parameters.
+    """
+    varied = [name for name, column in plan.columns.items() if len(np.unique(column)) > 1]
+    if len(varied) > 2:
+        raise DeclarationError(
+            f"a picture shows one or two parameters, not {len(varied)}",
+            advice="vary fewer, or draw what -o FILE.nc keeps",
+        )
+
+
+def figure(plan: Plan, data: xr.Dataset) -> Figure:
+    """Draw a sweep over one or two parameters.
+
+    Parameters
+    ----------
+    plan : Plan
+        What was asked for.
+    data : Dataset
+        What cells gave.
+    """
+    from matplotlib import rc_context
+
+    check(plan)
+    with rc_context(STYLE):
+        cells = _Cells.of(plan, data)
+        if len(cells.names) < 2:
+            return _lines(plan, data, cells)
+        few, many = sorted(len(np.unique(column)) for column in cells.columns)
+        if plan.grid and few <= _FEW and many >= _DENSER * few:
+            return _lines(plan, data, cells)
+        return _maps(plan, data, cells)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Cells in a row, whatever shape the sweep has.
+
+    Attributes
+    ----------
+    names, columns
+        The parameters that vary, and their value in every cell.
+    good : (n,) array
+        Whether a run came to an end that the declaration names.
+    done : (n,) array
+        Whether a cell was run.
+    modes : (n,) array
+        The code of its sequence of modes.
+    kinds : (n,) array
+        Place of its sequence of modes among `labels`, -1 for none.
+    labels, colours
+        Of sequences, from the most frequent on, the rest as one.
+    """
+
+    names: tuple[str, ...]
+    columns: tuple[Array, ...]
+    good: Bools
+    done: Bools
+    modes: NDArray[np.int32]
+    kinds: NDArray[np.int64]
+    labels: tuple[str, ...]
+    colours: tuple[str, ...]
+
+    @classmethod
+    def of(cls, plan: Plan, data: xr.Dataset) -> _Cells:
+        """Return the cells of a sweep."""
+        values = [
+            np.broadcast_to(grid, plan.shape).ravel()
+            for grid in (
+                np.meshgrid(*plan.columns.values(), indexing="ij")
+                if plan.grid
+                else plan.columns.values()
+            )
+        ]
+        varied = [
+            (name, column)
+            for name, column in zip(plan.columns, values, strict=True)
+            if len(np.unique(column)) > 1
+        ] or [(next(iter(plan.columns)), values[0])]
+        outcome = data["outcome"].to_numpy().ravel().astype(object)
+        modes = data["modes"].to_numpy().ravel()
+        texts = data["sequence"].to_numpy()
+        good = np.isin(outcome.astype(str), _SUCCEEDED)
+        codes, counts = np.unique(modes[good], return_counts=True)
+        # The most frequent first; of equals the one that came first.
+        order = codes[np.argsort(-counts, kind="stable")]
+        shown = order if len(order) <= _MOST else order[: _MOST - 1]
+        places = np.full(len(texts) + 1, len(shown), dtype=np.int64)
+        places[shown] = np.arange(len(shown))
+        labels = [_short(str(texts[code])) for code in shown]
+        colours = list(_COLOURS[: len(shown)])
+        if len(order) > len(shown):
+            labels.append(f"others ({len(order) - len(shown)})")
+            colours.append(_OTHERS)
+        kinds = np.where(good, places[modes], -1)
+        names, columns = zip(*varied, strict=True)
+        done = outcome != ""
+        return cls(names, columns, good, done, modes, kinds, tuple(labels), tuple(colours))
+
+    def handles(self) -> list[Patch]:
+        """Return what a legend of modes shows."""
+        from matplotlib.patches import Patch
+
+        found = [
+            Patch(facecolor=colour, label=label)
+            for label, colour in zip(self.labels, self.colours, strict=True)
+        ]
+        return found + self.missing()
+
+    def missing(self) -> list[Patch]:
+        """Return what a legend says of cells without a value."""
+        from matplotlib.patches import Patch
+
+        found = []
+        if (self.done & ~self.good).any():
+            found.append(
+                Patch(facecolor=_NOTHING, edgecolor=_OTHERS, hatch="////", label="could not run")
+            )
+        if not self.done.all():
+            found.append(Patch(facecolor=_NOTHING, edgecolor=_OTHERS, label="not run yet"))
+        return found
+
+
+def _short(text: str) -> str:
+    if len(text) <= _LONGEST:
+        return text
+    words = text.split(" > ")
+    begin, end = words[:3], words[-1]
+    return " > ".join([*begin, "...", end]) + f" ({len(words)} modes)" if len(words) > 5 else text
+
+
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """A parameter along an axis of a picture.
+
+    Attributes
+    ----------
+    name : str
+        The parameter.
+    at : (n,) array
+        Place of every cell: its value; its rank, where a value is infinite.
+    log : bool
+        Whether the axis is logarithmic.
+    labels : tuple of str
+        Of the ranks, where they are places.
+    """
+
+    name: str
+    at: Array
+    log: bool
+    labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, name: str, column: Array) -> _Axis:
+        """Return the axis of a parameter with these values."""
+        values, ranks = np.unique(column, return_inverse=True)
+        if not np.isfinite(values).all():
+            return cls(name, ranks.astype(float), False, tuple(f"{v:.4g}" for v in values))
+        log = bool(values[0] > 0.0 and values[-1] > _WIDE * values[0])
+        if log and len(values) > 2:
+            # Whether it is the values or their logarithms that are spread more evenly.
+            log = _unevenness(np.log(values)) < _unevenness(values)
+        return cls(name, column, log, ())
+
+    def edges(self) -> Array:
+        """Return the edges (m + 1,) of the bands around its m places."""
+        places = np.unique(self.at)
+        places = np.log(places) if self.log else places
+        middles = 0.5 * (places[1:] + places[:-1])
+        ends = [2.0 * places[0] - middles[0]], [2.0 * places[-1] - middles[-1]]
+        edges = np.concatenate([ends[0], middles, ends[1]])
+        return np.exp(edges) if self.log else edges
+
+    def put(self, ax: Axes, which: str) -> None:
+        """Name and scale the axis `which`, x or y."""
+        if self.log:
+            ax.set(**{f"{which}scale": "log"})
+        if self.labels:
+            ax.set(**{f"{which}ticks": range(len(self.labels)), f"{which}ticklabels": self.labels})
+        ax.set(**{f"{which}label": self.name})
+
+
+def _unevenness(values: Array) -> float:
+    steps = np.diff(values)
+    return float(np.std(steps) / np.mean(steps))
+
+
+def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
+    """Draw outputs over the parameter with most values, a colour for every value of the other."""
+    from matplotlib.figure import Figure
+
+    axis = int(np.argmax([len(np.unique(column)) for column in cells.columns]))
+    x = _Axis.of(cells.names[axis], cells.columns[axis])
+    alone = len(cells.names) == 1
+    other = np.zeros(len(x.at)) if alone else cells.columns[1 - axis]
+    heights = [1.5] * len(plan.task.outputs) + ([0.3] if alone else [])
+    drawing = Figure(figsize=(7.6, 0.9 + 1.25 * sum(heights)), layout="constrained")
+    axes = drawing.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
+    for ax, name in zip(axes[:, 0], plan.task.outputs, strict=False):
+        values = data[plan.variables[name]].to_numpy()
+        for k, value in enumerate(np.unique(other)):
+            chosen = np.flatnonzero((other == value) & cells.good)
+            chosen = chosen[np.argsort(x.at[chosen], kind="stable")]
+            colour = LINES[k % len(LINES)]
+            if name in plan.lists:
+                _points(ax, x.at[chosen], values.reshape(len(x.at), -1)[chosen], colour)
+            else:
+                _joined(ax, x.at[chosen], values.ravel()[chosen], cells.modes[chosen], colour)
+        ax.set_ylabel(name)
+        ax.grid(visible=True, color=_GRID, linewidth=0.6)
+        ax.set_axisbelow(True)
+        for side in ("top", "right"):
+            ax.spines[side].set_visible(False)
+    x.put(axes[-1, 0], "x")
+    if alone:
+        _band(axes[-1, 0], x, cells)
+        handles: list[Any] = cells.handles()
+    else:
+        from matplotlib.lines import Line2D
+
+        handles = [
+            Line2D([], [], color=LINES[k % len(LINES)], label=f"{cells.names[1 - axis]} = {v:.4g}")
+            for k, v in enumerate(np.unique(other))
+        ]
+    drawing.legend(handles=handles, loc="outside right upper", handlelength=1.4)
+    return _titled(drawing, plan)
+
+
+def _joined(ax: Axes, x: Array, y: Array, modes: NDArray[np.int32], colour: str) -> None:
+    """Join neighbours of the same modes; a cell without such a neighbour is a dot."""
+    here = np.isfinite(y)
+    joins = (modes[1:] == modes[:-1]) & here[1:] & here[:-1]
+    breaks = np.flatnonzero(~joins) + 1
+    ax.plot(np.insert(x, breaks, math.nan), np.insert(y, breaks, math.nan), color=colour)
+    lonely = here & ~np.append(joins, False) & ~np.insert(joins, 0, False)
+    ax.plot(x[lonely], y[lonely], ".", markersize=3, color=colour)
+
+
+def _points(ax: Axes, x: Array, lists: Array, colour: str) -> None:
+    """Draw every value of lists as a point."""
+    places = np.broadcast_to(x[:, None], lists.shape)
+    known = np.isfinite(lists)
+    size = float(np.clip(2e2 / np.sqrt(np.count_nonzero(known) + 1.0), 0.6, 4.0))
+    ax.plot(
+        places[known],
+        lists[known],
+        ".",
+        markersize=size,
+        color=colour,
+        markeredgewidth=0.0,
+        rasterized=True,
+    )
+
+
+def _band(ax: Axes, x: _Axis, cells: _Cells) -> None:
+    """Draw the modes of the cells as a band of colours."""
+    edges, places = x.edges(), np.searchsorted(np.unique(x.at), x.at)
+    for kind, colour in enumerate(cells.colours):
+        mine = np.unique(places[cells.kinds == kind])
+        stretches = [(edges[k], edges[k + 1] - edges[k]) for k in mine]
+        ax.broken_barh(stretches, (0.0, 1.0), facecolors=colour, linewidth=0.0)
+    failed = np.unique(places[cells.done & ~cells.good])
+    for k in failed:
+        ax.axvspan(edges[k], edges[k + 1], facecolor=_NOTHING, edgecolor=_OTHERS, hatch="////")
+    ax.set_ylim(0.0, 1.0)
+    ax.set_yticks([0.5], ["modes"])
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlim(edges[0], edges[-1])
+    for side in ("top", "right", "left"):
+        ax.spines[side].set_visible(False)
+
+
+def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
+    """Draw a map of every output (of a list, of its length), and one of the modes."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
+
+    x, y = (_Axis.of(*pair) for pair in zip(cells.names, cells.columns, strict=True))
+    outputs = list(plan.task.outputs)
+    count = len(outputs) + 1
+    columns = min(count, 3 if count > 4 else 2)
+    rows = math.ceil(count / columns)
+    drawing = Figure(figsize=(max(4.0 * columns, 6.0), 3.3 * rows), layout="constrained")
+    axes = drawing.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for ax, name in zip(axes, outputs, strict=False):
+        variable, title = plan.variables[name], name
+        if name in plan.lists:
+            variable, title = f"{variable}_count", f"number of {name}"
+        values = np.where(cells.good, data[variable].to_numpy().ravel(), math.nan)
+        drawing.colorbar(_map(ax, x, y, values, plan, cells, cmap="viridis"), ax=ax, pad=0.02)
+        ax.set_title(title, fontsize=9)
+    ax = axes[len(outputs)]
+    colours = ListedColormap(list(cells.colours) or [_NOTHING])
+    kinds = np.where(cells.kinds >= 0, cells.kinds, math.nan)
+    limits = {"vmin": -0.5, "vmax": max(len(cells.colours), 1) - 0.5}
+    _map(ax, x, y, kinds, plan, cells, cmap=colours, **limits)
+    ax.set_title("modes", fontsize=9)
+    for ax in axes[count:]:
+        ax.set_visible(False)
+    # Axes are shared: those below nothing that is shown have labels.
+    for k, ax in enumerate(axes[:count]):
+        x.put(ax, "x")
+        y.put(ax, "y")
+        ax.xaxis.label.set_visible(k + columns >= count)
+        ax.yaxis.label.set_visible(k % columns == 0)
+        ax.tick_params(labelbottom=k + columns >= count)
+    drawing.legend(
+        handles=cells.handles(), loc="outside lower center", ncols=3 if columns > 2 else 2
+    )
+    return _titled(drawing, plan)
+
+
+def _map(
+    ax: Axes, x: _Axis, y: _Axis, values: Array, plan: Plan, cells: _Cells, **options: Any
+) -> Any:
+    """Draw a number of every cell as a colour; cells that could not run are hatched."""
+    if not plan.grid:
+        size = float(np.clip(4e3 / len(values), 2.0, 40.0))
+        failed = cells.done & ~cells.good
+        ax.scatter(x.at[failed], y.at[failed], size, color=_OTHERS, marker="x", linewidths=0.6)
+        return ax.scatter(x.at, y.at, size, values, linewidths=0.0, rasterized=True, **options)
+    shape = len(np.unique(y.at)), len(np.unique(x.at))
+    order = np.lexsort((x.at, y.at))
+    bad = (cells.done & ~cells.good)[order].reshape(shape)
+    if bad.any():
+        ax.pcolor(
+            x.edges(),
+            y.edges(),
+            np.where(bad, 0.0, math.nan),
+            hatch="////",
+            facecolor=_NOTHING,
+            edgecolor=_OTHERS,
+            linewidth=0.0,
+            cmap="Greys",
+        )
+    table = values[order].reshape(shape)
+    return ax.pcolormesh(x.edges(), y.edges(), table, rasterized=True, **options)
+
+
+def _titled(drawing: Figure, plan: Plan) -> Figure:
+    drawing.suptitle(plan.model.name, x=0.01, ha="left", fontsize=10, fontweight="bold")
+    return drawing

@@ -1,0 +1,307 @@
+"""The cells of a sweep, and what is asked of each of them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import pickle
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from importlib.metadata import version
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.arrays import Array
+from statechart.documents.declaration import Declaration
+from statechart.documents.outputs import Value
+from statechart.documents.setting import Setting
+from statechart.errors import DeclarationError, close_matches
+from statechart.reporting.tables import RESERVED
+from statechart.sweeps.ranges import numbers
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_FORMAT = "statechart sweep 1"
+# Cells of a chunk: so many numbers are read at once by whoever looks at one of them.
+_CHUNK = 4096
+SAMPLE = "sample"
+"""Dimension of a table of samples."""
+# Variables and dimensions that every sweep has.
+_OWN = frozenset(
+    {"outcome", "message", "certified", "modes", "sequence", "t_end", "seconds", "error_estimate"}
+)
+
+Slices = tuple[slice, ...]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is asked of every cell, as values that travel to any process.
+
+    Attributes
+    ----------
+    model : bytes
+        The declaration, pickled.
+    setting : Setting
+        How runs are computed.
+    until : float or None
+        Their end; `stop.time` of the model where None.
+    names : tuple of str
+        The parameters that are swept.
+    outputs : tuple of str
+        The outputs that are asked for.
+    version : str
+        Of this package: another one may give other bits.
+    """
+
+    model: bytes
+    setting: Setting
+    until: float | None
+    names: tuple[str, ...]
+    outputs: tuple[str, ...]
+    version: str
+
+    @classmethod
+    def of(
+        cls,
+        model: Declaration,
+        setting: Setting,
+        until: float | None,
+        names: Sequence[str],
+        outputs: Sequence[str] | None,
+    ) -> Task:
+        """Return what is asked of a model.
+
+        Raises
+        ------
+        DeclarationError
+            If there is no such output.
+        """
+        declared = model.outputs
+        for name in outputs or ():
+            if name not in declared:
+                raise DeclarationError(
+                    f"the model has no output {name!r}", advice=close_matches(name, declared)
+                )
+        chosen = tuple(declared) if outputs is None else tuple(dict.fromkeys(outputs))
+        here = version("contact-statecharts")
+        return cls(pickle.dumps(model), setting, until, tuple(names), chosen, here)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Cells that one chunk of the store holds.
+
+    Attributes
+    ----------
+    slices : tuple of slice
+        Where they are, along every dimension.
+    shape : tuple of int
+        How many, along every dimension.
+    """
+
+    slices: Slices
+    shape: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        return math.prod(self.shape)
+
+
+class Plan:
+    """A sweep: parameters, their values, and what is asked of every cell.
+
+    Parameters
+    ----------
+    model : Declaration
+        What is run.
+    setting : Setting
+        How.
+    columns : mapping of str to (n,) array
+        The swept parameters: the values of each along its axis, or of all along a table.
+    grid : bool
+        Whether every value is combined with all of the others.
+    until : float, optional
+        End of the runs; `stop.time` of the model by default.
+    outputs : sequence of str, optional
+        What is asked for; all outputs of the model by default.
+    accurate : bool
+        Whether runs estimate their error.
+
+    Raises
+    ------
+    DeclarationError
+        If the model has no such parameter or output, or there is nothing to run.
+    """
+
+    def __init__(
+        self,
+        model: Declaration,
+        setting: Setting,
+        columns: Mapping[str, Sequence[float] | Array],
+        *,
+        grid: bool = True,
+        until: float | None = None,
+        outputs: Sequence[str] | None = None,
+        accurate: bool = False,
+    ) -> None:
+        if not columns:
+            raise DeclarationError(
+                "a sweep needs parameters to vary", advice="say which, and over what values"
+            )
+        for name in columns:
+            if name not in model.parameters:
+                raise DeclarationError(
+                    f"the model has no parameter {name!r}",
+                    advice=close_matches(name, model.parameters),
+                )
+        self.model, self.grid, self.accurate = model, grid, accurate
+        self.columns = {name: numbers(name, given) for name, given in columns.items()}
+        self.task = Task.of(model, setting, until, tuple(columns), outputs)
+        lengths = tuple(len(column) for column in self.columns.values())
+        if grid:
+            for name, column in self.columns.items():
+                if len(np.unique(column)) < len(column):
+                    raise DeclarationError(
+                        f"a value of {name} is given twice", advice="give every value once"
+                    )
+        elif len(set(lengths)) > 1:
+            raise DeclarationError("the columns of a table of samples have one length")
+        self.shape = lengths if grid else lengths[:1]
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        return math.prod(self.shape)
+
+    @cached_property
+    def coordinates(self) -> dict[str, str]:
+        """Parameter -> what its coordinate is called."""
+        return {name: _free(name, _OWN | {SAMPLE}) for name in self.columns}
+
+    @cached_property
+    def variables(self) -> dict[str, str]:
+        """Output -> what its variable is called."""
+        taken = _OWN | {SAMPLE, *self.coordinates.values()}
+        return {name: _free(name, taken) for name in self.task.outputs}
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """The dimensions."""
+        return tuple(self.coordinates.values()) if self.grid else (SAMPLE,)
+
+    @cached_property
+    def lists(self) -> frozenset[str]:
+        """The outputs that are lists."""
+        return lists(self.model, self.task.outputs)
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """The outputs that are one number each."""
+        return tuple(name for name in self.task.outputs if name not in self.lists)
+
+    def declared(self, name: str) -> dict[str, str]:
+        """Return how an output is declared, as attributes of its variable."""
+        told = self.model.outputs[name].model_dump(mode="json", exclude_defaults=True)
+        return {key: value if isinstance(value, str) else str(value) for key, value in told.items()}
+
+    def attributes(self) -> dict[str, str]:
+        """Return what tells this sweep from any other: in words, and its digest."""
+        task = self.task
+        varied = ", ".join(
+            f"{name}: {len(column)} from {column.min():g} to {column.max():g}"
+            for name, column in self.columns.items()
+        )
+        asked = {key: value for key, value in asdict(task.setting).items() if value is not None}
+        asked |= {} if task.until is None else {"until": task.until}
+        found = {
+            "format": _FORMAT,
+            "model": self.model.name,
+            "doc": self.model.doc,
+            "version": task.version,
+            "swept": f"{'grid' if self.grid else 'table'}, {varied}",
+            "asked": ", ".join(f"{key} {value}" for key, value in asked.items()) or "nothing",
+            "outputs": ", ".join(task.outputs),
+        }
+        return {**found, "digest": self._digest(found)}
+
+    def _digest(self, told: Mapping[str, str]) -> str:
+        model = self.model.model_dump(mode="json", exclude={"doc", "ranges"})
+        text = json.dumps([model, told], sort_keys=True, default=str)
+        found = hashlib.sha256(text.encode())
+        for column in self.columns.values():
+            found.update(column.tobytes())
+        return found.hexdigest()[:16]
+
+    @cached_property
+    def chunk(self) -> tuple[int, ...]:
+        """Cells of a chunk along every dimension.
+
+        Whole trailing axes as far as they fit, and one value of a parameter that changes what the
+        model has: what such a value compiles serves all cells of a chunk.
+        """
+        found, room = [], _CHUNK
+        for name, length in zip(reversed(self.columns), reversed(self.shape), strict=False):
+            longest = 1 if self.grid and name in self.model.whole else min(length, max(room, 1))
+            pieces = -(-length // longest)
+            found.append(-(-length // pieces))
+            room //= found[-1]
+        return tuple(reversed(found))
+
+    def tiles(self) -> Iterator[Tile]:
+        """Yield the chunks, those of one structure of the model one after another."""
+        starts = [range(0, n, k) for n, k in zip(self.shape, self.chunk, strict=True)]
+        names = list(self.columns) if self.grid else [SAMPLE]
+        # The last of a product varies fastest.
+        order = sorted(range(len(names)), key=lambda axis: names[axis] not in self.model.whole)
+        for corner in product(*(starts[axis] for axis in order)):
+            begins = [corner[order.index(axis)] for axis in range(len(order))]
+            ends = [min(b + k, n) for b, k, n in zip(begins, self.chunk, self.shape, strict=True)]
+            pairs = list(zip(begins, ends, strict=True))
+            yield Tile(tuple(slice(b, e) for b, e in pairs), tuple(e - b for b, e in pairs))
+
+    def rows(self, tile: Tile, places: NDArray[np.intp]) -> Array:
+        """Return the parameters (m, p) of the cells at `places` of a chunk."""
+        where = np.unravel_index(places, tile.shape)
+        along = [part.start + place for part, place in zip(tile.slices, where, strict=True)]
+        if not self.grid:
+            along *= len(self.columns)
+        columns = [column[k] for column, k in zip(self.columns.values(), along, strict=True)]
+        return np.ascontiguousarray(np.stack(columns, axis=1))
+
+
+def lists(model: Declaration, names: Sequence[str]) -> frozenset[str]:
+    """Return which outputs are lists: of a value at each event."""
+    declared = ((name, model.outputs[name]) for name in names)
+    return frozenset(
+        name
+        for name, output in declared
+        if isinstance(output, Value) and output.moment.when == "each"
+    )
+
+
+def of_table(samples: pd.DataFrame) -> dict[str, Array]:
+    """Return the columns of a table of samples.
+
+    Raises
+    ------
+    DeclarationError
+        If two have one name, or one holds no numbers.
+    """
+    names = [str(name) for name in samples.columns]
+    if len(set(names)) < len(names):
+        raise DeclarationError("two columns of the samples have one name", advice="remove one")
+    return {name: numbers(name, samples.iloc[:, k].array) for k, name in enumerate(names)}
+
+
+def _free(name: str, taken: frozenset[str] | set[str]) -> str:
+    while name in taken or name in RESERVED:
+        name += "_"
+    return name

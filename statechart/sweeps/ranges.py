@@ -1,0 +1,237 @@
+"""Values of a parameter as text, samples of several, and tables of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from statechart.arrays import Array
+from statechart.errors import DeclarationError, FormulaError
+from statechart.formulas.formula import parse
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SPACINGS = ("lin", "log")
+_FORMS = "write lin:A:B:N, log:A:B:N, or the values themselves, such as 0.1,1/3,inf"
+# So that a sequence is the same wherever and whenever it is drawn.
+_SEED = 0
+
+
+@dataclass(frozen=True)
+class Interval:
+    """What a parameter varies over.
+
+    Attributes
+    ----------
+    spacing : str
+        lin or log.
+    least, greatest : float
+        Its ends, both part of it.
+    """
+
+    spacing: str
+    least: float
+    greatest: float
+
+    def at(self, places: Array) -> Array:
+        """Return the values at `places`, which go from 0 to 1."""
+        if self.spacing == "lin":
+            found = self.least + places * (self.greatest - self.least)
+        else:
+            low, high = math.log(self.least), math.log(self.greatest)
+            found = np.exp(low + places * (high - low))
+        # The ends are what was written, to the last bit.
+        found = np.where(places == 1.0, self.greatest, found)
+        return np.where(places == 0.0, self.least, found)
+
+
+def cells(
+    over: Mapping[str, str], table: str | None, sobol: int | None
+) -> tuple[dict[str, Array] | None, pd.DataFrame | None]:
+    """Return a grid, or a table of samples, as a person asks for it; None for the other.
+
+    Parameters
+    ----------
+    over : mapping of str to str
+        Parameter to what it varies over.
+    table : str or None
+        A CSV file that has all parameters.
+    sobol : int or None
+        Number of points of a Sobol sequence.
+
+    Raises
+    ------
+    DeclarationError
+        If what is asked for cannot be.
+    """
+    if table is not None:
+        if over:
+            raise DeclarationError(
+                "--samples and --over exclude each other", advice="the table has all parameters"
+            )
+        return None, read_table(table)
+    if not over:
+        raise DeclarationError(
+            "a sweep needs parameters to vary",
+            advice="such as --over mu=log:0.03:100:50, or --samples TABLE.csv",
+        )
+    if sobol is not None:
+        return None, sobol_sequence(over, sobol)
+    return {name: values(name, text) for name, text in over.items()}, None
+
+
+def values(name: str, text: str) -> Array:
+    """Return the values (n,) that a text stands for: `lin:A:B:N`, `log:A:B:N`, or a list of them.
+
+    Raises
+    ------
+    DeclarationError
+        If it stands for none.
+    """
+    if ":" not in text:
+        return np.array([_number(name, word) for word in text.split(",")])
+    spacing, *words = text.split(":")
+    if spacing not in _SPACINGS or len(words) != 3:
+        raise _wrong(name, f"{text!r} is no range", _FORMS)
+    count = words[2].strip()
+    if not count.isdecimal() or len(count) > 9 or int(count) == 0:
+        raise _wrong(name, f"{count!r} is not a number of values", "at least 1 is needed")
+    interval = _interval(name, spacing, *words[:2])
+    if int(count) == 1:
+        if interval.least != interval.greatest:
+            raise _wrong(name, "a range of one value has two ends", "write the value itself")
+        return np.array([interval.least])
+    if interval.least == interval.greatest:
+        raise _wrong(name, "the range is empty", "its ends must differ")
+    return interval.at(np.linspace(0.0, 1.0, int(count)))
+
+
+def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
+    """Return a Sobol sequence over intervals, one row a point.
+
+    Scrambled as Owen (1998) does, always by the same random numbers.
+
+    Parameters
+    ----------
+    over : mapping of str to str
+        Parameter to `lin:A:B` or `log:A:B`.
+    count : int
+        How many points: a power of two, of which alone the sequence is balanced.
+
+    Raises
+    ------
+    DeclarationError
+        If an interval is none, or the number is no power of two.
+    """
+    import pandas as pd
+    from scipy.stats import qmc
+
+    power = count.bit_length() - 1
+    if count != 1 << power:
+        raise DeclarationError(
+            f"--sobol {count}: a Sobol sequence is balanced for powers of two only",
+            advice=f"take {1 << power} or {1 << (power + 1)}",
+        )
+    intervals = {}
+    for name, text in over.items():
+        spacing, *words = text.split(":")
+        if spacing not in _SPACINGS or len(words) != 2:
+            raise _wrong(name, f"{text!r} is no interval", "with --sobol write lin:A:B or log:A:B")
+        intervals[name] = _interval(name, spacing, *words)
+    places = qmc.Sobol(len(intervals), scramble=True, rng=_SEED).random_base2(power)
+    return pd.DataFrame(
+        {name: each.at(places[:, k]) for k, (name, each) in enumerate(intervals.items())}
+    )
+
+
+def read_table(path: Path | str) -> pd.DataFrame:
+    """Return the table of a CSV file: a column for every parameter, a row for every run.
+
+    Raises
+    ------
+    DeclarationError
+        If it cannot be read, or a cell is no number.
+    """
+    import pandas as pd
+
+    try:
+        # Without a header: pandas would name two columns of one name apart.
+        found = pd.read_csv(
+            path, dtype=str, header=None, keep_default_na=False, skipinitialspace=True
+        )
+    except OSError as error:
+        raise DeclarationError(
+            f"cannot read {path}: {error.strerror or error}", advice="name a CSV file"
+        ) from None
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise DeclarationError(
+            f"{path} is no table: {str(error).strip()}",
+            advice="its first line names parameters, every other has their values",
+        ) from None
+    names = [str(name).strip() for name in found.iloc[0]]
+    if len(set(names)) < len(names):
+        raise DeclarationError(f"{path}: two columns have one name", advice="remove one")
+    try:
+        return pd.DataFrame(
+            {
+                name: [_number(name, str(word)) for word in found.iloc[1:, k]]
+                for k, name in enumerate(names)
+            }
+        )
+    except DeclarationError as error:
+        raise DeclarationError(f"{path}: {error.message}", advice=error.advice) from None
+
+
+def numbers(name: str, given: Sequence[float] | Array) -> Array:
+    """Return given values (n,) of a parameter as numbers.
+
+    Raises
+    ------
+    DeclarationError
+        If there is none, or one is not a number.
+    """
+    try:
+        found = np.atleast_1d(np.asarray(given, dtype=float))
+    except (TypeError, ValueError):
+        raise DeclarationError(f"the values of {name} must be numbers") from None
+    if found.ndim != 1 or found.size == 0:
+        raise DeclarationError(
+            f"{name} has no values" if found.size == 0 else f"the values of {name} are no list",
+            advice="give one list of numbers for every parameter",
+        )
+    if np.isnan(found).any():
+        raise DeclarationError(f"the values of {name} must be numbers, not nan")
+    return found
+
+
+def _interval(name: str, spacing: str, first: str, last: str) -> Interval:
+    least, greatest = _number(name, first), _number(name, last)
+    if not (math.isfinite(least) and math.isfinite(greatest)):
+        raise _wrong(name, "the ends of a range must be finite", _FORMS)
+    if least > greatest:
+        raise _wrong(name, f"{least:g} is above {greatest:g}", "the least value comes first")
+    if spacing == "log" and least <= 0.0:
+        raise _wrong(
+            name, f"{least:g} has no logarithm", "take a positive end, or lin: in the place of log:"
+        )
+    return Interval(spacing, least, greatest)
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        found = parse(text).value({})
+    except FormulaError as error:
+        raise _wrong(name, f"{text.strip()!r}: {error}", _FORMS) from None
+    if math.isnan(found):
+        raise _wrong(name, f"{text.strip()!r} is not a number", _FORMS)
+    return found
+
+
+def _wrong(name: str, message: str, advice: str) -> DeclarationError:
+    return DeclarationError(f"{name}: {message}", advice=advice)

@@ -1,0 +1,139 @@
+"""A sweep in words and as one plain object: how its cells ended, and between what outputs lie."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from statechart.automaton.trace import Outcome
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from statechart.sweeps.plan import Plan
+
+# Sequences of modes that are listed in words.
+_LISTED = 12
+_SUCCEEDED = frozenset(outcome.name for outcome in Outcome if outcome.succeeded)
+
+
+def report(plan: Plan, data: xr.Dataset, *, where: str | None) -> dict[str, Any]:
+    """Return a sweep as one plain object.
+
+    Parameters
+    ----------
+    plan : Plan
+        What was asked for.
+    data : Dataset
+        What cells gave.
+    where : str or None
+        Where that is kept.
+    """
+    outcomes = data["outcome"].to_numpy().ravel().astype(object)
+    done = outcomes != ""
+    outputs: dict[str, Any] = {}
+    for name, variable in plan.variables.items():
+        several = name in plan.lists
+        values = data[f"{variable}_count" if several else variable].to_numpy().ravel()[done]
+        known = values[np.isfinite(values)]
+        ends = (float(known.min()), float(known.max())) if known.size else (None, None)
+        outputs[name] = {
+            "of": "lengths" if several else "values",
+            "least": ends[0],
+            "greatest": ends[1],
+            "none": int(values.size - known.size),
+        }
+    texts = data["sequence"].to_numpy()
+    codes = Counter(data["modes"].to_numpy().ravel()[done].tolist())
+    ended = Counter(outcomes[done].tolist())
+    messages = data["message"].to_numpy().ravel()
+    seconds = float(np.nansum(data["seconds"].to_numpy()))
+    return {
+        "model": plan.model.name,
+        "over": {
+            name: {
+                "values": len(column),
+                "least": _plain(column.min()),
+                "greatest": _plain(column.max()),
+            }
+            for name, column in plan.columns.items()
+        },
+        "grid": plan.grid,
+        "cells": plan.size,
+        "done": int(np.count_nonzero(done)),
+        "ended": data.attrs.get("ended", ""),
+        "outcomes": [
+            {
+                "outcome": outcome,
+                "cells": count,
+                "succeeded": outcome in _SUCCEEDED,
+                "example": str(messages[outcomes == outcome][0]),
+            }
+            for outcome, count in ended.most_common()
+        ],
+        "certified": int(np.count_nonzero(data["certified"].to_numpy())),
+        "outputs": outputs,
+        "sequences": [
+            {"modes": str(texts[code]), "cells": count}
+            for code, count in codes.most_common()
+            if code >= 0
+        ],
+        "seconds": seconds,
+        "store": where,
+    }
+
+
+def succeeded(report: dict[str, Any]) -> bool:
+    """Whether all cells are done, and some came to an end that the declaration names."""
+    return report["done"] == report["cells"] and any(o["succeeded"] for o in report["outcomes"])
+
+
+def text(report: dict[str, Any]) -> str:
+    """Return a sweep in words."""
+    over = ", ".join(
+        f"{name} ({told['values']} from {_number(told['least'])} to {_number(told['greatest'])})"
+        for name, told in report["over"].items()
+    )
+    done = report["done"]
+    counted = f"{done} cells" if done == report["cells"] else f"{done} of {report['cells']} cells"
+    each = report["seconds"] / done if done else 0.0
+    lines = [
+        f"{report['model']} over {over}",
+        f"{counted}, {report['certified']} certified; "
+        f"{report['seconds']:.3g} s of runs, {1e3 * each:.3g} ms each",
+    ]
+    for told in report["outcomes"]:
+        example = f"; such as: {told['example']}" if told["example"] else ""
+        lines.append(f"  {told['outcome']:<20} {told['cells']:>8}{example}")
+    if report["outputs"]:
+        width = max(len(name) for name in report["outputs"])
+        lines.append("outputs")
+        for name, told in report["outputs"].items():
+            none = f", none in {told['none']} cells" if told["none"] else ""
+            what = "" if told["of"] == "values" else "lengths "
+            ends = f"{_number(told['least'])} to {_number(told['greatest'])}"
+            between = "none" if told["least"] is None else f"{what}{ends}{none}"
+            lines.append(f"  {name:<{width}}  {between}")
+    if report["sequences"]:
+        lines.append("sequences of modes")
+        for told in report["sequences"][:_LISTED]:
+            lines.append(f"  {told['cells']:>8}  {told['modes']}")
+        rest = report["sequences"][_LISTED:]
+        if rest:
+            cells = sum(told["cells"] for told in rest)
+            lines.append(f"  {cells:>8}  others ({len(rest)})")
+    if report["store"]:
+        lines.append(f"in {report['store']}")
+    return "\n".join(lines) + "\n"
+
+
+def _number(value: float | str | None) -> str:
+    return value if isinstance(value, str) else "none" if value is None else f"{value:.6g}"
+
+
+def _plain(value: float) -> float | str:
+    """Return a number that JSON has, else its name."""
+    return float(value) if math.isfinite(value) else str(float(value))

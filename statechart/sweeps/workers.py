@@ -1,0 +1,156 @@
+"""Workers: processes of this machine, or those of a Dask cluster."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
+
+from statechart.errors import DeclarationError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+# Seconds in which a scheduler has to answer.
+_ANSWER = 10.0
+_NAME = "contact-statecharts"
+
+
+@contextmanager
+def crew(count: int | None, address: str | None) -> Iterator[Executor | None]:
+    """Make so many processes, or connect to the scheduler at an address; None for neither.
+
+    Raises
+    ------
+    DeclarationError
+        If there is no such cluster, or it cannot run sweeps.
+    """
+    if count is not None:
+        with processes(count) as executor:
+            yield executor
+    elif address is not None:
+        with cluster(address) as executor:
+            yield executor
+    else:
+        yield None
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Executor]:
+    """Make workers of this machine, which end with this process, however that ends.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    """
+    # Not forked: threads of libraries do not survive that.
+    context = multiprocessing.get_context("spawn")
+    before = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
+    try:
+        with _blocked():
+            started: list[Future[str]] = [pool.submit(version, _NAME) for _ in range(count)]
+        del started
+        yield pool
+    finally:
+        # What a worker still computes nobody waits for.
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in set(multiprocessing.active_children()) - before:
+            child.terminate()
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """Connect to the scheduler of a Dask cluster.
+
+    Parameters
+    ----------
+    address : str
+        Such as tcp://192.168.0.1:8786.
+
+    Raises
+    ------
+    DeclarationError
+        If it does not answer, has no workers, or they lack this package or have another version.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise DeclarationError(
+            "a cluster needs Dask, which is not installed",
+            advice='install it with: pip install "contact-statecharts[cluster]"',
+        ) from None
+    try:
+        client = Client(address, timeout=_ANSWER, set_as_default=False)
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
+        words = str(error).strip().split("\n")[0] or type(error).__name__
+        raise DeclarationError(
+            f"no scheduler answers at {address}: {words}",
+            advice="start one with `dask scheduler`; it prints its address, tcp://HOST:8786",
+        ) from None
+    try:
+        _check(client, address)
+        yield client.get_executor()
+    finally:
+        client.close(timeout=_ANSWER)
+
+
+def _check(client: object, address: str) -> None:
+    """Raise `DeclarationError` where no worker, or not every one, can run a sweep."""
+    from distributed import Client
+
+    assert isinstance(client, Client)
+    if not client.nthreads():
+        raise DeclarationError(
+            f"the scheduler at {address} has no workers",
+            advice=f"start some with `dask worker {address} --nthreads 1`",
+        )
+    try:
+        found = client.run(version, _NAME)
+    except PackageNotFoundError:
+        raise DeclarationError(
+            f"a worker of {address} does not have {_NAME}", advice="install it on all workers"
+        ) from None
+    here = version(_NAME)
+    for worker, there in found.items():
+        if there != here:
+            raise DeclarationError(
+                f"the worker {worker} has version {there} of {_NAME}, not {here}",
+                advice="install the same version on all workers",
+            )
+
+
+@contextmanager
+def _blocked() -> Iterator[None]:
+    """Let processes that are started meanwhile not hear of signals that come from a terminal.
+
+    Those go to the whole group of processes; it is this process that ends its workers.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin() -> None:
+    """Begin a worker: it ends when the process that started it is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -1,0 +1,235 @@
+"""`statechart sweep`: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from statechart.cli.main import main
+
+STICK = "toppling_stick"
+OVER = ("--over", "mu=log:0.05:50:6", "--over", "I_G=0,1/3,1")
+
+
+def test_a_sweep_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", STICK, *OVER]) == 0
+    told = capsys.readouterr().out
+    assert "mu (6 from 0.05 to 50), I_G (3 from 0 to 1)" in told
+    assert "18 cells, 18 certified" in told
+    assert "STOPPED" in told
+    assert "pin > slide- > slide+" in told
+
+
+def test_a_sweep_is_one_object_in_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", STICK, "--over", "mu=0.2,inf", "--outputs", "t_impact", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["cells"], told["done"], told["certified"]) == (2, 2, 2)
+    assert told["over"]["mu"] == {"values": 2, "least": 0.2, "greatest": "inf"}
+    assert list(told["outputs"]) == ["t_impact"]
+    assert told["outcomes"][0]["outcome"] == "STOPPED"
+
+
+@pytest.mark.parametrize("name", ["a.zarr", "deep/a.nc"])
+def test_a_sweep_is_kept(tmp_path: Path, name: str) -> None:
+    file = tmp_path / name
+    assert main(["sweep", STICK, *OVER, "-o", str(file)]) == 0
+    with xr.open_dataset(file, engine="scipy" if name.endswith("nc") else "zarr") as found:
+        assert dict(found.sizes) == {"mu": 6, "I_G": 3, "sequence": found.sizes["sequence"]}
+        assert (found["outcome"] == "STOPPED").all()
+        assert np.isfinite(found["t_impact"]).all()
+
+
+@pytest.mark.parametrize("suffix", ["svg", "png", "pdf"])
+@pytest.mark.parametrize(
+    "over",
+    [
+        ["--over", "mu=log:0.05:50:12"],
+        ["--over", "mu=log:0.05:50:12", "--over", "I_G=0,1/3"],
+        ["--over", "mu=log:0.05:50:5", "--over", "I_G=lin:0:1:5", "--over", "theta0=0.01"],
+        ["--over", "mu=0.1,1,inf"],
+        ["--over", "mu=log:0.05:50", "--over", "I_G=lin:-0.2:1", "--sobol", "16"],
+        ["--over", "mu=lin:-1:-0.5:3"],
+    ],
+    ids=["lines", "families", "maps", "infinite", "samples", "none"],
+)
+def test_a_sweep_is_drawn(tmp_path: Path, over: list[str], suffix: str) -> None:
+    picture = tmp_path / f"a.{suffix}"
+    main(["sweep", STICK, *over, "--plot", str(picture)])
+    begins = {"svg": b"<?xml", "png": b"\x89PNG", "pdf": b"%PDF"}[suffix]
+    assert picture.read_bytes().startswith(begins)
+
+
+def test_lists_are_drawn(tmp_path: Path) -> None:
+    picture = tmp_path / "a.png"
+    over = ["--over", "e=lin:0.2:0.8:9", "--outputs", "impact_times,bounces"]
+    assert main(["sweep", "bouncing_ball_hills", *over, "--plot", str(picture)]) == 0
+    assert picture.exists()
+
+
+def test_cells_that_cannot_run_do_not_end_a_sweep(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", "bouncing_ball", "--over", "k=0.5,1.5"]) == 0
+    told = capsys.readouterr().out
+    assert "DECLARATION_ERROR" in told
+    assert "must be between 0 and 1, not 1.5" in told
+
+
+def test_a_sweep_of_which_nothing_runs_has_failed() -> None:
+    assert main(["sweep", "bouncing_ball", "--over", "k=1.5,2"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "such as --over"),
+        (["--over", "mu"], "is not of the form NAME=RANGE"),
+        (["--over", "nu=1,2"], "no parameter 'nu'"),
+        (["--over", "mu=lin:2:1:5"], "2 is above 1"),
+        (["--over", "mu=log:-1:1:5"], "no logarithm"),
+        (["--over", "mu=1", "--over", "mu=2"], "given twice"),
+        (["--over", "mu=1", "--outputs", "nothing"], "no output 'nothing'"),
+        (["--over", "mu=1", "--samples", "a.csv"], "exclude each other"),
+        (["--samples", "none.csv"], "cannot read none.csv"),
+        (["--sobol", "8", "--over", "mu=1,2"], "no interval"),
+        (["--over", "mu=1", "-o", "a.txt"], "the suffix must be"),
+        (["--over", "mu=1", "-o", "here.nc"], "exists already"),
+        (["--over", "mu=1", "-o", "here.nc/a.nc"], "is a file"),
+        (["--over", "mu=1", "-o", "here.zarr"], "exists already"),
+        (["--over", "mu=1", "-o", "here.zarr", "--resume"], "no store"),
+        (["--over", "mu=1", "--resume"], "-o STORE.zarr"),
+        (["--over", "mu=1", "--plot", "a.txt"], "the suffix must be one of"),
+        (["--over", "mu=1,2", "--over", "I_G=1,2", "--over", "L=1,2", "--plot", "a.png"], "one or"),
+        (["--over", "mu=1", "--engine", "impulse"], "step"),
+        (["--over", "mu=1", "--scheduler", "tcp://127.0.0.1:1"], "no scheduler answers"),
+        (["--over", "mu=1", "--scheduler", "nowhere"], "no scheduler answers"),
+    ],
+)
+def test_wrong_input_is_one_message(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("statechart.sweeps.workers._ANSWER", 1.0)
+    (tmp_path / "here.nc").write_text("")
+    (tmp_path / "here.zarr").mkdir()
+    assert main(["sweep", STICK, *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert words in captured.err
+    assert "Traceback" not in captured.err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["here.nc", "here.zarr"]
+
+
+_KILLED = """
+import os, signal, sys
+from statechart.cli import main
+from statechart.sweeps import sweep
+from statechart.sweeps.block import run_block
+
+sweep._BLOCK = sweep._WRITTEN = 0.0
+calls, number = [], getattr(signal, sys.argv.pop())
+
+def run(task, rows):
+    calls.append(1)
+    if len(calls) == 5:
+        os.kill(os.getpid(), number)
+    return run_block(task, rows)
+
+sweep.run_block = run
+sys.exit(main.program())
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
+def test_a_sweep_that_is_ended_from_outside_goes_on(tmp_path: Path, number: str) -> None:
+    store, whole = tmp_path / "a.zarr", tmp_path / "whole.zarr"
+    arguments = ["sweep", STICK, *OVER, "-o"]
+    ended = subprocess.run(
+        [sys.executable, "-c", _KILLED, *arguments, str(store), number],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "Traceback" not in ended.stderr
+    if number == "SIGKILL":
+        assert ended.returncode == -signal.SIGKILL
+    else:
+        assert (ended.returncode, ended.stderr) == (1, "interrupted; --resume goes on\n")
+        assert "4 of 18 cells" in ended.stdout or "5 of 18 cells" in ended.stdout
+    with xr.open_zarr(store, chunks=None) as part:
+        assert 4 <= (part["outcome"].to_numpy() != "").sum() <= 5
+    assert main([*arguments, str(store), "--resume"]) == 0
+    assert main([*arguments, str(whole)]) == 0
+    same(store, whole)
+
+
+def same(one: Path, other: Path) -> None:
+    with xr.open_zarr(one, chunks=None) as a, xr.open_zarr(other, chunks=None) as b:
+        xr.testing.assert_identical(a.drop_vars("seconds").load(), b.drop_vars("seconds").load())
+
+
+def test_processes_give_the_same_bits(tmp_path: Path) -> None:
+    script = Path(sys.executable).with_name("statechart")
+    arguments: list[Any] = ["sweep", STICK, *OVER, "-o"]
+    subprocess.run([script, *arguments, tmp_path / "two.zarr", "--workers", "2"], check=True)
+    assert main([*map(str, arguments), str(tmp_path / "one.zarr")]) == 0
+    same(tmp_path / "one.zarr", tmp_path / "two.zarr")
+
+
+_DEAD = """
+import os, signal, sys
+from statechart.cli import main
+from statechart.sweeps import sweep
+import dead
+
+sweep._FIRST, sweep._BLOCK, sweep.run_block = 1, 0.0, dead.run
+if __name__ == "__main__":
+    sys.exit(main.program())
+"""
+_RUN = """
+import os, signal
+from statechart.sweeps.block import run_block
+
+calls = []
+
+def run(task, rows):
+    calls.append(1)
+    if len(calls) == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return run_block(task, rows)
+"""
+
+
+def test_a_worker_that_is_killed_costs_nothing_that_was_done(tmp_path: Path) -> None:
+    (tmp_path / "dead.py").write_text(_RUN)
+    (tmp_path / "main.py").write_text(_DEAD)
+    store = tmp_path / "a.zarr"
+    arguments = ["sweep", STICK, *OVER, "-o", str(store)]
+    ended = subprocess.run(
+        [sys.executable, tmp_path / "main.py", *arguments, "--workers", "1"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("workers died: ")
+    assert ended.stderr.endswith("; --resume goes on\n")
+    assert "Traceback" not in ended.stderr
+    with xr.open_zarr(store, chunks=None) as part:
+        assert (part["outcome"].to_numpy() != "").sum() == 2
+    assert main([*arguments, "--resume"]) == 0
+    assert main([*arguments[:-1], str(tmp_path / "whole.zarr")]) == 0
+    same(store, tmp_path / "whole.zarr")

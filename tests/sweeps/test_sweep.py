@@ -1,0 +1,382 @@
+"""Sweeps against closed forms, against single runs, and against themselves in another order."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from statechart import Runner, sweep
+from statechart.charts.chart import Chart
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError, StatechartError
+from statechart.loading.load import interpret
+from statechart.sweeps import plan as plans
+from statechart.sweeps import sweep as sweeps
+from statechart.sweeps.block import Block, run_block
+from statechart.sweeps.plan import Task
+
+STICK = "toppling_stick"
+GRID = {"mu": np.geomspace(0.05, 50.0, 7), "I_G": np.array([0.0, 0.01, 1 / 3, 1.0])}
+LISTS = {"e": [0.3, 0.7], "k": [0.0, 8.0, 12.0]}
+
+
+def same(one: xr.Dataset, other: xr.Dataset) -> None:
+    """All but the seconds are the same, to the last bit."""
+    one, other = one.drop_vars("seconds").load(), other.drop_vars("seconds").load()
+    xr.testing.assert_identical(one, other)
+
+
+class Inline(Executor):
+    """Runs what it is given where it is: the last first, or dies of a call."""
+
+    def __init__(self, dies_at: int = 0) -> None:
+        self.calls, self._dies_at = 0, dies_at
+
+    def submit(self, work: Callable[..., Any], /, *values: Any, **options: Any) -> Future[Any]:
+        self.calls += 1
+        future: Future[Any] = Future()
+        if self.calls == self._dies_at:
+            future.set_exception(BrokenExecutor("a process ended"))
+        else:
+            future.set_result(work(*values, **options))
+        return future
+
+
+def test_bounces_end_where_the_geometric_series_does() -> None:
+    restitution = [0.2, 0.5, 0.9]
+    found = sweep("bouncing_ball", {"k": restitution, "x0": [0.5, 2.0]}, outputs=["t_rest"])
+    k, height = np.meshgrid(restitution, [0.5, 2.0], indexing="ij")
+    fall = np.sqrt(2.0 * height / 9.81)
+    np.testing.assert_allclose(found["t_rest"], fall * (1.0 + k) / (1.0 - k), rtol=1e-9)
+    assert found["t_rest"].dims == ("k", "x0")
+    assert found["certified"].all()
+
+
+def test_the_point_mass_slips_at_the_angle_of_the_paper() -> None:
+    found = sweep(STICK, {"mu": [math.inf], "I_G": [0.0]}, outputs=["critical_angle"])
+    assert found["critical_angle"].item() == pytest.approx(math.acos(2 / 3), rel=1e-4)
+
+
+def test_a_cell_is_the_run_with_its_parameters() -> None:
+    found, runner = sweep(STICK, GRID), Runner(STICK)
+    for place in np.ndindex(*found["outcome"].shape):
+        values = {
+            name: float(column[k]) for (name, column), k in zip(GRID.items(), place, strict=True)
+        }
+        result = runner.run(values)
+        cell = found[dict(zip(GRID, place, strict=True))]
+        assert cell["outcome"].item() == result.trace.outcome.name
+        assert cell["t_end"].item() == result.trace.t_end
+        for name, value in result.outputs.items():
+            expected = math.nan if value is None else value
+            np.testing.assert_equal(cell[name].item(), expected)
+        modes = [key[0] for key in result.trace.modes]
+        assert str(found["sequence"].to_numpy()[cell["modes"].item()]) == " > ".join(modes)
+
+
+def test_lists_are_padded_and_counted() -> None:
+    found, runner = sweep("bouncing_ball_hills", LISTS), Runner("bouncing_ball_hills")
+    longest = 0
+    for i, e in enumerate(LISTS["e"]):
+        for j, k in enumerate(LISTS["k"]):
+            times = runner.run({"e": e, "k": k}).outputs["impact_times"]
+            assert isinstance(times, list)
+            longest = max(longest, len(times))
+            assert found["impact_times_count"][i, j] == len(times)
+            row = found["impact_times"].to_numpy()[i, j]
+            assert row[: len(times)].tolist() == times
+            assert np.isnan(row[len(times) :]).all()
+    assert found.sizes["impact_times_index"] == longest
+
+
+@pytest.mark.parametrize(
+    ("model", "columns"),
+    [
+        (STICK, {"mu": np.geomspace(0.03, 100, 40), "I_G": np.tile([0.0, 1e-3, 1 / 3, 1.0], 10)}),
+        ("bouncing_ball_hills", {"e": np.tile([0.3, 0.6, 0.9], 5), "k": np.linspace(0, 20, 15)}),
+        ("rimless_wheel", {"gamma": np.linspace(0.05, 0.2, 8)}),
+        ("simplest_walker", {"gamma": np.linspace(0.007, 0.011, 8)}),
+        ("dragged_stick", {"mu": np.geomspace(0.05, 50, 8), "theta": np.linspace(0.4, 1.2, 8)}),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_cell_does_not_depend_on_those_before_it(
+    model: str, columns: dict[str, np.ndarray]
+) -> None:
+    table = pd.DataFrame(columns)
+    order = np.random.default_rng(1).permutation(len(table))
+    found = sweep(model, samples=table, engine=None).load()
+    # A new process would have nothing of the first sweep, either.
+    _forget()
+    shuffled = sweep(model, samples=table.iloc[order]).load()
+    back = shuffled.isel(sample=np.argsort(order))
+    for name in set(found.data_vars) - {"seconds", "modes"}:
+        np.testing.assert_array_equal(found[name], back[name], err_msg=str(name))
+    assert texts(found) == texts(back)
+
+
+def texts(found: xr.Dataset) -> list[str]:
+    return [str(found["sequence"].to_numpy()[code]) for code in found["modes"].to_numpy().ravel()]
+
+
+def _forget() -> None:
+    from statechart.sweeps import block
+
+    block._cells.cache_clear()
+
+
+ROOT = """
+kind: chart
+name: root
+parameters: {x0: 1}
+variables: {x: x0}
+regions:
+  only:
+    initial: falls
+    states:
+      falls: {flows: {x: "-2*sqrt(x)"}}
+stop: {time: 0.5}
+outputs: {x: {value: x}}
+"""
+
+
+def test_a_cell_that_needs_another_engine_leaves_the_others_theirs() -> None:
+    model = interpret(read_text(ROOT, "root.yaml"))
+    assert isinstance(model, Chart)
+    alone = [sweep(model, {"x0": [value]})["x"].item() for value in (1.0, 4.0)]
+    # At zero a square root has no Taylor series: scipy takes that run, and no other.
+    found = sweep(model, {"x0": [0.0, 1.0, 4.0]})
+    assert found["x"].to_numpy().tolist() == [0.0, *alone]
+    np.testing.assert_allclose(alone, [0.25, 2.25], rtol=1e-15)
+
+
+def test_blocks_may_return_in_any_order_and_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = sweep(STICK, GRID)
+    same(sweep(STICK, GRID, executor=Inline()), whole)
+    monkeypatch.setattr(plans, "_CHUNK", 6)
+    pieces = sweep(STICK, GRID, executor=Inline())
+    same(pieces, whole)
+
+
+def test_cells_that_cannot_run_have_an_outcome() -> None:
+    found = sweep("bouncing_ball", {"k": [0.5, 1.5], "x0": [-1.0, 1.0]}).load()
+    assert found["outcome"].to_numpy().tolist() == [
+        ["DECLARATION_ERROR", "HORIZON"],
+        ["DECLARATION_ERROR", "DECLARATION_ERROR"],
+    ]
+    assert "must be between 0 and 1" in str(found["message"][1, 1].item())
+    assert found["modes"].to_numpy()[0, 0] == -1
+    assert np.isnan(found["t_rest"].to_numpy()[0, 0])
+    assert not found["certified"][0, 0]
+
+
+def test_a_defect_of_ours_ends_a_cell_and_not_the_sweep(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = Runner.run
+
+    def run(self: Runner, values: dict[str, float], **options: Any) -> Any:
+        if values["k"] == 0.5:
+            raise ZeroDivisionError("by nothing")
+        return real(self, values, **options)
+
+    monkeypatch.setattr(Runner, "run", run)
+    found = sweep("bouncing_ball", {"k": [0.4, 0.5, 0.6]})
+    assert found["outcome"].to_numpy().tolist() == ["HORIZON", "INTERNAL_ERROR", "HORIZON"]
+    assert found["message"][1].item() == "ZeroDivisionError: by nothing"
+
+
+def test_numbers_of_copies_are_a_parameter_like_others() -> None:
+    over = {"n": [1.0, 2.0, 2.5], "mu": [0.5, 0.6]}
+    found = sweep("dice", over, engine="impulse", step=1e-3, until=0.01)
+    assert found["outcome"].to_numpy()[:2].tolist() == [["HORIZON"] * 2] * 2
+    assert found["outcome"].to_numpy()[2].tolist() == ["DECLARATION_ERROR"] * 2
+    alone = sweep("dice", {"n": [2.0]}, engine="impulse", step=1e-3, until=0.01)
+    first = found["kinetic"].to_numpy()[1] if "kinetic" in found else found["t_end"].to_numpy()[1]
+    assert first[0] > 0.0
+    assert len(alone["outcome"]) == 1
+
+
+def test_an_accuracy_is_delivered_in_every_cell() -> None:
+    found = sweep(STICK, {"mu": [0.2, 0.5]}, engine="scipy", accuracy=1e-5)
+    assert (found["error_estimate"] <= 1e-5).all()
+    sharp = sweep(STICK, {"mu": [0.2, 0.5]})
+    np.testing.assert_allclose(found["slip_forward"], sharp["slip_forward"], rtol=1e-4)
+    assert "error_estimate" not in sharp
+
+
+def test_outputs_may_be_chosen_and_names_do_not_collide() -> None:
+    found = sweep(STICK, {"mu": [0.2]}, outputs=["t_impact"])
+    assert "slip_forward" not in found
+    model = interpret(read_text(ROOT.replace("x: {value: x}", "modes: {value: x}"), "root.yaml"))
+    assert isinstance(model, Chart)
+    found = sweep(model, {"x0": [1.0]})
+    assert found["modes_"].attrs["long_name"] == "modes"
+    assert found["modes"].dtype == np.int32
+
+
+def test_samples_have_a_dimension_of_their_own() -> None:
+    table = pd.DataFrame({"mu": [0.2, 0.2, 5.0], "I_G": [0.1, 0.1, 0.3]})
+    found = sweep(STICK, samples=table)
+    assert found["t_end"].dims == ("sample",)
+    np.testing.assert_array_equal(found["mu"], table["mu"])
+    assert found["t_end"][0] == found["t_end"][1]
+
+
+def test_a_sweep_opens_in_pandas_and_netcdf(tmp_path: Path) -> None:
+    found = sweep("bouncing_ball_hills", LISTS)
+    frame = found.drop_dims(["sequence", "impact_times_index"]).to_dataframe()
+    assert len(frame) == 6
+    found.load().to_netcdf(tmp_path / "a.nc", engine="scipy")
+    with xr.open_dataset(tmp_path / "a.nc", engine="scipy") as again:
+        xr.testing.assert_equal(
+            again.load(), found.astype(object).load() if False else found.load()
+        )
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"over": {"omega": [1.0]}}, "no parameter 'omega'; did you mean 'omega0'"),
+        ({"over": {"mu": []}}, "mu has no values"),
+        ({"over": {"mu": [1.0, 1.0]}}, "given twice"),
+        ({"over": {"mu": [math.nan]}}, "not nan"),
+        ({"over": {}}, "needs parameters"),
+        ({"over": None}, "give one of them"),
+        ({"samples": pd.DataFrame({"mu": [1.0]})}, "give one of them"),
+        ({"outputs": ["slip"]}, "no output 'slip'"),
+        ({"until": -1.0}, "finite time"),
+        ({"engine": "euler"}, "no engine"),
+        ({"engine": "impulse"}, "step"),
+        ({"tolerance": 1e-6, "accuracy": 1e-6}, "exclude each other"),
+    ],
+)
+def test_wrong_input_is_refused_before_anything_runs(changes: dict[str, Any], words: str) -> None:
+    asked: dict[str, Any] = {"over": {"mu": [1.0]}, **changes}
+    with pytest.raises(DeclarationError, match=words):
+        sweep(STICK, **asked)
+
+
+def interrupting(at: int) -> Callable[[Task, np.ndarray], Block]:
+    calls: list[int] = []
+
+    def run(task: Task, rows: np.ndarray) -> Block:
+        calls.append(1)
+        if len(calls) == at:
+            signal.raise_signal(signal.SIGINT)
+        return run_block(task, rows)
+
+    return run
+
+
+@pytest.mark.parametrize("tile", [4096, 5])
+def test_an_interrupted_sweep_resumes_to_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tile: int
+) -> None:
+    whole, store = sweep(STICK, GRID, store=tmp_path / "whole.zarr"), tmp_path / "a.zarr"
+    monkeypatch.setattr(plans, "_CHUNK", tile)
+    monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
+    monkeypatch.setattr(sweeps, "_WRITTEN", 0.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(sweeps, "run_block", interrupting(9))
+        part = sweep(STICK, GRID, store=store)
+    done = part["outcome"].to_numpy() != ""
+    assert done.sum() == 8 or done.sum() == 9
+    assert (part.attrs["complete"], part.attrs["ended"]) == (0, "interrupted")
+    # What is done can be read, in the state it is in.
+    with xr.open_zarr(store, chunks=None) as read:
+        np.testing.assert_array_equal(
+            read["t_end"].to_numpy()[done], whole["t_end"].to_numpy()[done]
+        )
+    same(sweep(STICK, GRID, store=store, resume=True), whole)
+    same(xr.open_zarr(store, chunks=None), xr.open_zarr(tmp_path / "whole.zarr", chunks=None))
+    # All is done: nothing runs.
+    monkeypatch.setattr(sweeps, "run_block", None)
+    same(sweep(STICK, GRID, store=store, resume=True), whole)
+
+
+def test_lists_of_an_interrupted_sweep_resume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, store = "bouncing_ball_hills", tmp_path / "a.zarr"
+    whole = sweep(model, LISTS)
+    monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(sweeps, "run_block", interrupting(4))
+        sweep(model, LISTS, store=store)
+    same(sweep(model, LISTS, store=store, resume=True), whole)
+
+
+def test_what_dead_workers_did_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sweeps, "_FIRST", 1)
+    monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
+    store = tmp_path / "a.zarr"
+    with pytest.raises(StatechartError, match="workers died: a process ended"):
+        sweep(STICK, GRID, executor=Inline(dies_at=7), store=store)
+    with xr.open_zarr(store, chunks=None) as part:
+        assert 0 < (part["outcome"].to_numpy() != "").sum() < 28
+    same(sweep(STICK, GRID, store=store, resume=True), sweep(STICK, GRID))
+
+
+def test_a_signal_is_not_kept_from_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sweeps, "run_block", interrupting(1))
+    assert sweep(STICK, {"mu": [0.2]}).attrs["complete"] == 0
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "exists already"),
+        ({"resume": True, "over": {"mu": [0.2, 0.4]}}, "another sweep; it differs in swept"),
+        ({"resume": True, "over": {"mu": [0.2, 0.25, 0.3]}}, "another sweep"),
+        ({"resume": True, "until": 1.0}, "differs in asked"),
+        ({"resume": True, "model": "bouncing_ball", "over": {"k": [0.5]}}, "differs in model"),
+        ({"resume": True, "outputs": []}, "differs in outputs"),
+    ],
+)
+def test_a_store_of_another_sweep_is_left_alone(
+    tmp_path: Path, changes: dict[str, Any], words: str
+) -> None:
+    store = tmp_path / "a.zarr"
+    asked: dict[str, Any] = {"model": STICK, "over": {"mu": [0.2, 0.21, 0.3]}}
+    sweep(**asked, store=store)
+    before = sorted((p, p.stat().st_mtime_ns) for p in store.rglob("*"))
+    with pytest.raises(DeclarationError, match=words):
+        sweep(**{**asked, **changes}, store=store)
+    assert sorted((p, p.stat().st_mtime_ns) for p in store.rglob("*")) == before
+
+
+@pytest.mark.parametrize("content", [None, "zarr.json", ".zgroup"])
+def test_what_is_no_store_is_left_alone(tmp_path: Path, content: str | None) -> None:
+    store = tmp_path / "a.zarr"
+    store.mkdir()
+    if content:
+        (store / content).write_text("{}")
+    with pytest.raises(DeclarationError, match="no store"):
+        sweep(STICK, {"mu": [0.2]}, store=store, resume=True)
+
+
+def test_a_store_begun_by_a_process_that_was_killed_at_once_is_begun_again(tmp_path: Path) -> None:
+    import shutil
+
+    store = tmp_path / "a.zarr"
+    whole = sweep(STICK, {"mu": [0.2]}, store=store).load()
+    shutil.rmtree(store / "outcome")
+    same(sweep(STICK, {"mu": [0.2]}, store=store, resume=True), whole)
+
+
+def test_many_modes_are_told_by_their_beginning_and_number() -> None:
+    found = sweep("rimless_wheel", {"gamma": [0.2]}, until=60.0)
+    text = str(found["sequence"].to_numpy()[0])
+    assert text.endswith(")")
+    assert "modes, " in text
+    assert len(text) < 300
