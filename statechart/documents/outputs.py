@@ -13,6 +13,7 @@ from statechart.documents.fields import FormulaText, Part
 from statechart.errors import DeclarationProblem, close_matches
 
 _EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*)", re.ASCII)
+_NUMBER = re.compile(r"([0-9]{1,9})\s+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +26,19 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """When an output is taken: `start`, `end`, or at the `first`, `last` or `each` of events."""
+    """When an output is taken: `start`, `end`, or at the `first`, `last` or `each` of events.
+
+    At most so many of the first or last where `most` says so, in their order.
+    """
 
     when: str
     events: tuple[Event, ...] = ()
+    most: int | None = None
+
+    @property
+    def several(self) -> bool:
+        """Whether the output is a list."""
+        return self.when == "each" or self.most is not None
 
 
 def parse_events(text: str) -> tuple[Event, ...]:
@@ -57,10 +67,15 @@ def _parse_moment(text: str) -> Moment:
         case ["start" | "end" as when]:
             return Moment(when)
         case ["first" | "last" | "each" as when, events]:
-            return Moment(when, parse_events(events))
+            most = _NUMBER.match(events)
+            if most is None:
+                return Moment(when, parse_events(events))
+            if when != "each" and int(most[1]) > 0:
+                return Moment(when, parse_events(events[most.end() :]), int(most[1]))
     raise DeclarationProblem(
         f"{text!r} is not a moment",
-        advice="write start, end, first CAUSE, last CAUSE or each CAUSE; CAUSE or CAUSE also",
+        advice="write start, end, first CAUSE, last CAUSE, each CAUSE, first 10 CAUSE or "
+        "last 10 CAUSE; CAUSE or CAUSE also",
     )
 
 
@@ -75,7 +90,7 @@ def _checked_moment(text: str) -> str:
 
 
 class Value(Part):
-    """A formula at a moment of the run; a list of its values at `each` event."""
+    """A formula at a moment of the run; a list of its values at `each` event, or at some."""
 
     value: FormulaText
     at: Annotated[str, AfterValidator(_checked_moment)] = "end"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from statechart.automaton.events import happened
 from statechart.automaton.trace import Jump, Trace
-from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Value
+from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
 from statechart.observation.observer import Observer
 from statechart.observation.zeno_tails import last_resolved
 
@@ -34,7 +34,7 @@ class Outputs:
         if names is not None:
             declared = {name: output for name, output in declared.items() if name in names}
         self._names = tuple(declared)
-        self._at: list[tuple[str, Value, str, tuple[Event, ...]]] = []
+        self._at: list[tuple[str, Value, Moment]] = []
         self._counts: list[tuple[str, tuple[Event, ...]]] = []
         self._extremes: list[tuple[str, str | int | float, int]] = []
         # Taken together: one call of a kernel, not one each.
@@ -46,7 +46,7 @@ class Outputs:
                 case Value():
                     moment = output.moment
                     if moment.events:
-                        self._at.append((name, output, moment.when, moment.events))
+                        self._at.append((name, output, moment))
                     else:
                         values = self._end if moment.when == "end" else self._start
                         values[name] = output.value
@@ -71,8 +71,8 @@ class Outputs:
         """
         observer = self.observer
         found: dict[str, OutputValue] = {}
-        for name, output, when, events in self._at:
-            found[name] = self._at_jumps(trace, output, when, events)
+        for name, output, moment in self._at:
+            found[name] = self._at_jumps(trace, output, moment)
         for name, events in self._counts:
             found[name] = len(self._jumps(trace, events))
         for name, formula, which in self._extremes:
@@ -98,7 +98,7 @@ class Outputs:
         """
         summed = last_resolved(trace)
         regions = self.observer.automaton.regions
-        several = [(name, events) for name, _, when, events in self._at if when == "each"]
+        several = [(name, moment.events) for name, _, moment in self._at if moment.several]
         return frozenset(
             name
             for name, events in (*several, *self._counts)
@@ -113,15 +113,15 @@ class Outputs:
         others are as large as themselves, and left out.
         """
         found: dict[str, OutputValue] = {}
-        for name, output, when, events in self._at:
+        for name, output, moment in self._at:
             largest = self._largest(trace, output.value)
-            chosen = {id(jump) for jump in self._chosen(trace, when, events)}
+            chosen = {jump.j for jump in self._chosen(trace, moment)}
             sizes = [
                 size
                 for jump, size in zip(trace.jumps, largest[1:-1].tolist(), strict=True)
-                if id(jump) in chosen
+                if jump.j in chosen
             ]
-            found[name] = sizes if when == "each" else sizes[0] if sizes else None
+            found[name] = sizes if moment.several else sizes[0] if sizes else None
         for name, formula in self._end.items():
             last = abs(float(self.observer.final(trace, [formula])[0]))
             found[name] = float(np.fmax(self._largest(trace, formula)[-1], last))
@@ -143,20 +143,21 @@ class Outputs:
         magnitudes[~np.isfinite(magnitudes)] = 0.0
         return np.maximum.accumulate(magnitudes)
 
-    def _at_jumps(
-        self, trace: Trace, output: Value, when: str, events: tuple[Event, ...]
-    ) -> float | list[float] | None:
-        jumps = self._chosen(trace, when, events)
+    def _at_jumps(self, trace: Trace, output: Value, moment: Moment) -> float | list[float] | None:
+        jumps = self._chosen(trace, moment)
         if not jumps:
-            return [] if when == "each" else None
+            return [] if moment.several else None
         table = self.observer.at(trace, [output.value], jumps, before=output.before)
         values: list[float] = table[:, 0].tolist()
-        return values if when == "each" else values[0]
+        return values if moment.several else values[0]
 
-    def _chosen(self, trace: Trace, when: str, events: tuple[Event, ...]) -> list[Jump]:
-        """Return the first, the last or each of the jumps that are one of `events`."""
-        jumps = self._jumps(trace, events)
-        return jumps if when == "each" else jumps[:1] if when == "first" else jumps[-1:]
+    def _chosen(self, trace: Trace, moment: Moment) -> list[Jump]:
+        """Return the first, the last or each of the jumps that are one of a moment's events."""
+        jumps = self._jumps(trace, moment.events)
+        if moment.when == "each":
+            return jumps
+        most = moment.most or 1
+        return jumps[:most] if moment.when == "first" else jumps[-most:]
 
     def _jumps(self, trace: Trace, events: tuple[Event, ...]) -> list[Jump]:
         """Return the jumps that are one of `events`: by their cause, or by the state entered."""

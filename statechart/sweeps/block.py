@@ -44,6 +44,8 @@ WORDS = {
 
 # Letters of a sequence of modes; a longer one is told by its beginning, its length and a digest.
 _LONGEST = 240
+# Modes of a cycle that is looked for in it.
+_PERIOD = 12
 # What is compiled of models with other structures is kept of so many.
 _STRUCTURES = 8
 # So many texts of sequences are made once.
@@ -250,11 +252,44 @@ class _Structure:
         return found
 
     def _text(self, modes: Sequence[Key]) -> str:
-        alone = len(self.runner.automaton.regions) == 1
-        words = [key[0] if alone else self.runner.automaton.label(key) for key in modes]
-        text = " > ".join(words)
+        words = [self._word(key) for key in modes]
+        text = " > ".join(repeats(words))
         if len(text) <= _LONGEST:
             return text
-        digest = hashlib.sha256(text.encode()).hexdigest()[:8]
-        begin = " > ".join(words[: max(text.count(" > ", 0, _LONGEST), 1)])
+        digest = hashlib.sha256(" > ".join(words).encode()).hexdigest()[:8]
+        begin = text[:_LONGEST].rpartition(" > ")[0] or words[0]
         return f"{begin} > ... ({len(words)} modes, {digest})"
+
+    def _word(self, key: Key) -> str:
+        """Return the name of a mode: its regions that have states to tell apart."""
+        regions = self.runner.automaton.regions
+        told = [(r.name, s) for r, s in zip(regions, key, strict=True) if len(r.states) > 1]
+        if len(told) < 2:
+            return told[0][1] if told else key[0]
+        return " ".join(f"{name}:{state}" for name, state in told)
+
+
+def repeats(words: Sequence[str]) -> list[str]:
+    """Return a sequence in which cycles that repeat are written once: ``(a > b) x 3``.
+
+    Parameters
+    ----------
+    words : sequence of str
+        No word equals the one before it.
+    """
+    found: list[str] = []
+    k = 0
+    while k < len(words):
+        best = (1, 1)
+        for period in range(2, _PERIOD + 1):
+            cycle, end = words[k : k + period], k + period
+            while words[end : end + period] == cycle:
+                end += period
+            times = (end - k) // period
+            if times > 1 and times * period > best[0] * best[1]:
+                best = (period, times)
+        period, times = best
+        text = " > ".join(words[k : k + period])
+        found.append(text if times == 1 else f"({text}) x {times}")
+        k += period * times
+    return found

@@ -32,12 +32,13 @@ _COLOURS = (
     "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2",
     "#D55E00", "#882255", "#999933", "#AA4499", "#332288", "#117733",
 )  # fmt: skip
-_OTHERS, _NOTHING, _GRID = "#BBBBBB", "#FFFFFF", "#E6E6E6"
+_OTHERS, _NOTHING, _BLANK, _GRID = "#BBBBBB", "#FFFFFF", "#E6E6E6", "#E6E6E6"
 # A second axis of so few values is lines beside each other, where the first has so many times more.
 _FEW, _DENSER = 7, 3
 # An axis may be logarithmic where the largest value is so many times the least.
 _WIDE = 5.0
-_LONGEST = 48
+# Letters of a sequence of modes in a legend.
+_LONGEST = 64
 _SUCCEEDED = [outcome.name for outcome in Outcome if outcome.succeeded]
 
 
@@ -145,36 +146,26 @@ class _Cells:
         done = outcome != ""
         return cls(names, columns, good, done, modes, kinds, tuple(labels), tuple(colours))
 
-    def handles(self) -> list[Patch]:
-        """Return what a legend of modes shows."""
+    def handles(self, *, blank: bool = False) -> list[Patch]:
+        """Return what a legend shows: modes, what could not run, and if any is blank, that."""
         from matplotlib.patches import Patch
 
         found = [
             Patch(facecolor=colour, label=label)
             for label, colour in zip(self.labels, self.colours, strict=True)
         ]
-        return found + self.missing()
-
-    def missing(self) -> list[Patch]:
-        """Return what a legend says of cells without a value."""
-        from matplotlib.patches import Patch
-
-        found = []
         if (self.done & ~self.good).any():
             found.append(
                 Patch(facecolor=_NOTHING, edgecolor=_OTHERS, hatch="////", label="could not run")
             )
-        if not self.done.all():
-            found.append(Patch(facecolor=_NOTHING, edgecolor=_OTHERS, label="not run yet"))
+        if blank or not self.done.all():
+            found.append(Patch(facecolor=_BLANK, label="no value"))
         return found
 
 
 def _short(text: str) -> str:
-    if len(text) <= _LONGEST:
-        return text
-    words = text.split(" > ")
-    begin, end = words[:3], words[-1]
-    return " > ".join([*begin, "...", end]) + f" ({len(words)} modes)" if len(words) > 5 else text
+    """Return the begin and the end of a text that is too long for a legend."""
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 24]} ... {text[-19:]}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,8 +232,11 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     x = _Axis.of(cells.names[axis], cells.columns[axis])
     alone = len(cells.names) == 1
     other = np.zeros(len(x.at)) if alone else cells.columns[1 - axis]
-    heights = [1.5] * len(plan.task.outputs) + ([0.3] if alone else [])
-    drawing = Figure(figsize=(7.6, 0.9 + 1.25 * sum(heights)), layout="constrained")
+    count = len(plan.task.outputs)
+    heights = [2.4 if count == 1 else 1.5] * count + ([0.3] if alone else [])
+    legend = 0.18 * math.ceil(len(cells.labels) / 2) if alone else 0.0
+    size = (7.6, 1.0 + 1.25 * sum(heights) + legend)
+    drawing = Figure(figsize=size, layout="constrained")
     axes = drawing.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
     for ax, name in zip(axes[:, 0], plan.task.outputs, strict=False):
         values = data[plan.variables[name]].to_numpy()
@@ -262,7 +256,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     x.put(axes[-1, 0], "x")
     if alone:
         _band(axes[-1, 0], x, cells)
-        handles: list[Any] = cells.handles()
+        drawing.legend(handles=cells.handles(), loc="outside lower left", ncols=2)
     else:
         from matplotlib.lines import Line2D
 
@@ -270,7 +264,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
             Line2D([], [], color=LINES[k % len(LINES)], label=f"{cells.names[1 - axis]} = {v:.4g}")
             for k, v in enumerate(np.unique(other))
         ]
-    drawing.legend(handles=handles, loc="outside right upper", handlelength=1.4)
+        drawing.legend(handles=handles, loc="outside right upper", handlelength=1.4)
     return _titled(drawing, plan)
 
 
@@ -330,11 +324,13 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     rows = math.ceil(count / columns)
     drawing = Figure(figsize=(max(4.0 * columns, 6.0), 3.3 * rows), layout="constrained")
     axes = drawing.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    blank = False
     for ax, name in zip(axes, outputs, strict=False):
         variable, title = plan.variables[name], name
         if name in plan.lists:
             variable, title = f"{variable}_count", f"number of {name}"
         values = np.where(cells.good, data[variable].to_numpy().ravel(), math.nan)
+        blank = blank or bool((np.isnan(values) & cells.good).any())
         drawing.colorbar(_map(ax, x, y, values, plan, cells, cmap="viridis"), ax=ax, pad=0.02)
         ax.set_title(title, fontsize=9)
     ax = axes[len(outputs)]
@@ -353,7 +349,9 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
         ax.yaxis.label.set_visible(k % columns == 0)
         ax.tick_params(labelbottom=k + columns >= count)
     drawing.legend(
-        handles=cells.handles(), loc="outside lower center", ncols=3 if columns > 2 else 2
+        handles=cells.handles(blank=blank),
+        loc="outside lower center",
+        ncols=3 if columns > 2 else 2,
     )
     return _titled(drawing, plan)
 
@@ -362,6 +360,7 @@ def _map(
     ax: Axes, x: _Axis, y: _Axis, values: Array, plan: Plan, cells: _Cells, **options: Any
 ) -> Any:
     """Draw a number of every cell as a colour; cells that could not run are hatched."""
+    ax.set_facecolor(_BLANK if plan.grid else _NOTHING)
     if not plan.grid:
         size = float(np.clip(4e3 / len(values), 2.0, 40.0))
         failed = cells.done & ~cells.good

@@ -278,12 +278,10 @@ class Plan:
 
 
 def lists(model: Declaration, names: Sequence[str]) -> frozenset[str]:
-    """Return which outputs are lists: of a value at each event."""
+    """Return which outputs are lists: of values at several events."""
     declared = ((name, model.outputs[name]) for name in names)
     return frozenset(
-        name
-        for name, output in declared
-        if isinstance(output, Value) and output.moment.when == "each"
+        name for name, output in declared if isinstance(output, Value) and output.moment.several
     )
 
 

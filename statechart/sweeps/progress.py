@@ -61,20 +61,20 @@ def _bar(total: int, done: int) -> Iterator[Callable[[int], None]]:
 
 
 class _Lines:
-    """Writes a line every few seconds."""
+    """Writes a line every few seconds; the rate is that since the last one."""
 
     def __init__(self, total: int, done: int) -> None:
-        self._total, self._done, self._first = total, done, done
-        self._began = self._shown = time.monotonic()
+        self._total, self._done, self._told = total, done, done
+        self._shown = time.monotonic()
 
     def __call__(self, count: int) -> None:
         self._done += count
         now = time.monotonic()
         if now - self._shown < _EVERY:
             return
-        self._shown = now
-        rate = (self._done - self._first) / (now - self._began)
-        left = timedelta(seconds=round((self._total - self._done) / rate)) if rate > 0.0 else "?"
+        rate = (self._done - self._told) / (now - self._shown)
+        left = timedelta(seconds=round((self._total - self._done) / rate))
+        self._shown, self._told = now, self._done
         line = f"{self._done} of {self._total} cells, {rate:.3g} a second, {left} left\n"
         sys.stderr.write(line)
         sys.stderr.flush()

@@ -65,6 +65,10 @@ def test_values_count_and_lists(stick: Observer) -> None:
             "never": {"value": "time", "at": "last liftoff"},
             "each": {"value": "time", "at": "each tip.reverse"},
             "each_never": {"value": "time", "at": "each liftoff"},
+            "first_two": {"value": "time", "at": "first 2 slip or reverse or stop"},
+            "last_two": {"value": "time", "at": "last 2 slip or reverse or stop"},
+            "last_many": {"value": "time", "at": "last 100 slip or reverse or stop"},
+            "last_never": {"value": "time", "at": "last 3 liftoff"},
         },
     )
     found = ready.of(trace)
@@ -77,12 +81,22 @@ def test_values_count_and_lists(stick: Observer) -> None:
         "never",
         "each",
         "each_never",
+        "first_two",
+        "last_two",
+        "last_many",
+        "last_never",
     ]
     assert found["start"] == pytest.approx(0.01, abs=1e-15)
     assert (found["slips"], found["slips_here"], found["liftoffs"], found["ends"]) == (1, 1, 0, 1)
     assert found["never"] is None
     assert found["each"] == [trace.jumps[1].t]
     assert found["each_never"] == []
+    times = [jump.t for jump in trace.jumps]
+    assert len(times) == 3
+    assert found["first_two"] == times[:2]
+    assert found["last_two"] == times[-2:]
+    assert found["last_many"] == times
+    assert found["last_never"] == []
 
 
 def test_forces_before_and_after_a_jump_are_those_of_the_modes_left_and_entered(

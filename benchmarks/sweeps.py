@@ -1,0 +1,91 @@
+"""What sweeps cost: runs a second, the time of a map, and what a second process is worth.
+
+    python benchmarks/sweeps.py
+
+The toppling stick over friction and moment of inertia, in the ranges of the paper's figure 10,
+certified, with all its outputs. Rates are medians over blocks in one process; what a sweep adds to
+its runs (rows, arrays, the store) is told beside them. The load of the machine says what they are
+worth: on a busy one two processes cannot be twice as fast as one.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from statechart import Runner, sweep
+from statechart.documents.setting import Setting
+from statechart.sweeps.block import run_block
+from statechart.sweeps.plan import Plan
+from statechart.sweeps.workers import processes
+
+MODEL = "toppling_stick"
+BLOCK, REPEATS = 1000, 5
+
+
+def grid(count: int) -> dict[str, np.ndarray]:
+    return {"mu": np.geomspace(0.03, 100.0, count), "I_G": np.geomspace(1e-4, 1.0, count)}
+
+
+def rows() -> np.ndarray:
+    # Of all the map, in an order without pattern.
+    table = np.stack(np.meshgrid(*grid(100).values(), indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.random.default_rng(0).permutation(table)[: BLOCK * REPEATS]
+
+
+def in_one_process() -> None:
+    plan = Plan(Runner(MODEL).model, Setting(), grid(2))
+    table = rows().reshape(REPEATS, BLOCK, 2)
+    run_block(plan.task, table[0])
+    runner = Runner(MODEL)
+    runner.run({"mu": 0.2})
+    blocks, runs = [], []
+    for part in table:
+        began = time.perf_counter()
+        found = run_block(plan.task, part)
+        blocks.append(time.perf_counter() - began)
+        assert found.certified.all()
+        values = [{"mu": mu, "I_G": inertia} for mu, inertia in part.tolist()]
+        began = time.perf_counter()
+        for overrides in values:
+            result = runner.run(overrides, throw=False)
+            _ = result.outputs, result.trace.modes
+        runs.append(time.perf_counter() - began)
+    block, run = (statistics.median(times) / BLOCK for times in (blocks, runs))
+    print(f"runs/s of one core, certified, with outputs  {1.0 / block:10.0f}")
+    print(f"a cell, us                                   {1e6 * block:10.0f}")
+    print(f"a run of Runner with outputs and modes, us   {1e6 * run:10.0f}")
+
+
+def maps() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        sweep(MODEL, grid(100), store=Path(folder) / "one.zarr")
+        one = time.perf_counter() - began
+        with processes(2) as executor:
+            # Both processes load and compile what they need.
+            sweep(MODEL, grid(20), executor=executor)
+            began = time.perf_counter()
+            sweep(MODEL, grid(100), store=Path(folder) / "two.zarr", executor=executor)
+            two = time.perf_counter() - began
+    print(f"figure 10 at 100 x 100, to a store, s        {one:10.2f}")
+    print(f"the same by two processes, s                 {two:10.2f}")
+    print(f"two processes against one                    {one / two:10.2f}")
+
+
+def main() -> int:
+    print(f"load of the machine before: {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores")
+    in_one_process()
+    maps()
+    print(f"load of the machine after: {os.getloadavg()[0]:.2f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

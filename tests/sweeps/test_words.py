@@ -1,0 +1,111 @@
+"""Sequences of modes as text, and pictures of sweeps."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from statechart import sweep
+from statechart.documents.setting import Setting
+from statechart.errors import DeclarationError
+from statechart.running.runner import Runner
+from statechart.sweeps.block import repeats
+from statechart.sweeps.figure import check, figure
+from statechart.sweeps.plan import Plan
+
+STICK = "toppling_stick"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("a", "a"),
+        ("a b a", "a > b > a"),
+        ("a b a b", "(a > b) x 2"),
+        ("c a b a b a b d", "c > (a > b) x 3 > d"),
+        ("a b c a b c a", "(a > b > c) x 2 > a"),
+    ],
+)
+def test_cycles_are_told_once(words: str, told: str) -> None:
+    assert " > ".join(repeats(words.split())) == told
+
+
+def unfolded(text: str) -> list[str]:
+    """Return the sequence that a text of cycles stands for."""
+    written = re.sub(
+        r"\(([^)]*)\) x (\d+)", lambda found: " > ".join([found[1]] * int(found[2])), text
+    )
+    return written.split(" > ")
+
+
+@given(st.lists(st.sampled_from("abc"), min_size=1, max_size=60))
+def test_cycles_stand_for_the_whole_sequence(words: list[str]) -> None:
+    words = [word for k, word in enumerate(words) if k == 0 or word != words[k - 1]]
+    assert unfolded(" > ".join(repeats(words))) == words
+
+
+def drawn(columns: dict[str, np.ndarray], *, grid: bool = True, **options: object):  # type: ignore[no-untyped-def]
+    plan = Plan(Runner(STICK).model, Setting(), columns, grid=grid, outputs=["slip_forward"])
+    data: xr.Dataset = sweep(STICK, columns, outputs=["slip_forward"]).load()
+    return plan, data, figure(plan, data)
+
+
+def test_two_parameters_are_maps_of_what_cells_gave() -> None:
+    columns = {"mu": np.geomspace(0.05, 50, 12), "I_G": np.linspace(0.1, 1.0, 10)}
+    _, data, picture = drawn(columns)
+    numbers, modes = (ax.collections[0] for ax in picture.axes[:2])
+    np.testing.assert_array_equal(numbers.get_array(), data["slip_forward"].to_numpy().T)
+    assert modes.get_array().shape == (10, 12)
+    assert (picture.axes[0].get_xscale(), picture.axes[0].get_yscale()) == ("log", "linear")
+    legend = [text.get_text() for text in picture.legends[0].get_texts()]
+    assert set(legend) == set(map(str, data["sequence"].to_numpy()))
+
+
+def test_lines_break_where_modes_change() -> None:
+    _, data, picture = drawn({"mu": np.geomspace(0.05, 50, 60)})
+    line = picture.axes[0].lines[0]
+    codes = data["modes"].to_numpy()
+    changes = int(np.count_nonzero(np.diff(codes)))
+    assert int(np.isnan(line.get_ydata()).sum()) == changes > 0
+
+
+def test_a_parameter_of_few_values_is_a_line_for_each() -> None:
+    _, _, picture = drawn({"mu": np.geomspace(0.05, 50, 30), "I_G": np.array([0.0, 1 / 3, 1.0])})
+    legend = [text.get_text() for text in picture.legends[0].get_texts()]
+    assert legend == ["I_G = 0", "I_G = 0.3333", "I_G = 1"]
+
+
+def test_more_than_two_parameters_have_no_picture() -> None:
+    columns = {"mu": [0.1, 1.0], "I_G": [0.1, 1.0], "theta0": [0.01, 0.02]}
+    with pytest.raises(DeclarationError, match="one or two parameters, not 3"):
+        check(Plan(Runner(STICK).model, Setting(), columns))
+    columns["theta0"] = [0.01]
+    check(Plan(Runner(STICK).model, Setting(), columns))
+
+
+def test_a_dozen_sequences_have_colours_and_the_rest_are_others() -> None:
+    columns = {"mu": np.linspace(0.1, 1.0, 30)}
+    plan = Plan(Runner(STICK).model, Setting(), columns, outputs=[])
+    data = sweep(STICK, columns, outputs=[]).load()
+    data = data.drop_vars(["modes", "sequence"]).assign(
+        modes=("mu", np.arange(30, dtype=np.int32)), sequence=[f"s{k}" for k in range(30)]
+    )
+    legend = [text.get_text() for text in figure(plan, data).legends[0].get_texts()]
+    assert len(legend) == 12
+    assert legend[-1] == "others (19)"
+
+
+def test_the_page_has_the_pictures_that_it_names() -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    page = (docs / "sweeps.md").read_text(encoding="utf-8")
+    for line in page.splitlines():
+        if line.startswith("statechart sweep") and "docs/images" in line:
+            picture = line.rpartition("docs/")[2]
+            assert (docs / picture).exists()
+            assert f"]({picture})" in page
