@@ -20,6 +20,9 @@ from statechart.formulas.tape import Tape
 # Of a contact, besides its Jacobian and biases: gap, its rate, slip, point, tangent.
 _SCALARS = 7
 
+UNTRUSTED = "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
+"""Why a system has no solution."""
+
 
 class PerContact(NamedTuple):
     """One contact's numbers.
@@ -286,9 +289,7 @@ def solve_kkt(
     if status == SINGULAR:
         return None
     if status == INEXACT:
-        raise SingularMode(
-            "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
-        )
+        raise SingularMode(UNTRUSTED)
     n = len(right)
     return x[:n], x[n:]
 

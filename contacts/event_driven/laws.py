@@ -79,14 +79,16 @@ class SceneLaws:
         # Without joints and conditions, an instant may be a usual one.
         self._plain = not mechanics.joint_rows and not self._conditions.present
         self._projection = Projection(mechanics, self._tape)
-        self._instants = SceneInstants(self._names, self._tape, self._projection, self._paradox)
+        self._rules = Rules(self._tape, mechanics.scene.simultaneous, self._paradox)
+        self._instants = SceneInstants(self._names, self._rules, self._projection)
         self.ordinary: Ordinary | None = self._instants if self._plain else None
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
         laws = copy.copy(self)
         laws._tape, laws._conditions = tape, conditions
-        laws._instants = SceneInstants(self._names, tape, self._projection, self._paradox)
+        laws._rules = self._rules._replace(tape=tape)
+        laws._instants = SceneInstants(self._names, laws._rules, self._projection)
         laws.ordinary = None
         return laws
 
@@ -351,8 +353,7 @@ class SceneLaws:
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None
     ) -> tuple[Jump, Flow]:
-        rules = Rules(self._tape, self._mechanics.scene.simultaneous, self._paradox)
-        jump, flow, following = impact_jump(rules, here, hitting, jam)
+        jump, flow, following = impact_jump(self._rules, here, hitting, jam)
         setup, closed, (before, left) = here.setup, here.closed, jump.energy or (0.0, 0.0)
         idle = jam is None and sum(closed) > 1 and left >= before
         if idle and opens_in_vain(setup, following, closed):

@@ -8,21 +8,24 @@ from functools import partial
 
 import numpy as np
 
-from contacts.dynamics.contact_law import cones
+from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.projection import Projection, landing, unseen_room
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.decision import cause, decide
-from contacts.event_driven.run_on import SceneWatch, run_on
+from contacts.event_driven.hit import SceneWatch
+from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump
+from contacts.event_driven.run_on import run_on
+from contacts.impacts.bounces import FAST
+from contacts.impacts.impact import MEANINGS, pieces
 from contacts.impacts.jamming import Jam
 from contacts.modes.classification import Considered
 from contacts.modes.fast_classification import allowed
-from contacts.scene.parts import Resolution
+from contacts.scene.parts import MOREAU
 from contacts.states import CODES, OFF
 from statechart.arrays import Array
-from statechart.automaton.laws import Flow, Setup, roles_in
+from statechart.automaton.laws import Flow, Instant, Setup, roles_in
 from statechart.automaton.recording import Event
-from statechart.automaton.trace import Jump, Key, Roles
+from statechart.automaton.trace import Clock, Jump, Key, Roles
 from statechart.engines.whole_flow import Watch
 from statechart.execution.ahead import KINDS, Loop
 from statechart.formulas.tape import Tape
@@ -38,24 +41,15 @@ class SceneInstants:
     ----------
     names : tuple of str
         Of the contacts.
-    numbers : SnapshotTape
-        The scene's numbers.
+    rules : Rules
+        What the scene says of impacts, and its numbers.
     projection : Projection
         Of its constraints.
-    paradox : str
-        What resolves states without a mode.
     """
 
-    def __init__(
-        self,
-        names: tuple[str, ...],
-        numbers: SnapshotTape,
-        projection: Projection,
-        paradox: Resolution,
-    ) -> None:
-        self._names, self._numbers, self._paradox = names, numbers, paradox
-        self._projection = projection
-        self.tapes = numbers.tape, projection.tape
+    def __init__(self, names: tuple[str, ...], rules: Rules, projection: Projection) -> None:
+        self._names, self._rules, self._projection = names, rules, projection
+        self.tapes = rules.tape.tape, projection.tape
         self.series = tuple((name, cause) for name in names for cause in _CAUSES)
 
     def compiled(self) -> bool:
@@ -101,6 +95,8 @@ class SceneInstants:
             numbers,
             allowed(tuple([law.states for law in setup.contacts])),
             cones(setup.contacts),
+            np.array([law.restitution for law in setup.contacts]),
+            np.array([_meaning(law) for law in setup.contacts], np.int64),
             near,
             creep,
             tolerances["gap"],
@@ -109,29 +105,58 @@ class SceneInstants:
             setup.scales.force,
             setup.scales.acceleration,
             setup.short,
+            FAST * setup.scales.speed,
         )
         return partial(run_on, loop.program, loop.pace, watch, loop.memory, scene)
 
     def jump(self, setup: Setup, event: Event, fired: str) -> Jump:
         """Return the jump to the one mode that agreed with the state."""
         assert isinstance(setup, SceneSetup)
+        state, time = event.before, event.t
+        region, how = cause(self._names, event.source, event.target, False)
+        impulse: dict[str, tuple[float, float]] = {}
+        path: tuple[str, ...] = ()
+        considered = partial(self.considered, setup, state, time)
+        if event.struck >= 0:
+            region, how = self._names[event.struck], "touchdown"
+            path = (" ".join([region, *pieces(event.path)]),)
+            if event.normal != 0.0 or event.tangential != 0.0:
+                impulse[region] = event.normal, event.tangential
+            considered = partial(self._considered_at_impact, setup, event)
         return Jump(
-            event.t,
+            time,
             event.j,
-            *cause(self._names, event.source, event.target, False),
+            region,
+            how,
             event.source,
             event.target,
-            event.before,
+            state,
             event.after,
             (fired,),
-            considered=Considered(partial(self.considered, setup, event.before, event.t)),
-            energy=(event.energy_before, event.energy_after),
+            impulse,
+            path,
+            Considered(considered),
+            (event.energy_before, event.energy_after),
         )
+
+    def _considered_at_impact(self, setup: SceneSetup, event: Event) -> Mapping[str, str]:
+        flow, clock = flow_in(setup, event.source), Clock(event.t)
+        snapshot = self._rules.tape.at(setup.values, event.before, event.t)
+        closed = [contact.gap <= setup.tolerances["gap"] for contact in snapshot.contacts]
+        at = Instant(setup, clock, event.j, flow, event.before)
+        here = Landing(at, setup, snapshot, event.source, closed)
+        jump, _, _ = impact_jump(self._rules, here, [event.struck])
+        return jump.considered
 
     def considered(self, setup: SceneSetup, state: Array, time: float) -> Mapping[str, str]:
         """Return every mode considered at a usual instant, and why it was taken or not."""
-        snapshot = self._numbers.at(setup.values, state, time)
+        snapshot = self._rules.tape.at(setup.values, state, time)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
         touching = [c.gap <= near and c.gap_rate <= slow for c in snapshot.contacts]
-        choice = decide(setup, snapshot, touching, self._paradox)
+        choice = decide(setup, snapshot, touching, self._rules.paradox)
         return {} if isinstance(choice, Jam) else choice.considered
+
+
+def _meaning(law: ContactLaw) -> int:
+    """Return what restitution means where an impact goes along a path."""
+    return -1 if law.impact == MOREAU else MEANINGS[law.impact]

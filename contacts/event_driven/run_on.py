@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from contacts.modes.fast_classification import usual
+from contacts.event_driven.hit import SceneWatch, classified, hit
 from contacts.states import FREE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.recording import ARCS, EVENTS, TERMS, TIMES, Block
@@ -52,34 +49,10 @@ from statechart.kernels.tapes import tape_values
 _PER_CONTACT = 5
 TOUCHDOWN, LIFTOFF, STICK, SLIP, REVERSE = range(5)
 """What a change of a contact's state is called, see `contacts.states.cause_of`."""
+_PER_CAUSE = 5
 # So many steps and boxes in one call, some tens of milliseconds.
 _STEPS, _BOXES = 4096, 65536
 _STEADY = 4096
-
-
-class SceneWatch(NamedTuple):
-    """What classification takes of a run (see `contacts.modes.fast_classification.usual`).
-
-    Attributes
-    ----------
-    numbers : (9,) array of int64
-        Tape of the scene's numbers.
-    allowed : (c, 5) array of bool
-    cones : (c, 2) array
-    near, creep, gap, speed, tie, force, acceleration, short : float
-    """
-
-    numbers: NDArray[np.int64]
-    allowed: Bools
-    cones: Array
-    near: float
-    creep: float
-    gap: float
-    speed: float
-    tie: float
-    force: float
-    acceleration: float
-    short: float
 
 
 @part
@@ -217,6 +190,9 @@ def run_on(
     code, constants, outputs, _, _ = tape_of(program, scene.numbers)
     numbers = np.empty(outputs.shape[0])
     half = state.shape[0] // 2
+    # Behind mass matrix and forces.
+    energy_at = half * half + half
+    before, impulse = np.empty(state.shape[0]), np.empty(2)
     most = memory.coefficients.shape[0]
     most_terms = memory.coefficients.size
     begun_steps, begun_boxes = place[N_STEPS], place[N_BOXES]
@@ -263,46 +239,42 @@ def run_on(
         high = now[T_HIGH]
         if margin >= program.modes[mode, STOPS]:
             return FELL, margin, 0.0
-        found = usual(
-            code,
-            constants,
-            outputs,
-            state,
-            watch.parameters,
-            high,
-            scene.allowed,
-            scene.cones,
-            True,
-            kept,
-            scene.near,
-            scene.creep,
-            scene.gap,
-            scene.speed,
-            scene.tie,
-            scene.force,
-            scene.acceleration,
-            numbers,
+        found = classified(
+            code, constants, outputs, scene, watch.parameters, state, high, True, kept, numbers,
             taken,
-        )
-        target = _row(program, taken) if found else -1
-        if target < 0 or target == mode:
+        )  # fmt: skip
+        energy, struck, path = numbers[energy_at], -1, 0
+        before[:] = state
+        if not found:
+            struck, path = hit(
+                code, constants, outputs, scene, watch.parameters, state, high, kept, numbers,
+                impulse, taken,
+            )  # fmt: skip
+        target = _row(program, taken) if found or struck >= 0 else -1
+        if target < 0 or (target == mode and struck < 0):
+            state[:] = before
             return FELL, margin, 0.0
-        event, energy = used[EVENTS], numbers[half * half + half]
+        event = used[EVENTS]
         block.events[event, 0], block.events[event, 1] = mode, target
-        block.events[event, 2], block.events[event, 3] = margin, 0
+        block.events[event, 2], block.events[event, 3] = margin, path
+        block.events[event, 4] = struck
         block.numbers[event, 0] = high
-        block.numbers[event, 1] = block.numbers[event, 2] = energy
+        block.numbers[event, 1], block.numbers[event, 2] = energy, numbers[energy_at]
         block.numbers[event, 3] = 0.0
-        block.states[event, 0] = state
+        if struck >= 0:
+            block.numbers[event, 4], block.numbers[event, 5] = impulse[0], impulse[1]
+        block.states[event, 0] = before
         block.states[event, 1] = state
         used[EVENTS] += 1
         place[N_MODE] = target
         place[N_JUMPS] += 1
         now[T_SINCE] = high
-        first = 0
-        while kept[first] == taken[first]:
-            first += 1
-        row = 5 * first + _cause(kept[first], taken[first])
+        row = _PER_CAUSE * struck + TOUCHDOWN
+        if struck < 0:
+            first = 0
+            while kept[first] == taken[first]:
+                first += 1
+            row = _PER_CAUSE * first + _cause(kept[first], taken[first])
         rest = follow(series[row], high, now[T_LOW], True, scene.short)
         if rest >= 0.0:
             return ACCUMULATES, row, rest

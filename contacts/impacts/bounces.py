@@ -16,8 +16,8 @@ _EPS = float(np.finfo(float).eps)
 # Bounces lower than this many roundings of the gap are summed. The sum's error is of the third
 # order in their speed: 1e-12 of the scene's time where coordinates are of its size.
 _DIGITS = 1e8
-# No bounce this fast, in the scene's own speed, is summed.
-_FAST = 1e-3
+FAST = 1e-3
+"""No bounce this fast, in the scene's own speed, is summed."""
 # Of the fastest rebound: what taking it away changes elsewhere.
 _ELSEWHERE = 10.0
 
@@ -44,7 +44,7 @@ def rests_of_bounces(
     """
     rests: dict[int, float] = {}
     falling: Array | None = None
-    slow, fast = setup.tolerances["speed"], _FAST * setup.scales.speed
+    slow, fast = setup.tolerances["speed"], FAST * setup.scales.speed
     for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
         rebound, e = contact.gap_rate, law.restitution
         if not closed[i] or not 0.0 < e < 1.0 or not slow < rebound <= fast:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array
-from statechart.automaton.trace import LARGEST, Arc, Clock, Jump, Key, Roles
+from statechart.automaton.trace import Arc, Clock, Jump, Key, Roles
 from statechart.errors import TooLong
 
 T = TypeVar("T")
@@ -26,6 +26,8 @@ ARCS, TIMES, TERMS, EVENTS = range(4)
 """Places in `Block.used`."""
 MADE = -1
 """As the kind of an event's source: the jump is kept as it was made."""
+IN_MEMORY = 2**27
+"""Bytes of a trace beyond which it is written to disk."""
 
 # What a pad holds: so many arcs and events, times, coefficients.
 _ARCS, _TIMES, _TERMS = 1 << 13, 1 << 14, 1 << 19
@@ -46,10 +48,10 @@ class Block(NamedTuple):
         When it starts, a `Clock`.
     times, coefficients : (..,) arrays
         Of all arcs, one behind the other (see `Arc`).
-    events : (e, 4) array of int32
-        Kind left and kind entered, the margin that fell; the last is the laws' own.
-    numbers : (e, 4) array
-        When, energy before and after, time skipped.
+    events : (e, 5) array of int32
+        Kind left and kind entered, the margin that fell; the others are the laws' own.
+    numbers : (e, 6) array
+        When, energy before and after, time skipped; the others are the laws' own.
     states : (e, 2, n) array
         Before and after.
     used : (4,) array of int64
@@ -77,9 +79,9 @@ class Event(NamedTuple):
     source, target : Key
     fired : int
         Margin of the mode left.
-    code : int
-        The laws' own.
+    path, struck : int
     t, energy_before, energy_after, skipped : float
+    normal, tangential : float
     before, after : (n,) array
     """
 
@@ -87,11 +89,14 @@ class Event(NamedTuple):
     source: Key
     target: Key
     fired: int
-    code: int
+    path: int
+    struck: int
     t: float
     energy_before: float
     energy_after: float
     skipped: float
+    normal: float
+    tangential: float
     before: Array
     after: Array
 
@@ -109,8 +114,8 @@ def _empty(room: tuple[int, int, int, int], variables: int) -> Block:
         np.empty((arcs, 2)),
         np.empty(times),
         np.empty(terms),
-        np.empty((events, 4), np.int32),
-        np.empty((events, 4)),
+        np.empty((events, 5), np.int32),
+        np.empty((events, 6)),
         np.empty((events, 2, variables)),
         np.zeros(4, np.int64),
     )
@@ -248,7 +253,7 @@ class Recording:
 
     def _keep(self, block: Block) -> None:
         self._bytes += sum(array.nbytes for array in block)
-        if self._bytes > LARGEST:
+        if self._bytes > IN_MEMORY:
             block = self._on_disk(block)
         self._blocks.append(block)
         self._arcs.append(self._arcs[-1] + int(block.used[ARCS]))
@@ -269,7 +274,7 @@ class Recording:
                     arrays.append(array)
         except OSError as error:
             raise TooLong(
-                f"a trace of {self._bytes >> 20} MB is more than memory may take, and the disk "
+                f"a trace of {self._bytes >> 20} MB is more than is kept in memory, and the disk "
                 f"does not take it ({error.strerror}); end the run earlier"
             ) from None
         return Block._make(arrays)
@@ -291,13 +296,13 @@ class Recording:
         if made is not None:
             return made
         block, row = self._found(self._events, j)
-        source, target, fired, code = block.events[row].tolist()
+        source, target, *codes = block.events[row].tolist()
         ends = self._kinds[source][0], self._kinds[target][0]
         numbers, states = block.numbers[row].tolist(), block.states[row]
         if block is self.memory:
             states = states.copy()
         assert self._jump is not None
-        return self._jump(Event(j, *ends, fired, code, *numbers, *states))
+        return self._jump(Event(j, *ends, *codes, *numbers, *states))
 
     def _found(self, begins: list[int], place: int) -> tuple[Block, int]:
         """Return the block that holds a place of a sequence, and its row there."""

@@ -2,7 +2,8 @@
 
 `simulator` runs an automaton on an engine, `compiled_modes` keeps what it has compiled for that.
 `execution` is the loop: `flow` to the first event (`finding` judges what was found), ask the
-laws, jump; `ahead` lets compiled loops do so where nothing is unusual. `zeno` watches for jumps that accumulate, `livelock` for those that lead nowhere, and
-`record` makes a trace of it. `certificate` proves how far a run is off. `time_stepping` runs models
-by fixed steps instead. `perturbation` changes a run slightly, `outcome` makes an error of an end.
+laws, jump; `ahead` lets compiled loops do so where nothing is unusual. `zeno` watches for jumps
+that accumulate, `livelock` for those that lead nowhere, and `record` makes a trace of it.
+`certificate` proves how far a run is off. `time_stepping` runs models by fixed steps instead.
+`perturbation` changes a run slightly, `outcome` makes an error of an end.
 """
