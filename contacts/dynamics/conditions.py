@@ -35,13 +35,22 @@ class Conditions:
     ----------
     present : bool
         Whether any contact has a condition.
+    listed : tuple of (int, str)
+        Of every condition: the place of its contact, and the name of its margin.
+    tape : Tape
+        Outputs: the margins.
     """
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
         self._names = tuple(mechanics.scene.contacts)
         self._margins = [mechanics.conditions(name) for name in self._names]
         self.present = any(self._margins)
-        self._tape = mechanics.tape(
+        self.listed = tuple(
+            (contact, margin.name)
+            for contact, margins in enumerate(self._margins)
+            for margin in margins
+        )
+        self.tape = mechanics.tape(
             [margin.expression for margins in self._margins for margin in margins],
             definitions=mechanics.controlled(states),
         )
@@ -50,12 +59,12 @@ class Conditions:
         """Return how near zero each condition counts as on the edge: name -> band."""
         if not self.present:
             return {}
-        first = self._tape.at(initial, values, 0.0)
+        first = self.tape.at(initial, values, 0.0)
         change = np.abs(first)
         for i, size in enumerate(sizes.tolist()):
             moved = initial.copy()
             moved[i] += size
-            change = change + np.abs(self._tape.at(moved, values, 0.0) - first)
+            change = change + np.abs(self.tape.at(moved, values, 0.0) - first)
         bands = np.where(np.isfinite(change), _BAND * change, 0.0).tolist()
         names = [margin.name for margins in self._margins for margin in margins]
         result = dict(zip(names, bands, strict=True))
@@ -119,7 +128,7 @@ class Conditions:
     def _numbers(self, values: Array, state: Array, time: float) -> list[list[tuple[float, str]]]:
         if not self.present:
             return [[] for _ in self._names]
-        numbers = iter(self._tape.at(state, values, time).tolist())
+        numbers = iter(self.tape.at(state, values, time).tolist())
         return [[(next(numbers), margin.name) for margin in margins] for margins in self._margins]
 
 

@@ -1,4 +1,5 @@
-"""The impact of a contact that is closed alone, compiled; see `impact_jump` for all others."""
+"""Conditions and impacts that are simple, compiled; see `impact_jump` for all others."""
+
 from __future__ import annotations
 
 from typing import NamedTuple
@@ -7,25 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.impacts.path import ENDED, strike
-from contacts.modes.fast_classification import usual
-from contacts.states import FREE
-from statechart.arrays import Array, Bools, Ints, Ints32
+from contacts.impacts.plastic import together
+from contacts.modes.fast_classification import classify
+from contacts.states import FREE, OFF_CODE, PIN
+from statechart.arrays import Array, Bools, Ints
+from statechart.engines.whole_flow import Program, tape_of
 from statechart.kernels.jit import part
 from statechart.kernels.tapes import tape_values
 
-# Numbers of a contact behind all Jacobians and biases: gap, its rate, slip, point, tangent.
-_SCALARS = 7
+SCALARS = 7
+"""Numbers of a contact behind all Jacobians and biases: gap, its rate, slip, point, tangent."""
 # An impact that raises the energy by more than this part of the terms of its work is told of.
 _RAISES = 1e-9
 
 
 class SceneWatch(NamedTuple):
-    """What the instants of a run take of it (see `contacts.modes.fast_classification.usual`).
+    """What the instants of a run take of it (see `contacts.modes.fast_classification.classify`).
 
     Attributes
     ----------
-    numbers : (9,) array of int64
-        Tape of the scene's numbers.
+    numbers, conditions : (9,) array of int64
+        Tapes of the scene's numbers, and of the margins of contacts' conditions.
+    owners : (k,) array of int64, bands : (k,) array
+        Of every condition: its contact, and how near zero it is on the edge.
     allowed : (c, 5) array of bool
     cones : (c, 2) array
     restitution : (c,) array
@@ -37,6 +42,9 @@ class SceneWatch(NamedTuple):
     """
 
     numbers: NDArray[np.int64]
+    conditions: NDArray[np.int64]
+    owners: Ints
+    bands: Array
     allowed: Bools
     cones: Array
     restitution: Array
@@ -54,30 +62,23 @@ class SceneWatch(NamedTuple):
 
 @part
 def classified(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
     scene: SceneWatch,
-    parameters: Array,
-    state: Array,
-    time: float,
+    numbers: Array,
+    n: int,
     under_way: bool,
     kept: Ints,
-    numbers: Array,
+    lowest: Array,
     taken: Ints,
 ) -> bool:
     """Classify every contact; False where the instant is not a usual one."""
-    return usual(
-        code,
-        constants,
-        outputs,
-        state,
-        parameters,
-        time,
+    return classify(
+        numbers,
+        n,
         scene.allowed,
         scene.cones,
         under_way,
         kept,
+        lowest,
         scene.near,
         scene.creep,
         scene.gap,
@@ -85,31 +86,120 @@ def classified(
         scene.tie,
         scene.force,
         scene.acceleration,
-        numbers,
         taken,
     )
 
 
 @part
-def _struck(scene: SceneWatch, kept: Ints, numbers: Array, first: int) -> int:
-    """Return the contact that strikes, where no other is closed and all can open; else -1."""
-    place = -1
+def switched(
+    scene: SceneWatch, values: Array, numbers: Array, first: int, fired: int, kept: Ints,
+    taken: Ints,
+) -> int:  # fmt: skip
+    """Take contacts off or back whose conditions say so; return the first, -1 where there is none.
+
+    Parameters
+    ----------
+    values : (k,) array
+        Of the conditions' margins.
+    numbers : (o,) array
+        The scene's, those of contacts from `first` on.
+    fired : int
+        Number of the condition whose margin fell, from 1 on; minus that of the contact that is
+        off, where that is what fell.
+    kept, taken : (c,) array
+        State of every contact; the latter is to be filled.
+
+    See `contacts.dynamics.conditions.Conditions.switched`.
+    """
+    place, at = -1, 0
+    taken[:] = kept
     for c in range(kept.shape[0]):
-        gap, rate = numbers[first + _SCALARS * c], numbers[first + _SCALARS * c + 1]
-        if kept[c] != FREE or not scene.allowed[c, FREE] or not gap >= -scene.gap:
-            return -1
-        if gap <= scene.gap:
-            if place >= 0 or not rate < -scene.speed or scene.meanings[c] < 0:
-                return -1
+        begin, holds, fails = at, True, False
+        while at < values.shape[0] and scene.owners[at] == c:
+            value, band = values[at], scene.bands[at]
+            holds = holds and value > (-band if fired == -1 - c else band)
+            fails = fails or value < (band if fired == at + 1 else -band)
+            at += 1
+        if at == begin:
+            continue
+        if kept[c] == OFF_CODE:
+            if holds and numbers[first + SCALARS * c] >= -scene.gap:
+                taken[c] = FREE
+        elif fails:
+            taken[c] = OFF_CODE
+        if place < 0 and taken[c] != kept[c]:
             place = c
     return place
 
 
 @part
+def _closed(
+    scene: SceneWatch, kept: Ints, numbers: Array, first: int, group: Ints
+) -> tuple[int, int]:
+    """List the closed contacts; return how many, and which of them strikes first, else -1.
+
+    None strikes where a contact that the flow kept closed has to be brought back.
+    """
+    count, striking = 0, -1
+    for c in range(kept.shape[0]):
+        if kept[c] == OFF_CODE:
+            continue
+        place = first + SCALARS * c
+        gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
+        off = abs(gap) > scene.near or abs(rate) > scene.creep
+        if kept[c] != FREE and (off or (kept[c] == PIN and abs(slip) > scene.creep)):
+            return count, -1
+        if not gap >= -scene.gap or not scene.allowed[c, FREE]:
+            return count, -1
+        if gap <= scene.gap:
+            group[count] = c
+            count += 1
+            if striking < 0 and rate < -scene.speed:
+                striking = c
+    return count, striking
+
+
+@part
+def _alone(
+    scene: SceneWatch, mass: Array, numbers: Array, at: int, place: int, c: int,
+    velocity: Array, impulse: Array,
+) -> int:  # fmt: skip
+    """Let one contact be hit by its own law; return the code of its path, 0 where it has none."""
+    if scene.meanings[c] < 0:
+        return 0
+    n, before = velocity.shape[0], velocity.copy()
+    jacobian = numbers[at + 2 * n * c : at + 2 * n * (c + 1)].reshape((2, n))
+    approach, slip = numbers[place + 1], numbers[place + 2]
+    status, normal, tangential, path, _, _ = strike(
+        mass,
+        jacobian,
+        approach,
+        slip,
+        scene.cones[c],
+        scene.meanings[c],
+        scene.restitution[c],
+        False,
+        velocity,
+    )
+    if status != ENDED:
+        return 0
+    rise = glide = 0.0
+    for i in range(n):
+        change = velocity[i] - before[i]
+        # As impacts of several contacts at one instant are added up.
+        velocity[i] = before[i] + change
+        rise += jacobian[0, i] * change
+        glide += jacobian[1, i] * change
+    work = normal * (approach + 0.5 * rise) + tangential * (slip + 0.5 * glide)
+    if work > _RAISES * (normal * abs(approach) + abs(tangential * slip)):
+        return 0
+    impulse[c, 0], impulse[c, 1] = normal, tangential
+    return path
+
+
+@part
 def hit(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
+    program: Program,
     scene: SceneWatch,
     parameters: Array,
     state: Array,
@@ -118,8 +208,8 @@ def hit(
     numbers: Array,
     impulse: Array,
     taken: Ints,
-) -> tuple[int, int]:
-    """Let a contact be hit.
+) -> tuple[int, int, int]:
+    """Let contacts be hit.
 
     Parameters
     ----------
@@ -129,64 +219,63 @@ def hit(
         How the flow kept every contact.
     numbers : (o,) array
         The scene's, there; brought up to date.
-    impulse : (2,), taken : (c,) array
-        To be filled: the impulse on the body, the state of every contact after it.
+    impulse : (c, 2), taken : (c,) array
+        To be filled: the impulse on the bodies at every contact, and its state after it.
 
     Returns
     -------
     contact : int
-        That was hit; -1, and nothing changed but the numbers, where this is not so simple.
+        The first that strikes; -1, and nothing changed but the numbers, where this is not so
+        simple.
     path : int
-        Code of its path.
+        Code of its path, or of the states of several (see `together`).
+    group : int
+        These several, a bit each; 0 where it is alone.
     """
-    half, contacts = state.shape[0] // 2, kept.shape[0]
-    at = half * half + half + 1
-    scalars = at + (2 * half + 2) * contacts
-    c = _struck(scene, kept, numbers, scalars)
-    if c < 0:
-        return -1, 0
-    place, begin = scalars + _SCALARS * c, at + 2 * half * c
-    approach, slip = numbers[place + 1], numbers[place + 2]
-    after = state.copy()
-    jacobian = numbers[begin : begin + 2 * half].reshape((2, half))
-    e = scene.restitution[c]
-    status, normal, tangential, path, _, _ = strike(
-        numbers[: half * half].reshape((half, half)),
-        jacobian,
-        approach,
-        slip,
-        scene.cones[c],
-        scene.meanings[c],
-        e,
-        False,
-        after[half:],
-    )
-    if status != ENDED:
-        return -1, 0
-    rise = glide = 0.0
-    for i in range(half):
-        change = after[half + i] - state[half + i]
-        # As impacts of several contacts at one instant are added up.
-        after[half + i] = state[half + i] + change
-        rise += jacobian[0, i] * change
-        glide += jacobian[1, i] * change
-    work = normal * (approach + 0.5 * rise) + tangential * (slip + 0.5 * glide)
-    if work > _RAISES * (normal * abs(approach) + abs(tangential * slip)):
-        return -1, 0
-    tape_values(code, constants, outputs, after, parameters, time, numbers)
-    rebound = numbers[place + 1]
-    if 0.0 < e < 1.0 and scene.speed < rebound <= scene.fast:
-        return -1, 0
-    if rebound <= scene.speed:
-        flying = np.full(contacts, FREE)
-        if not classified(
-            code, constants, outputs, scene, parameters, after, time, False, flying, numbers, taken
-        ):
-            return -1, 0
-        if e == 0.0 and taken[c] == FREE:
-            return -1, 0
+    n, contacts = state.shape[0] // 2, kept.shape[0]
+    at = n * n + n + 1
+    scalars = at + (2 * n + 2) * contacts
+    group = np.empty(contacts, np.int64)
+    count, c = _closed(scene, kept, numbers, scalars, group)
+    # The bits of a group are those of an int32.
+    if c < 0 or contacts > 31:
+        return -1, 0, 0
+    place = scalars + SCALARS * c
+    after, mass = state.copy(), numbers[: n * n].reshape((n, n))
+    impulse[:] = 0.0
+    bits = 0
+    if count == 1:
+        path = _alone(scene, mass, numbers, at, place, c, after[n:], impulse)
     else:
-        taken[:] = FREE
+        path = together(
+            mass, numbers, n, scene.allowed, scene.cones, scene.restitution, group[:count],
+            scene.force / scene.acceleration, scene.speed, after[n:], impulse,
+        )  # fmt: skip
+        for k in range(count):
+            bits |= 1 << group[k]
+    if path == 0:
+        return -1, 0, 0
+    energy = numbers[at - 1]
+    code, constants, outputs, _, _ = tape_of(program, scene.numbers)
+    tape_values(code, constants, outputs, after, parameters, time, numbers)
+    lowest, resting = np.full(contacts, -scene.gap), False
+    for k in range(count):
+        rate, e = numbers[scalars + SCALARS * group[k] + 1], scene.restitution[group[k]]
+        if rate < -scene.speed or (0.0 < e < 1.0 and scene.speed < rate <= scene.fast):
+            return -1, 0, 0
+        resting = resting or rate <= scene.speed
+    if count > 1 and numbers[at - 1] >= energy:
+        return -1, 0, 0
+    for i in range(contacts):
+        taken[i] = OFF_CODE if kept[i] == OFF_CODE else FREE
+    if resting:
+        flying = taken.copy()
+        if not classified(scene, numbers, n, False, flying, lowest, taken):
+            return -1, 0, 0
+        for k in range(count):
+            i = group[k]
+            low = numbers[scalars + SCALARS * i + 1] <= scene.speed
+            if low and scene.restitution[i] == 0.0 and taken[i] == FREE:
+                return -1, 0, 0
     state[:] = after
-    impulse[0], impulse[1] = normal, tangential
-    return c, path
+    return c, path, bits

@@ -17,11 +17,11 @@ from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import rests_of_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, closed_state, listed, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts
-from contacts.modes.classification import Considered
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
+from statechart.automaton.recording import Deferred
 from statechart.automaton.trace import Jump, Key, Roles
 
 
@@ -160,7 +160,7 @@ def impact_jump(
             if normal != 0.0 or tangential != 0.0
         },
         path=struck.result.path,
-        considered=Considered(
+        considered=Deferred(
             partial(
                 explained,
                 {} if jam is None else jam.considered,

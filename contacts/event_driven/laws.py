@@ -27,7 +27,7 @@ from contacts.event_driven.impact_jump import (
 from contacts.event_driven.ordinary import SceneInstants
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
-from contacts.modes.classification import Choice, Considered
+from contacts.modes.classification import Choice
 from contacts.modes.configuration import judged
 from contacts.modes.fast_classification import fast_mode
 from contacts.states import OFF, OPEN
@@ -44,6 +44,7 @@ from statechart.automaton.laws import (
     roles_in,
     uncaptured,
 )
+from statechart.automaton.recording import Deferred
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Clock, Jump, Key, Role, Roles
 from statechart.errors import NoConsistentMode, SingularMode
@@ -80,15 +81,17 @@ class SceneLaws:
         self._plain = not mechanics.joint_rows and not self._conditions.present
         self._projection = Projection(mechanics, self._tape)
         self._rules = Rules(self._tape, mechanics.scene.simultaneous, self._paradox)
-        self._instants = SceneInstants(self._names, self._rules, self._projection)
-        self.ordinary: Ordinary | None = self._instants if self._plain else None
+        self.ordinary: Ordinary | None = None
+        if not mechanics.joint_rows:
+            self.ordinary = SceneInstants(
+                self._names, self._tape, self._projection, self._conditions, self.jump
+            )
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
         laws = copy.copy(self)
         laws._tape, laws._conditions = tape, conditions
         laws._rules = self._rules._replace(tape=tape)
-        laws._instants = SceneInstants(self._names, laws._rules, self._projection)
         laws.ordinary = None
         return laws
 
@@ -273,12 +276,18 @@ class SceneLaws:
         jump = at.jump(
             *cause(self._names, at.flow.mode, target, False),
             target,
-            considered=Considered(
-                partial(self._instants.considered, setup, at.state, at.clock.high)
-            ),
+            considered=Deferred(partial(self._considered, setup, at.state, at.clock.high)),
             energy=(energy, energy),
         )
         return jump, flow_in(setup, target)
+
+    def _considered(self, setup: SceneSetup, state: Array, time: float) -> Mapping[str, str]:
+        """Return every mode considered at a usual instant, and why it was taken or not."""
+        snapshot = self._tape.at(setup.values, state, time)
+        near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
+        touching = [c.gap <= near and c.gap_rate <= slow for c in snapshot.contacts]
+        choice = decide(setup, snapshot, touching, self._paradox)
+        return {} if isinstance(choice, Jam) else choice.considered
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float

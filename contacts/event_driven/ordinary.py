@@ -3,64 +3,85 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache, partial
 
 import numpy as np
 
+from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.projection import Projection, landing, unseen_room
 from contacts.dynamics.setup import SceneSetup
-from contacts.event_driven.decision import cause, decide
+from contacts.dynamics.snapshot import SnapshotTape
+from contacts.event_driven.decision import cause
 from contacts.event_driven.hit import SceneWatch
-from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump
+from contacts.event_driven.impact_jump import flow_in
 from contacts.event_driven.run_on import run_on
 from contacts.impacts.bounces import FAST
 from contacts.impacts.impact import MEANINGS, pieces
-from contacts.impacts.jamming import Jam
-from contacts.modes.classification import Considered
+from contacts.impacts.impulses import STATES as IMPULSE_STATES
 from contacts.modes.fast_classification import allowed
 from contacts.scene.parts import MOREAU
-from contacts.states import CODES, OFF
+from contacts.states import CODES, OFF, OFF_CODE
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, Setup, roles_in
-from statechart.automaton.recording import Event
+from statechart.automaton.recording import Deferred, Event
 from statechart.automaton.trace import Clock, Jump, Key, Roles
 from statechart.engines.whole_flow import Watch
 from statechart.execution.ahead import KINDS, Loop
 from statechart.formulas.tape import Tape
 from statechart.kernels.jit import is_cached
 
-_CAUSES = ("touchdown", "liftoff", "stick", "slip", "reverse")
+_CAUSES = ("touchdown", "liftoff", "stick", "slip", "reverse", "enable", "disable")
 
 
 class SceneInstants:
-    """The usual instants of a scene without joints and conditions.
+    """The usual instants of a scene without joints.
 
     Parameters
     ----------
     names : tuple of str
         Of the contacts.
-    rules : Rules
-        What the scene says of impacts, and its numbers.
+    numbers : SnapshotTape
+        The scene's numbers.
     projection : Projection
         Of its constraints.
+    conditions : Conditions
+        Of its contacts.
+    ask : callable
+        What the laws do at an instant.
     """
 
-    def __init__(self, names: tuple[str, ...], rules: Rules, projection: Projection) -> None:
-        self._names, self._rules, self._projection = names, rules, projection
-        self.tapes = rules.tape.tape, projection.tape
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        numbers: SnapshotTape,
+        projection: Projection,
+        conditions: Conditions,
+        ask: Callable[[Instant], tuple[Jump | None, Flow] | None],
+    ) -> None:
+        self._names, self._projection, self._conditions = names, projection, conditions
+        self._ask = ask
+        self.tapes = numbers.tape, projection.tape, conditions.tape
+        owners = {name: k + 1 for k, (_, name) in enumerate(conditions.listed)}
+        off = {f"{name}.{OFF}": -1 - c for c, name in enumerate(names)}
+        self._of_margins = {**owners, **off}
+        self._owners = np.array([contact for contact, _ in conditions.listed], np.int64)
         self.series = tuple((name, cause) for name in names for cause in _CAUSES)
 
     def compiled(self) -> bool:
         """Whether the loop lies compiled on disk."""
         return is_cached(run_on)
 
-    def listed(self, mode: Key, roles: Roles) -> Sequence[int] | None:
-        """Return the numbers of the contacts' states; None where one moves as another."""
-        if OFF in mode or roles != roles_in(mode):
+    def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
+        """Return the states of the contacts, and of which conditions the margins are.
+
+        None where a contact moves as another.
+        """
+        if roles != roles_in(mode):
             return None
-        return [CODES[state] for state in mode]
+        states = [OFF_CODE if state == OFF else CODES[state] for state in mode]
+        return [*states, *(self._of_margins.get(name, 0) for name in margins)]
 
     def takes(self, setup: Setup, flow: Flow) -> bool:
         """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
@@ -78,7 +99,7 @@ class SceneInstants:
         """Return the loop for the numbers of a run."""
         assert isinstance(setup, SceneSetup)
         tolerances = setup.tolerances
-        numbers, constraints = loop.tapes
+        numbers, constraints, conditions = loop.tapes
         count = len(self._projection.tape.outputs)
         watch = Watch(
             setup.values,
@@ -91,8 +112,12 @@ class SceneInstants:
             unseen_room(tolerances, setup.scales),
         )
         near, creep = landing(tolerances)
+        bands = [setup.bands[name] for _, name in self._conditions.listed]
         scene = SceneWatch(
             numbers,
+            conditions,
+            self._owners,
+            np.array(bands),
             allowed(tuple([law.states for law in setup.contacts])),
             cones(setup.contacts),
             np.array([law.restitution for law in setup.contacts]),
@@ -112,49 +137,52 @@ class SceneInstants:
     def jump(self, setup: Setup, event: Event, fired: str) -> Jump:
         """Return the jump to the one mode that agreed with the state."""
         assert isinstance(setup, SceneSetup)
-        state, time = event.before, event.t
-        region, how = cause(self._names, event.source, event.target, False)
-        impulse: dict[str, tuple[float, float]] = {}
+        source, target = event.source, event.target
+        region, how = cause(self._names, source, target, False)
+        impulse: Mapping[str, tuple[float, float]] = {}
         path: tuple[str, ...] = ()
-        considered = partial(self.considered, setup, state, time)
+        # The laws themselves are asked for what few will read.
+        again = cache(partial(self._again, setup, event, fired))
         if event.struck >= 0:
             region, how = self._names[event.struck], "touchdown"
-            path = (" ".join([region, *pieces(event.path)]),)
-            if event.normal != 0.0 or event.tangential != 0.0:
-                impulse[region] = event.normal, event.tangential
-            considered = partial(self._considered_at_impact, setup, event)
+            if event.group == 0:
+                path = (" ".join([region, *pieces(event.path)]),)
+                if event.normal != 0.0 or event.tangential != 0.0:
+                    impulse = {region: (event.normal, event.tangential)}
+            else:
+                path = (f"plastic {', '.join(self._modes(event))}",)
+                impulse = Deferred(lambda: again().impulse)
         return Jump(
-            time,
+            event.t,
             event.j,
             region,
             how,
-            event.source,
-            event.target,
-            state,
+            source,
+            target,
+            event.before,
             event.after,
-            (fired,),
+            (fired,) if fired else (),
             impulse,
             path,
-            Considered(considered),
+            Deferred(lambda: again().considered),
             (event.energy_before, event.energy_after),
         )
 
-    def _considered_at_impact(self, setup: SceneSetup, event: Event) -> Mapping[str, str]:
+    def _again(self, setup: SceneSetup, event: Event, fired: str) -> Jump:
         flow, clock = flow_in(setup, event.source), Clock(event.t)
-        snapshot = self._rules.tape.at(setup.values, event.before, event.t)
-        closed = [contact.gap <= setup.tolerances["gap"] for contact in snapshot.contacts]
-        at = Instant(setup, clock, event.j, flow, event.before)
-        here = Landing(at, setup, snapshot, event.source, closed)
-        jump, _, _ = impact_jump(self._rules, here, [event.struck])
-        return jump.considered
+        at = Instant(setup, clock, event.j, flow, event.before, (fired,) if fired else ())
+        made = self._ask(at)
+        assert made is not None
+        assert made[0] is not None
+        return made[0]
 
-    def considered(self, setup: SceneSetup, state: Array, time: float) -> Mapping[str, str]:
-        """Return every mode considered at a usual instant, and why it was taken or not."""
-        snapshot = self._rules.tape.at(setup.values, state, time)
-        near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
-        touching = [c.gap <= near and c.gap_rate <= slow for c in snapshot.contacts]
-        choice = decide(setup, snapshot, touching, self._rules.paradox)
-        return {} if isinstance(choice, Jam) else choice.considered
+    def _modes(self, event: Event) -> Iterator[str]:
+        """Return what the contacts of a group do in a plastic impact."""
+        group, code = event.group, event.path
+        for place, name in enumerate(self._names):
+            if group >> place & 1:
+                yield f"{name}:{IMPULSE_STATES[code & 7]}"
+                code >>= 3
 
 
 def _meaning(law: ContactLaw) -> int:

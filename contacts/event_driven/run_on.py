@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.event_driven.hit import SceneWatch, classified, hit
-from contacts.states import FREE, PIN
+from contacts.event_driven.hit import SceneWatch, classified, hit, switched
+from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.recording import ARCS, EVENTS, TERMS, TIMES, Block
 from statechart.engines.engine import Pace
@@ -13,6 +13,8 @@ from statechart.engines.whole_flow import (
     ADDRESS,
     ENDED,
     LAWS_AT,
+    MARGINS_AT,
+    SPEED,
     STOPS,
     UNUSUAL,
     Program,
@@ -28,6 +30,7 @@ from statechart.execution.ahead import (
     FELL,
     FLOW,
     FULL,
+    N_ASKED,
     N_BOXES,
     N_JUMPS,
     N_MODE,
@@ -47,9 +50,12 @@ from statechart.kernels.tapes import tape_values
 
 # Numbers of a contact among the constraints: gap, its rate, slip, point.
 _PER_CONTACT = 5
-TOUCHDOWN, LIFTOFF, STICK, SLIP, REVERSE = range(5)
+TOUCHDOWN, LIFTOFF, STICK, SLIP, REVERSE, ENABLE, DISABLE = range(7)
 """What a change of a contact's state is called, see `contacts.states.cause_of`."""
-_PER_CAUSE = 5
+_PER_CAUSE = 7
+GOES_ON = -1
+# Jumps of an instant.
+MOST_AT_ONCE = 16
 # So many steps and boxes in one call, some tens of milliseconds.
 _STEPS, _BOXES = 4096, 65536
 _STEADY = 4096
@@ -57,6 +63,8 @@ _STEADY = 4096
 
 @part
 def _cause(before: int, after: int) -> int:
+    if before == OFF_CODE or after == OFF_CODE:
+        return ENABLE if before == OFF_CODE else DISABLE
     if before == FREE:
         return TOUCHDOWN
     if after == FREE:
@@ -80,7 +88,7 @@ def _hold(
     pinned = False
     for c in range(states.shape[0]):
         at = _PER_CONTACT * c
-        if states[c] != FREE:
+        if states[c] != FREE and states[c] != OFF_CODE:
             watch.weights[at] = 1.0 / scene.gap
             watch.weights[at + 1] = 1.0 / scene.speed
         if states[c] == PIN:
@@ -143,6 +151,101 @@ def _record_arc(
     used[ARCS], used[TIMES], used[TERMS] = arc + 1, at + steps + 1, place
 
 
+@part
+def _instant(
+    program: Program,
+    watch: Watch,
+    scene: SceneWatch,
+    block: Block,
+    now: Array,
+    place: Ints,
+    state: Array,
+    series: Array,
+    margin: int,
+    kept: Ints,
+) -> tuple[int, int, float]:
+    """Jump, where that is as simple as most jumps are.
+
+    Parameters
+    ----------
+    margin : int
+        That fell; -1 where the instant goes on after a jump.
+    kept : (c,) array of int64
+        State of every contact; brought up to date.
+
+    Returns
+    -------
+    As `run_on`; `GOES_ON` where that can, with what is asked next in `place`.
+    """
+    contacts, n, high, mode = kept.shape[0], state.shape[0] // 2, now[T_HIGH], place[N_MODE]
+    code, constants, outputs, _, _ = tape_of(program, scene.numbers)
+    numbers, taken = np.empty(outputs.shape[0]), np.empty(contacts, np.int64)
+    impulse, lowest, before = np.zeros((contacts, 2)), np.empty(contacts), state.copy()
+    tape_values(code, constants, outputs, state, watch.parameters, high, numbers)
+    energy_at = n * n + n
+    energy, struck, path, group = numbers[energy_at], -1, 0, 0
+    first = energy_at + 1 + (2 * n + 2) * contacts
+    found = False
+    if scene.owners.shape[0] > 0:
+        code, constants, outputs, _, _ = tape_of(program, scene.conditions)
+        values = np.empty(outputs.shape[0])
+        tape_values(code, constants, outputs, state, watch.parameters, high, values)
+        laws_at = program.modes[mode, LAWS_AT]
+        fired = program.ints[laws_at + contacts + margin] if margin >= 0 else 0
+        found = switched(scene, values, numbers, first, fired, kept, taken) >= 0
+    switches = found
+    if not found:
+        for c in range(contacts):
+            lasting = kept[c] != FREE and kept[c] != OFF_CODE
+            lowest[c] = -scene.near if lasting else 0.0
+        found = classified(scene, numbers, n, True, kept, lowest, taken)
+    if not found:
+        if margin >= 0 and program.ints[program.modes[mode, MARGINS_AT] + 2 * margin] == SPEED:
+            # Slip that has ended as far as time tells is the laws' to see.
+            return FELL, margin, 0.0
+        struck, path, group = hit(
+            program, scene, watch.parameters, state, high, kept, numbers, impulse, taken
+        )
+    target = _row(program, taken) if found or struck >= 0 else -1
+    if target == mode and struck < 0 and margin < 0:
+        place[N_ASKED] = 0
+        return GOES_ON, -1, 0.0
+    if target < 0 or (target == mode and struck < 0):
+        state[:] = before
+        return FELL, margin, 0.0
+    event = block.used[EVENTS]
+    block.events[event, 0], block.events[event, 1] = mode, target
+    block.events[event, 2], block.events[event, 3] = margin, path
+    block.events[event, 4], block.events[event, 5] = struck, group
+    block.numbers[event, 0] = high
+    block.numbers[event, 1], block.numbers[event, 2] = energy, numbers[energy_at]
+    block.numbers[event, 3:] = 0.0
+    if struck >= 0:
+        block.numbers[event, 4], block.numbers[event, 5] = impulse[struck]
+    block.states[event, 0] = before
+    block.states[event, 1] = state
+    block.used[EVENTS] += 1
+    place[N_MODE] = target
+    place[N_JUMPS] += 1
+    place[N_ASKED] = 1 if switches else 0
+    now[T_SINCE] = high
+    row = _PER_CAUSE * struck + TOUCHDOWN
+    if struck < 0:
+        changed = 0
+        while kept[changed] == taken[changed]:
+            changed += 1
+        row = _PER_CAUSE * changed + _cause(kept[changed], taken[changed])
+    kept[:] = taken
+    rest = follow(series[row], high, now[T_LOW], margin >= 0, scene.short)
+    if rest >= 0.0:
+        return ACCUMULATES, row, rest
+    count = place[N_JUMPS]
+    steady = count >= _STEADY and count & (count - 1) == 0
+    if count >= place[N_MOST] or steady:
+        return COUNTED, -1, 0.0
+    return GOES_ON, -1, 0.0
+
+
 @kernel
 def run_on(
     program: Program,
@@ -167,11 +270,11 @@ def run_on(
         For the classification of instants.
     block : Block
         Takes arcs and jumps.
-    now : (5,), place : (5,) array
+    now : (5,), place : (6,) array
         Where the run is, see `statechart.execution.ahead`; brought up to date.
     state : (n,) array
         Likewise.
-    series : (5 c, ..) array
+    series : (7 c, ..) array
         Of jumps, for every contact and cause (see `statechart.kernels.accumulation`).
     entered : (m,) array of bool
         Modes that the run has been in; brought up to date.
@@ -186,13 +289,7 @@ def run_on(
         Time to the accumulation.
     """
     contacts = scene.allowed.shape[0]
-    kept, taken = np.empty(contacts, np.int64), np.empty(contacts, np.int64)
-    code, constants, outputs, _, _ = tape_of(program, scene.numbers)
-    numbers = np.empty(outputs.shape[0])
-    half = state.shape[0] // 2
-    # Behind mass matrix and forces.
-    energy_at = half * half + half
-    before, impulse = np.empty(state.shape[0]), np.empty(2)
+    kept = np.empty(contacts, np.int64)
     most = memory.coefficients.shape[0]
     most_terms = memory.coefficients.size
     begun_steps, begun_boxes = place[N_STEPS], place[N_BOXES]
@@ -200,7 +297,7 @@ def run_on(
         used = block.used
         if (
             used[ARCS] == block.arcs.shape[0]
-            or used[EVENTS] == block.events.shape[0]
+            or used[EVENTS] + MOST_AT_ONCE + 1 > block.events.shape[0]
             or used[TIMES] + most + 1 > block.times.shape[0]
             or used[TERMS] + most_terms > block.coefficients.shape[0]
         ):
@@ -239,46 +336,16 @@ def run_on(
         high = now[T_HIGH]
         if margin >= program.modes[mode, STOPS]:
             return FELL, margin, 0.0
-        found = classified(
-            code, constants, outputs, scene, watch.parameters, state, high, True, kept, numbers,
-            taken,
-        )  # fmt: skip
-        energy, struck, path = numbers[energy_at], -1, 0
-        before[:] = state
-        if not found:
-            struck, path = hit(
-                code, constants, outputs, scene, watch.parameters, state, high, kept, numbers,
-                impulse, taken,
-            )  # fmt: skip
-        target = _row(program, taken) if found or struck >= 0 else -1
-        if target < 0 or (target == mode and struck < 0):
-            state[:] = before
-            return FELL, margin, 0.0
-        event = used[EVENTS]
-        block.events[event, 0], block.events[event, 1] = mode, target
-        block.events[event, 2], block.events[event, 3] = margin, path
-        block.events[event, 4] = struck
-        block.numbers[event, 0] = high
-        block.numbers[event, 1], block.numbers[event, 2] = energy, numbers[energy_at]
-        block.numbers[event, 3] = 0.0
-        if struck >= 0:
-            block.numbers[event, 4], block.numbers[event, 5] = impulse[0], impulse[1]
-        block.states[event, 0] = before
-        block.states[event, 1] = state
-        used[EVENTS] += 1
-        place[N_MODE] = target
-        place[N_JUMPS] += 1
-        now[T_SINCE] = high
-        row = _PER_CAUSE * struck + TOUCHDOWN
-        if struck < 0:
-            first = 0
-            while kept[first] == taken[first]:
-                first += 1
-            row = _PER_CAUSE * first + _cause(kept[first], taken[first])
-        rest = follow(series[row], high, now[T_LOW], True, scene.short)
-        if rest >= 0.0:
-            return ACCUMULATES, row, rest
-        count = place[N_JUMPS]
-        steady = count >= _STEADY and count & (count - 1) == 0
-        if count >= place[N_MOST] or steady:
-            return COUNTED, -1, 0.0
+        asked = 0
+        while True:
+            reason, row, rest = _instant(
+                program, watch, scene, block, now, place, state, series, margin, kept
+            )
+            if reason != GOES_ON:
+                return reason, row, rest
+            if place[N_ASKED] == 0:
+                break
+            asked += 1
+            margin = -1
+            if asked > MOST_AT_ONCE:
+                return FELL, -1, 0.0

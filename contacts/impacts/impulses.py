@@ -47,8 +47,9 @@ _ROUNDED = 1e-4
 
 # As `contacts.states` numbers them; pressing is sticking that needs no friction.
 _PRESS = -1
-_NAMES = {FREE: "open", PIN: "stick", SLIDE_PLUS: "slip+", SLIDE_MINUS: "slip-", SLIDE: "slip"}
-_NAMES[_PRESS] = "stick"
+STATES = {FREE: "open", PIN: "stick", SLIDE_PLUS: "slip+", SLIDE_MINUS: "slip-", SLIDE: "slip"}
+"""What a contact does in an impact, by the number of its mode."""
+_NAMES = {**STATES, _PRESS: "stick"}
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ several), and judged by its own inequalities; above, Lemke's algorithm finds one
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, lru_cache, partial
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 from contacts.dynamics.contact_law import ContactLaw
@@ -30,6 +30,7 @@ from contacts.modes.candidates import (
 from contacts.modes.load_sharing import Share
 from contacts.scene.modes import OWN
 from contacts.states import OFF, OPEN, SLIDING, declared_state
+from statechart.automaton.recording import Deferred
 from statechart.errors import AmbiguousMode, NoConsistentMode
 
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.
@@ -43,37 +44,6 @@ _UNCHECKED = (
     f"where more than {_ENUMERATED} contacts touch, Lemke's algorithm finds the mode: "
     "uniqueness not checked"
 )
-
-
-class Considered(Mapping[str, str]):
-    """Every mode considered and why it was taken or not; put into words when first read.
-
-    Parameters
-    ----------
-    words : callable
-        Returns them.
-    """
-
-    def __init__(self, words: Callable[[], Mapping[str, str]]) -> None:
-        self._make = words
-
-    @cached_property
-    def _words(self) -> Mapping[str, str]:
-        words = self._make()
-        del self._make  # and what it holds
-        return words
-
-    def __getitem__(self, label: str) -> str:
-        return self._words[label]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._words)
-
-    def __len__(self) -> int:
-        return len(self._words)
-
-    def __reduce__(self) -> tuple[type, tuple[dict[str, str]]]:
-        return dict, (dict(self),)
 
 
 def _verdicts(
@@ -159,7 +129,7 @@ def choose(
     notes: tuple[str, ...] = (_UNCHECKED,) if many else ()
     if taken.share is not None:
         notes += _indeterminate(laws, taken.share)
-    considered = Considered(partial(_verdicts, laws, tried, taken, tie))
+    considered = Deferred(partial(_verdicts, laws, tried, taken, tie))
     return Choice(taken, considered, warning, notes)
 
 

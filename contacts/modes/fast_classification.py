@@ -15,10 +15,10 @@ from contacts.dynamics.projection import landing
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.solvers.mode_solver import solve_modes
-from contacts.states import CODES, FREE, OFF, OPEN, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import CODES, FREE, OFF, OFF_CODE, OPEN, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.trace import Key
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, part
 from statechart.kernels.tapes import tape_values
 
 _NAMES = {code: name for name, code in CODES.items() if name != OFF}
@@ -127,23 +127,78 @@ def usual(
         Tape of the scene's numbers (`contacts.dynamics.snapshot.SnapshotTape`).
     state, parameters, time
         Where.
+    numbers : (o,) array
+        To be filled with the scene's numbers.
+    allowed, cones, under_way, kept, near, creep, close, slow, tie, force_scale, acceleration_scale
+        See `classify`, as for `taken`.
+    """
+    tape_values(code, constants, outputs, state, parameters, time, numbers)
+    lowest = np.empty(taken.shape[0])
+    for c in range(taken.shape[0]):
+        lowest[c] = 0.0 if kept[c] == FREE else -near
+    return classify(
+        numbers,
+        state.shape[0] // 2,
+        allowed,
+        cones,
+        under_way,
+        kept,
+        lowest,
+        near,
+        creep,
+        close,
+        slow,
+        tie,
+        force_scale,
+        acceleration_scale,
+        taken,
+    )
+
+
+@part
+def classify(
+    numbers: Array,
+    n: int,
+    allowed: Bools,
+    cones: Array,
+    under_way: bool,
+    kept: Ints,
+    lowest: Array,
+    near: float,
+    creep: float,
+    close: float,
+    slow: float,
+    tie: float,
+    force_scale: float,
+    acceleration_scale: float,
+    taken: Ints,
+) -> bool:
+    """Classify every contact; False where that is not as simple.
+
+    Parameters
+    ----------
+    numbers : (o,) array
+        The scene's.
+    n : int
+        Number of coordinates.
     allowed : (c, 5) array
         Whether a contact may be in the state of that code.
     cones : (c, 2) array
         cone_n, cone_t.
     under_way, kept
-        Whether a flow led here, and in which state (c,) it kept each contact.
+        Whether a flow led here, and in which state (c,) it kept each contact; what is off stays so.
+    lowest : (c,) array
+        Of the gaps.
     near, creep : float
         A closed contact's gap and velocities that need no projection.
     close, slow : float
         Tolerances of gap and speed.
     tie, force_scale, acceleration_scale : float
         See `contacts.solvers.mode_solver.solve_modes`.
-    numbers : (o,), taken : (c,) array
-        To be filled: the scene's numbers; the state of every contact.
+    taken : (c,) array
+        To be filled: the state of every contact.
     """
-    n, contacts = state.shape[0] // 2, taken.shape[0]
-    tape_values(code, constants, outputs, state, parameters, time, numbers)
+    contacts = taken.shape[0]
     at = n * n + n + 1
     biases_at = at + 2 * n * contacts
     scalars = biases_at + 2 * contacts
@@ -151,12 +206,16 @@ def usual(
     options, counts = np.empty((contacts, 5), np.int64), np.empty(contacts, np.int64)
     total = 1
     for c in range(contacts):
+        if kept[c] == OFF_CODE:
+            closed[c] = still[c] = False
+            options[c, 0], counts[c] = FREE, 1
+            continue
         place = scalars + _SCALARS * c
         gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
         shut = gap <= close
-        lasting = kept[c] != FREE
-        if not (gap >= 0.0 or (lasting and gap >= -near)) or (shut and rate < -slow):
+        if not gap >= lowest[c] or (shut and rate < -slow):
             return False
+        lasting = kept[c] != FREE
         off = gap > near or abs(rate) > creep
         if lasting and (off or (kept[c] == PIN and abs(slip) > creep)):
             return False
@@ -211,8 +270,8 @@ def usual(
             if abs(force) > ENDLESS * force_scale:
                 return False
         place = scalars + _SCALARS * c
-        taken[c] = codes[agreeing, c]
-        if taken[c] != FREE:
+        taken[c] = OFF_CODE if kept[c] == OFF_CODE else codes[agreeing, c]
+        if taken[c] != FREE and taken[c] != OFF_CODE:
             if abs(numbers[place]) > near or abs(numbers[place + 1]) > creep:
                 return False
             if taken[c] == PIN and abs(numbers[place + 2]) > creep:

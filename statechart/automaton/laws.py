@@ -265,8 +265,8 @@ class Ordinary(Protocol):
         """Whether it lies compiled on disk; if not, that takes a while."""
         ...
 
-    def listed(self, mode: Key, roles: Roles) -> Sequence[int] | None:
-        """Return what it is to know of a mode, as whole numbers; None where it cannot enter it."""
+    def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
+        """Return what it is to know of a mode with these margins; None where it cannot enter it."""
         ...
 
     def within(self, mode: Key) -> Tape | None:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import tempfile
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Generic, NamedTuple, TypeVar, overload
 
 import numpy as np
@@ -26,7 +27,7 @@ ARCS, TIMES, TERMS, EVENTS = range(4)
 """Places in `Block.used`."""
 MADE = -1
 """As the kind of an event's source: the jump is kept as it was made."""
-IN_MEMORY = 2**27
+IN_MEMORY = 2**26
 """Bytes of a trace beyond which it is written to disk."""
 
 # What a pad holds: so many arcs and events, times, coefficients.
@@ -48,7 +49,7 @@ class Block(NamedTuple):
         When it starts, a `Clock`.
     times, coefficients : (..,) arrays
         Of all arcs, one behind the other (see `Arc`).
-    events : (e, 5) array of int32
+    events : (e, 6) array of int32
         Kind left and kind entered, the margin that fell; the others are the laws' own.
     numbers : (e, 6) array
         When, energy before and after, time skipped; the others are the laws' own.
@@ -79,7 +80,7 @@ class Event(NamedTuple):
     source, target : Key
     fired : int
         Margin of the mode left.
-    path, struck : int
+    path, struck, group : int
     t, energy_before, energy_after, skipped : float
     normal, tangential : float
     before, after : (n,) array
@@ -91,6 +92,7 @@ class Event(NamedTuple):
     fired: int
     path: int
     struck: int
+    group: int
     t: float
     energy_before: float
     energy_after: float
@@ -114,7 +116,7 @@ def _empty(room: tuple[int, int, int, int], variables: int) -> Block:
         np.empty((arcs, 2)),
         np.empty(times),
         np.empty(terms),
-        np.empty((events, 5), np.int32),
+        np.empty((events, 6), np.int32),
         np.empty((events, 6)),
         np.empty((events, 2, variables)),
         np.zeros(4, np.int64),
@@ -309,6 +311,37 @@ class Recording:
         block = bisect_right(begins, place) - 1
         row = place - begins[block]
         return (self.memory if block == len(self._blocks) else self._blocks[block]), row
+
+
+class Deferred(Mapping[str, T], Generic[T]):
+    """What is made when it is first read: every mode considered, and why it was taken or not.
+
+    Parameters
+    ----------
+    make : callable
+        Returns it.
+    """
+
+    def __init__(self, make: Callable[[], Mapping[str, T]]) -> None:
+        self._make = make
+
+    @cached_property
+    def _made(self) -> Mapping[str, T]:
+        made = self._make()
+        del self._make  # and what it holds
+        return made
+
+    def __getitem__(self, label: str) -> T:
+        return self._made[label]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    def __reduce__(self) -> tuple[type, tuple[dict[str, T]]]:
+        return dict, (dict(self),)
 
 
 class Recorded(Sequence[T], Generic[T]):

@@ -297,7 +297,7 @@ class Trace:
     warnings : tuple of str
         What a reader must know.
     counts : mapping
-        Steps, evaluations, boxes, jumps, modes built.
+        Steps, evaluations, boxes, jumps, modes built, instants that no compiled loop decided.
     step : float or None
         The time step, where it is fixed; `tolerance` is then not a number.
     margins : mapping or None

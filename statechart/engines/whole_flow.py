@@ -41,7 +41,8 @@ many it takes, the time among them; where the kinds of its margins are listed, e
 of a tolerance of its own, how many, and which is the first stop; where the laws list what
 they know of it; tapes of the margins, of the rates, and of what is to stay above the room."""
 
-PLAIN, FORCE = 0, 3
+PLAIN, GAP, SPEED, FORCE = range(4)
+"""Kinds of margins."""
 
 # Chunks are as for flows that are made step by step.
 _FIRST_CHUNK, _GROWTH = 4, 16.0

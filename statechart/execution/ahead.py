@@ -41,8 +41,9 @@ counted; they accumulate."""
 
 T_HIGH, T_LOW, T_END, T_HORIZON, T_SINCE = range(5)
 """Where a loop is: the clock, when the run ends, how far to look ahead, when the last jump was."""
-N_MODE, N_JUMPS, N_MOST, N_STEPS, N_BOXES = range(5)
-"""Likewise: the row of its mode, the number of jumps, the most of them, steps and boxes so far."""
+N_MODE, N_JUMPS, N_MOST, N_STEPS, N_BOXES, N_ASKED = range(6)
+"""Likewise: the row of its mode, the number of jumps, the most of them, steps and boxes so far;
+1 where an instant is under way, and the laws are to be asked again."""
 
 AHEAD = 16.0
 """How far to look ahead at first, in lengths of the last flow: those of bounces shrink."""
@@ -89,13 +90,14 @@ class Modes:
 
     def jump(self, setup: Setup, event: Event) -> Jump:
         """Return the jump of an event that a loop has made, in a run with these numbers."""
-        fired = self._compiled[event.source, roles_in(event.source)].names[event.fired]
+        names = self._compiled[event.source, roles_in(event.source)].names
+        fired = names[event.fired] if event.fired >= 0 else ""
         return self._ordinary.jump(setup, event, fired)
 
     def add(self, mode: Key, roles: Roles, compiled: CompiledMode) -> None:
         """Make a mode known, if loops can go through it."""
         kind = mode, roles
-        if kind in self._compiled or self._ordinary.listed(mode, roles) is None:
+        if kind in self._compiled or self._ordinary.listed(*kind, compiled.names) is None:
             return
         entry = self._engine.entry(compiled.stepper)
         if entry is not None:
@@ -127,7 +129,7 @@ class Modes:
                 (KINDS.index(how), self._bands.setdefault(name, len(self._bands)))
                 for name, how in compiled.watched
             ]
-            listed = self._ordinary.listed(*kind)
+            listed = self._ordinary.listed(*kind, compiled.names)
             assert listed is not None
             within = self._ordinary.within(kind[0])
             row = rows[self.kinds.index(kind)]
@@ -257,11 +259,13 @@ class Ahead:
                 return ()
             if reason == FLOW:
                 return None
-            if reason == FELL:
+            if reason == FELL and margin >= 0:
                 return run.fell(self.modes.compiled((run.flow.mode, run.flow.roles)), margin)
             if reason == ACCUMULATES:
                 run.accumulated(margin, rest)
-            if run.counted():
+            if reason in (ACCUMULATES, COUNTED) and run.counted():
+                return ()
+            if not run.flow.settled and run.settle():
                 return ()
 
     def _advance(self, run: Execution, loop: Loop) -> tuple[int, int, float]:
@@ -275,7 +279,7 @@ class Ahead:
         since = record.jumps[-1].t if record.jumps else 0.0
         now = np.array([*run.clock, run.until, run.horizon, since])
         row, count = loop.kinds.index((flow.mode, flow.roles)), len(record.jumps)
-        place = np.array([row, count, run.max_jumps, 0, 0])
+        place = np.array([row, count, run.max_jumps, 0, 0, 0])
         state, flown = run.state.copy(), len(record.arcs)
         reason, margin, rest = self._call(
             record.memory, now, place, state, run.accumulation.series, self._entered
@@ -295,8 +299,9 @@ class Ahead:
         jumped, flew = place.item(N_JUMPS) > count, len(record.arcs) > flown
         if jumped:
             mode, roles = loop.kinds[place.item(N_MODE)]
-            flow = Flow(mode, roles, settled=True, tolerances=flow.tolerances)
-        if reason in (OVER, FELL):
+            settled = place.item(N_ASKED) == 0
+            flow = Flow(mode, roles, settled=settled, tolerances=flow.tolerances)
+        if reason == OVER or (reason == FELL and margin >= 0):
             terms = flow.terms
             if flew and record.arcs[-1].j == place.item(N_JUMPS):
                 arc = record.arcs[-1]

@@ -90,6 +90,7 @@ class Execution:
     evidence: dict[str, str] = field(default_factory=dict)
     boxes: int = 0
     steps: int = 0
+    instants: int = 0
     entered: dict[Roles, CompiledMode] = field(default_factory=dict)
     grazed: bool = False
     failure: SimulationError | None = None
@@ -129,7 +130,7 @@ class Execution:
         self.started_mode, self.started_state = self.flow.mode, self.state
         self._warn()
         fired: tuple[str, ...] = ()
-        if not self.flow.settled and self._settle(fired):
+        if not self.flow.settled and self.settle(fired):
             return
         while True:
             ahead = None if self.ahead is None else self.ahead.go(self)
@@ -137,10 +138,10 @@ class Execution:
             if self.outcome is not Outcome.HORIZON:
                 return
             if not fired:
-                if not self._ending() or not self._settle(()):
+                if not self._ending() or not self.settle(()):
                     self.message = f"reached t = {self.clock.high:.17g}"
                 return
-            if self._settle(fired):
+            if self.settle(fired):
                 return
 
     def _flow(self) -> tuple[str, ...]:
@@ -284,9 +285,10 @@ class Execution:
         if self.flow.warning:
             self.warnings[f"t = {self.clock.high:.17g}: {self.flow.warning}"] = None
 
-    def _settle(self, fired: tuple[str, ...]) -> bool:
+    def settle(self, fired: tuple[str, ...] = ()) -> bool:
         """Jump until the mode holds; True when the run ends here."""
         laws = self.automaton.laws_of_events
+        self.instants += 1
         moved = False
         for _ in range(JUMPS_AT_ONCE):
             assert self.flow is not None
@@ -328,7 +330,7 @@ class Execution:
                 self.failure = EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.17g}, but no jump follows"
                 )
-                return self._settle((UNBOUNDED,))
+                return self.settle((UNBOUNDED,))
         self.failure = None
         return False
 

@@ -51,6 +51,7 @@ def trace_of(run: Execution) -> Trace:
             "boxes": run.boxes,
             "jumps": len(jumps),
             "modes_built": run.modes.built,
+            "python_instants": run.instants,
         },
         motion=motion,
     )

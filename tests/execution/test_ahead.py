@@ -29,6 +29,9 @@ CASES = [
     ("simplest_walker", {}),
     ("hopper", {}),
     ("newtons_cradle", {}),
+    ("rimless_wheel", {}),
+    ("compass_walker", {}),
+    ("rocking_block", {}),
 ]
 
 
