@@ -23,6 +23,7 @@ def automaton(scene: Scene) -> Automaton:
 
         return bodies_automaton(scene)
     from contacts.dynamics.mechanics import Mechanics
+    from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup import SceneNumbers
     from contacts.event_driven.controlled_laws import ControlledLaws
     from contacts.event_driven.laws import SceneLaws
@@ -56,6 +57,7 @@ def automaton(scene: Scene) -> Automaton:
         setup=numbers.at,
         laws=laws,
         controls=mechanics.controls,
+        coordinates=coordinates(mechanics),
         stepper=lambda: SceneStepper(mechanics, stops, regions),
     )
 

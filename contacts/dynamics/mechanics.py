@@ -18,7 +18,7 @@ from contacts.dynamics.parameters import COEFFICIENTS, friction_cones, scene_par
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
-from statechart.automaton.regions import Margin
+from statechart.automaton.regions import Hold, Margin
 from statechart.formulas.formula import parse_relation
 from statechart.formulas.linear import Definition
 from statechart.formulas.tape import Tape
@@ -163,7 +163,7 @@ class Mechanics(Geometry):
     @cached_property
     def power(self) -> sp.Expr:
         """Power of the applied forces, gravity excepted, and of joints and surfaces that move."""
-        applied = (q * v for q, v in zip(self._applied_forces, self.v, strict=True))
+        applied = (q * v for q, v in zip(self.applied_forces, self.v, strict=True))
         pushed = (
             force * rate
             for name, forces in self.forces.items()
@@ -246,7 +246,8 @@ class Mechanics(Geometry):
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         for name, body in self.scene.bodies.items():
             (x, y), angle = self.body_frame(name)
-            for weight, position in self._weights(name, body, x, y, angle):
+            mass, inertia = self.inertia(name, body)
+            for weight, position in ((mass, x), (mass, y), (inertia, angle)):
                 gradient = [sp.diff(position, q) for q in self.q]
                 moving = [i for i, g in enumerate(gradient) if g != 0]
                 drift = self.rate(self.rate(position)).xreplace(at_rest)
@@ -256,17 +257,16 @@ class Mechanics(Geometry):
                         matrix[i, k] += weight * gradient[i] * gradient[k]
         return matrix, tuple(bias)
 
-    def _weights(
-        self, name: str, body: Body, x: sp.Expr, y: sp.Expr, angle: sp.Expr
-    ) -> list[tuple[sp.Expr, sp.Expr]]:
+    def inertia(self, name: str, body: Body) -> tuple[sp.Expr, sp.Expr]:
+        """Return the mass of a body, and its moment of inertia; 0 where it has none."""
         mass = self._formula(body.mass)
-        weights = [(mass, x), (mass, y)]
-        if body.inertia is not None:
-            weights.append((self.parameters.symbols[f"{name}.inertia"], angle))
-        return weights
+        if body.inertia is None:
+            return mass, sp.S.Zero
+        return mass, self.parameters.symbols[f"{name}.inertia"]
 
     @cached_property
-    def _applied_forces(self) -> tuple[sp.Expr, ...]:
+    def applied_forces(self) -> tuple[sp.Expr, ...]:
+        """(n,): what the declared forces do to every coordinate."""
         total = [sp.S.Zero] * len(self.q)
         for force in self.scene.forces.values():
             point = self.point(Point(body=force.body, at=force.at))
@@ -280,7 +280,7 @@ class Mechanics(Geometry):
 
     @cached_property
     def _applied(self) -> tuple[sp.Expr, ...]:
-        total = list(self._applied_forces)
+        total = list(self.applied_forces)
         gx, gy = self.gravity
         for name, body in self.scene.bodies.items():
             (x, y), _ = self.body_frame(name)
@@ -313,6 +313,22 @@ class Mechanics(Geometry):
                 found.append(Margin(f"{name}: end of its edge", length - along))
             self._conditions[name] = tuple(found)
         return self._conditions[name]
+
+    def _stuck(self, name: str, contact: Contact) -> tuple[Vector, dict[sp.Symbol, sp.Expr]]:
+        """Return what is zero as long as a contact point does not move, and its constants.
+
+        In the world's frame, where coordinates of positions are what they are.
+        """
+        surface, point = self.scene.surfaces[contact.surface], self.point(contact.point)
+        place = list(self.scene.contacts).index(name)
+        here = self._in_frame(surface, point)
+        x, y = (sp.Symbol(f"{axis}_held{place}", real=True) for axis in ("x", "y"))
+        anchors = {x: here[0], y: here[1]}
+        if surface.body is None:
+            return (here[0] - x, here[1] - y), anchors
+        (x0, y0), angle = self.body_frame(surface.body)
+        c, s = sp.cos(angle), sp.sin(angle)
+        return (point[0] - x0 - c * x + s * y, point[1] - y0 - s * x - c * y), anchors
 
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
@@ -348,13 +364,16 @@ class Mechanics(Geometry):
         bias_t = tangent[0] * drifts[0] + tangent[1] * drifts[1] + bent(along)
         V, H = self.forces[name]
         cone_n, cone_t = self._cones[name]
+        stuck, anchors = self._stuck(name, contact)
+        normal_a = sp.Add(bias_n, *(j * a for j, a in zip(jacobian_n, self.a, strict=True)))
+        tangential_a = sp.Add(bias_t, *(j * a for j, a in zip(jacobian_t, self.a, strict=True)))
         symbols = ContactSymbols(
             name,
             unit * gap,
             unit * gap_rate,
             slip,
-            sp.Add(bias_n, *(j * a for j, a in zip(jacobian_n, self.a, strict=True))),
-            sp.Add(bias_t, *(j * a for j, a in zip(jacobian_t, self.a, strict=True))),
+            normal_a,
+            tangential_a,
             V,
             H,
             cone_n,
@@ -362,6 +381,8 @@ class Mechanics(Geometry):
             (jacobian_n, jacobian_t),
             tuple(row.jacobian for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows),
+            Hold((unit * gap,), (normal_a,), (V,)),
+            Hold(stuck, (normal_a, tangential_a), (V, H), anchors),
         )
         return ContactGeometry(
             point, normal, tangent, symbols, jacobian_n, jacobian_t, bias_n, bias_t

@@ -9,7 +9,7 @@ import sympy as sp
 from pydantic import Field
 
 from contacts.states import OFF
-from statechart.automaton.regions import Loads, Margin, State
+from statechart.automaton.regions import Hold, Loads, Margin, State
 from statechart.documents.fields import Part
 
 
@@ -38,6 +38,8 @@ class ContactSymbols:
         Jacobian of the scene's joints, row by row.
     joint_forces : tuple of Symbol
         Of these rows.
+    closing, sticking : Hold
+        What a closed gap holds in place, and what a point does that does not move.
     """
 
     name: str
@@ -53,6 +55,8 @@ class ContactSymbols:
     jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
     joints: tuple[tuple[sp.Expr, ...], ...]
     joint_forces: tuple[sp.Symbol, ...]
+    closing: Hold
+    sticking: Hold
 
 
 class Free(Part):
@@ -80,7 +84,8 @@ class Slide(Part):
         margins = [Margin(f"{name}.V", n * contact.V - t * contact.H, "force")]
         if direction:
             margins.append(Margin(f"{name}.slip", direction * contact.slip, "speed"))
-        return State((contact.normal_acceleration, t * contact.V + n * contact.H), tuple(margins))
+        equations = (contact.normal_acceleration, t * contact.V + n * contact.H)
+        return State(equations, tuple(margins), holds=(contact.closing,))
 
 
 class Pin(Part):
@@ -95,7 +100,8 @@ class Pin(Part):
         if n != 0:
             margins.append(Margin(f"{name}.mu V - H", t * contact.V - n * contact.H, "force"))
             margins.append(Margin(f"{name}.mu V + H", t * contact.V + n * contact.H, "force"))
-        return State((contact.normal_acceleration, contact.tangential_acceleration), tuple(margins))
+        equations = (contact.normal_acceleration, contact.tangential_acceleration)
+        return State(equations, tuple(margins), holds=(contact.sticking,))
 
 
 def off(contact: ContactSymbols, gates: tuple[Margin, ...]) -> State:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import sympy as sp
 
 from statechart.automaton.laws import Laws, Setup, TimeStepper
+from statechart.automaton.reduction import Coordinates
 from statechart.automaton.regions import Margin, Mode, Region
 from statechart.automaton.trace import Key
 from statechart.errors import Unsupported
@@ -64,6 +65,8 @@ class Automaton:
         only those before it. In every mode exactly one state sets each.
     stepper : callable or None
         Makes what steps the model through time without its modes, where its kind offers that.
+    coordinates : Coordinates or None
+        Where the equations are those of mechanics: what modes may be reduced by.
     own_step : callable or None
         Where nothing but steps can run the model: returns how long they should be, by its scales.
     """
@@ -87,6 +90,7 @@ class Automaton:
     controls: tuple[sp.Symbol, ...] = ()
     stepper: Callable[[], TimeStepper] | None = None
     own_step: Callable[[], float] | None = None
+    coordinates: Coordinates | None = None
 
     @property
     def laws_of_events(self) -> Laws:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import sympy as sp
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import uncaptured
-from statechart.automaton.regions import Loads, Margin, Mode
+from statechart.automaton.reduction import Elimination, eliminated, minimal_equations
+from statechart.automaton.regions import Loads, Margin, Mode, State
 from statechart.automaton.trace import Roles
 from statechart.formulas.linear import Definition, solve_linear
 
@@ -46,6 +48,15 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
             # What is zero, or the same as something else, must show before solving.
             substitution[control] = value
     loads = [state.loads for state in states if state.loads is not None]
+    margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
+    margins = tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins)
+    rates = tuple(rate.xreplace(substitution) for rate in automaton.rates)
+    if automaton.coordinates is not None and not loads:
+        held = (hold for state in states for hold in state.holds)
+        elimination = eliminated(automaton.coordinates, held, substitution)
+        if elimination is not None:
+            solved = _minimal(automaton, states, elimination, substitution)
+            return Mode((*controls, *solved), rates, margins, **_follows(automaton, elimination))
     carried = {unknown: by for load in loads for unknown, by in load.carried.items()}
     moving = (e.xreplace(carried) if carried else e for e in automaton.equations)
     equations = [
@@ -55,7 +66,6 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
     if automaton.idle:
         used = set().union(*(e.free_symbols for e in equations)) if equations else set()
         equations += [unknown for unknown in automaton.unknowns if unknown not in used]
-    margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
     # In the places of what they carry: beside the equations that belong to it.
     carriers = [c for load in loads for c in load.carriers]
     unknowns: dict[sp.Symbol, None] = {}
@@ -69,9 +79,51 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
             *solve_linear(equations, tuple(unknowns), len(automaton.equations)),
             *_shared(loads, substitution),
         ),
-        tuple(rate.xreplace(substitution) for rate in automaton.rates),
-        tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins),
+        rates,
+        margins,
     )
+
+
+def _minimal(
+    automaton: Automaton,
+    states: Sequence[State],
+    elimination: Elimination,
+    substitution: Mapping[sp.Symbol, sp.Expr],
+) -> tuple[Definition, ...]:
+    """Solve the equations of a mode for the coordinates that an elimination leaves."""
+    coordinates = automaton.coordinates
+    assert coordinates is not None
+    count = len(coordinates.positions)
+    others = [*automaton.equations[count:], *(e for s in states for e in s.equations)]
+    absent = {e for e in others if e.is_Symbol}
+    working = [u for u in automaton.unknowns if u not in absent | elimination.forces]
+    motion = coordinates.motion(elimination, working)
+    places = elimination.replaced
+    others = [automaton.equations[places[e]] if e in places else e for e in others]
+    known = elimination.known
+    own = [automaton.equations[i] for i in coordinates.left(elimination)]
+    return minimal_equations(
+        coordinates,
+        elimination,
+        [e.xreplace(substitution) for e in motion],
+        [e.xreplace(known).xreplace(substitution) for e in own],
+        [e.xreplace(known).xreplace(substitution) for e in others],
+        automaton.unknowns,
+    )
+
+
+def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
+    """Return what a mode says of the variables that follow from others."""
+    coordinates = automaton.coordinates
+    assert coordinates is not None
+    rates = dict(zip(coordinates.positions, coordinates.rates, strict=True))
+    found = dict(elimination.positions)
+    found |= {rates[q]: coordinates.rate(e) for q, e in elimination.positions.items()}
+    places = {v: i for i, v in enumerate(automaton.variables)}
+    return {
+        "eliminated": {places[v]: e for v, e in found.items()},
+        "anchors": elimination.anchors,
+    }
 
 
 def captured(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:

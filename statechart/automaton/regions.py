@@ -65,6 +65,28 @@ class Loads:
     balances: Mapping[sp.Symbol, sp.Expr]
 
 
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """Positions that are held, and the equations that say so for accelerations.
+
+    Attributes
+    ----------
+    places : tuple of Expr
+        Each = 0; their gradients are those of lengths.
+    equations : tuple of Expr
+        As many, each = 0: together they say what the second derivatives of `places` do.
+    forces : tuple of Symbol
+        As many; in motions that keep the places they do no work.
+    anchors : mapping
+        Constant of a flow that is in `places` -> the expression of the variables that is constant.
+    """
+
+    places: tuple[sp.Expr, ...]
+    equations: tuple[sp.Expr, ...]
+    forces: tuple[sp.Symbol, ...]
+    anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class State:
     """What a region contributes to a mode.
@@ -81,6 +103,8 @@ class State:
         What the state sets: some of the automaton's controls -> expressions without unknowns.
     loads : Loads or None
         What it adds where the mode's motion leaves some of its unknowns open.
+    holds : tuple of Hold
+        What some of its equations hold in place.
     """
 
     equations: tuple[sp.Expr, ...] = ()
@@ -88,6 +112,7 @@ class State:
     invariants: tuple[Margin, ...] = ()
     values: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
     loads: Loads | None = None
+    holds: tuple[Hold, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -160,9 +185,17 @@ class Mode:
         The mode's invariant, stop conditions last.
     hidden : mapping
         What forces are for those who look at the mode, where they are not what moves the state.
+    eliminated : mapping
+        Place of a variable that follows from the others -> expression of these, of parameters,
+        time and anchors. Its rate is that of the expression, and is integrated along with the
+        others; nothing else reads it but through `definitions`.
+    anchors : mapping
+        Constant of a flow -> the expression of the variables that is constant.
     """
 
     definitions: tuple[Definition, ...]
     rates: tuple[sp.Expr, ...]
     margins: tuple[Margin, ...]
     hidden: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    eliminated: Mapping[int, sp.Expr] = field(default_factory=dict)
+    anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import Constraints
+from statechart.automaton.lift import Lift
 from statechart.automaton.regions import Mode
 from statechart.engines.event_location import Search
 from statechart.engines.path import Path
@@ -47,6 +48,8 @@ class FlowWatch(NamedTuple):
         Values of the automaton's parameters.
     start : float
         When the flow begins.
+    lift : Lift
+        What follows from other variables in every state.
     """
 
     guards: Tape
@@ -54,6 +57,7 @@ class FlowWatch(NamedTuple):
     constraints: Constraints
     parameters: Array
     start: float
+    lift: Lift
 
 
 class Steps(NamedTuple):

@@ -90,6 +90,11 @@ class SciPy(Engine):
         polynomial = _polynomial(solver.dense_output(), h, solver.n)
         path.append(h, polynomial)
         polynomial.sum(axis=1, out=end)
+        moved = watch.lift.onto(end, watch.parameters, start + h)
+        if moved is not end:
+            end[:] = moved
+            if self.method != "LSODA":  # Its state is part of its history, and is near enough.
+                solver.y[:] = moved
         return Steps(solver.status == "finished", path.count - 1, state)
 
     def _step(

@@ -247,6 +247,7 @@ class Taylor(Engine):
             moved,
             state,
             *stepper.memory,
+            watch.lift.program,
             self.tolerance,
             self.max_step,
             until,

@@ -11,6 +11,7 @@ from statechart.arrays import Array, Ints32
 from statechart.engines.heyoka_step import call_step
 from statechart.kernels.constraints import off_by
 from statechart.kernels.jit import kernel, part
+from statechart.kernels.lift import Program, lift
 from statechart.kernels.polynomials import horner
 from statechart.kernels.search import NONE, search
 
@@ -83,6 +84,9 @@ def _taylor_steps(
     times: Array,
     coeffs: Array,
     end: Array,
+    follows: Program,
+    values: Array,
+    start: float,
 ) -> tuple[int, int, float, float]:
     """Take up to `count` steps in `duration`, behind the `first` ones of an arc.
 
@@ -94,6 +98,9 @@ def _taylor_steps(
     missing it says nothing: x' = 1 - x**4 has every fourth only, from x = 0. So the slope at the
     end of each step is compared with the rate there, with which the series of the next begins,
     and a step that strays is made again at half its length.
+
+    What follows from other variables (`follows`, with `values` of the parameters) does so wherever
+    a step begins, and at the end; `start` is when the flow begins.
 
     Returns
     -------
@@ -109,6 +116,7 @@ def _taylor_steps(
     longest, off, halvings, done, again = max_step, math.inf, 0, False, False
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
     while True:
+        lift(follows, state, values, start + times[first + taken])
         here[:] = state
         step[0] = 0.0 if done else min(left, longest)
         call_step(address, state, parameters, clock, step, series)
@@ -162,6 +170,7 @@ def taylor_flow(
     used: NDArray[np.int64],
     clock: Array,
     series: Array,
+    follows: Program,
     tolerance: float,
     max_step: float,
     until: float,
@@ -198,6 +207,8 @@ def taylor_flow(
     address, state, heyokas, clock, series, tolerance, max_step
         An `Integrator`; its parameters `heyokas` are a time and those of `parameters` that are
         `used`.
+    follows : Program
+        What follows from other variables in the flow, see `statechart.kernels.lift`.
     until : float
         Longest time since the flow began.
     count, longest : int
@@ -246,11 +257,15 @@ def taylor_flow(
             times,
             coeffs,
             end,
+            follows,
+            parameters,
+            start,
         )
         last = first + finite
         finished = finite == taken and h == left
         if finished:
             times[last] = until
+        lift(follows, end, parameters, start + times[last])
         found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
         local = start + times[last]
         if (

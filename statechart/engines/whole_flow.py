@@ -20,6 +20,8 @@ from statechart.engines.taylor_loop import ORDERS, STRAY, expand, let_pass, stra
 from statechart.kernels.constraints import off_by
 from statechart.kernels.defect import unseen
 from statechart.kernels.jit import part
+from statechart.kernels.lift import Program as Following
+from statechart.kernels.lift import lift
 from statechart.kernels.polynomials import cut_steps, horner
 from statechart.kernels.search import CROSSING, NONE, search
 from statechart.kernels.tapes import tape_values
@@ -35,11 +37,15 @@ TAPE = 9
 GUARDS = 7
 RATES = GUARDS + TAPE
 WITHIN = RATES + TAPE
-COLUMNS = WITHIN + TAPE
+LIFT = WITHIN + TAPE
+ANCHORS = LIFT + TAPE
+PLACES_AT = ANCHORS + TAPE
+COLUMNS = PLACES_AT + 1
 """Columns of a mode in a table. Address of heyoka's step; where its parameters are listed, and how
 many it takes, the time among them; where the kinds of its margins are listed, each with the place
 of a tolerance of its own, how many, and which is the first stop; where the laws list what
-they know of it; tapes of the margins, of the rates, and of what is to stay above the room."""
+they know of it; tapes of the margins, of the rates, of what is to stay above the room, of what
+follows from other variables, of its anchors; where the places of what follows are listed."""
 
 PLAIN, GAP, SPEED, FORCE = range(4)
 """Kinds of margins."""
@@ -163,6 +169,19 @@ def _enter(
 
 
 @part
+def _following(
+    program: Program, row: NDArray[np.int64], watch: Watch, state: Array, start: float
+) -> Following:
+    """What follows from other variables in a flow that begins in a state."""
+    code, constants, outputs, _, _ = tape_of(program, row[ANCHORS : ANCHORS + TAPE])
+    anchors = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, state, watch.parameters, start, anchors)
+    code, constants, outputs, _, _ = tape_of(program, row[LIFT : LIFT + TAPE])
+    places = program.ints[row[PLACES_AT] : row[PLACES_AT] + outputs.shape[0]]
+    return code, constants, outputs, places, anchors
+
+
+@part
 def flow_to_event(
     program: Program,
     mode: int,
@@ -213,12 +232,15 @@ def flow_to_event(
     end = min(horizon, duration)
     chunk, chunk_end, base, total, left = _FIRST_CHUNK, _FIRST_CHUNK, 0.0, 0.0, end
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
+    follows = _following(program, row, watch, initial, start)
+    lift(follows, initial, watch.parameters, start)
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:
             return UNUSUAL, -1, 0, boxes
         # After the last step before an end, one of no length: for the series alone.
         h[0] = min(left, pace.max_step)
+        lift(follows, memory.state, watch.parameters, start + times[made])
         call_step(row[ADDRESS], memory.state, pars, memory.clock, h, memory.series)
         if pending:
             if stray(coeffs[made - 1], length, memory.series) > allowed:
@@ -254,6 +276,7 @@ def flow_to_event(
         if last or made == chunk_end:
             for v in range(n):
                 ended[v] = horner(coeffs, made - 1, v, 1.0)
+            lift(follows, ended, watch.parameters, start + times[made])
             if (
                 off_by(
                     off_code, off_constants, off_outputs, watch.targets, watch.weights, ended,
@@ -281,7 +304,9 @@ def flow_to_event(
         if abs(begun[guard]) <= tolerances[guard]:
             return UNUSUAL, -1, 0, boxes
     cut = crossed if kind == FORCE else at
-    return EVENT, guard, cut_steps(times, coeffs, made, cut, initial), boxes
+    count = cut_steps(times, coeffs, made, cut, initial)
+    lift(follows, initial, watch.parameters, start + times[count])
+    return EVENT, guard, count, boxes
 
 
 @part

@@ -144,6 +144,9 @@ class Modes:
                 *packed.tape(compiled.guards),
                 *packed.tape(compiled.rates),
                 *(packed.tape(within) if within is not None else _NO_TAPE),
+                *packed.tape(compiled.lifting.tape),
+                *packed.tape(compiled.lifting.anchors),
+                packed.ints(compiled.lifting.places),
             )
         tapes = np.array([packed.tape(tape) for tape in self._ordinary.tapes], np.int64)
         # Of one engine, and so of one order.

@@ -8,6 +8,7 @@ import sympy as sp
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode, uncaptured
+from statechart.automaton.lift import Lifting, lifting
 from statechart.automaton.modes import build_mode, captured
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Key, Roles
@@ -27,6 +28,8 @@ class CompiledMode:
         Outputs: the margins, in order.
     rates : Tape
         Outputs: the rates of all variables.
+    lifting : Lifting
+        What follows from other variables.
     watched : tuple of (str, str)
         Name and kind of every margin.
     names : tuple of str
@@ -38,6 +41,7 @@ class CompiledMode:
     mode: Mode
     guards: Tape
     rates: Tape
+    lifting: Lifting
     watched: tuple[tuple[str, str], ...]
     names: tuple[str, ...]
     stepper: object
@@ -54,6 +58,7 @@ class TapedMode:
     mode: Mode
     guards: Tape
     rates: Tape
+    lifting: Lifting
 
 
 class SolvedModes:
@@ -79,9 +84,11 @@ class SolvedModes:
             bare = uncaptured(roles)
             if bare == roles:
                 rates = self.automaton.tape(mode.rates, mode)
+                following = lifting(self.automaton, mode)
             else:
-                rates = self.taped(bare, zeros).rates
-            found = self._taped[mode] = TapedMode(mode, guards, rates)
+                moving = self.taped(bare, zeros)
+                rates, following = moving.rates, moving.lifting
+            found = self._taped[mode] = TapedMode(mode, guards, rates, following)
         return found
 
     def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
@@ -155,7 +162,7 @@ class CompiledModes:
             stepper = self.engine.compile(self.automaton, mode, taped.rates)
         else:
             stepper = self.compiled(bare, zeros).stepper
-        return CompiledMode(mode, taped.guards, taped.rates, watched, names, stepper)
+        return CompiledMode(mode, taped.guards, taped.rates, taped.lifting, watched, names, stepper)
 
     @property
     def built(self) -> int:

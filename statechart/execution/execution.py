@@ -158,12 +158,13 @@ class Execution:
         compiled = self._enter(flow.roles)
         if self.ahead is not None:
             self.ahead.modes.add(flow.mode, flow.roles, compiled)
+        watch = self._watch(flow, compiled)
         reached = Advance(
             self.engine,
             compiled,
             self.path,
-            self._watch(flow, compiled),
-            self.state,
+            watch,
+            watch.lift.onto(self.state, watch.parameters, watch.start),
             duration,
             self.horizon,
             self.show if self.progress else None,
@@ -195,7 +196,8 @@ class Execution:
         allowed = [special.get(name, tolerances[kind]) for name, kind in compiled.watched]
         laws = self.automaton.laws_of_events
         constraints = laws.constraints(setup, flow.roles, start, self.state)
-        return FlowWatch(compiled.guards, np.array(allowed), constraints, setup.values, start)
+        lift = compiled.lifting.begun(self.state, setup.values, start)
+        return FlowWatch(compiled.guards, np.array(allowed), constraints, setup.values, start, lift)
 
     def _keep(self, flow: Flow, reached: Advance) -> None:
         """Make an arc of the steps of a flow, and go to its end."""

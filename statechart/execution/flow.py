@@ -128,7 +128,10 @@ class Advance:
                 self._chunk()
         except (SimulationError, KeyboardInterrupt) as error:
             self.failure = error
-        self.path.count = self._kept
+        path, watch = self.path, self.watch
+        path.count = self._kept
+        reached = watch.start + path.times.item(path.count)
+        self.state = watch.lift.onto(self.state, watch.parameters, reached)
         return self
 
     def _start(self) -> None:

@@ -17,9 +17,9 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
     Returns
     -------
     dict
-        `modes`: of each that was integrated its `mode`, how many `unknowns` its equations solve
-        for, and its `guards` with the evidence of how each was decided; where steps need no modes,
-        none. `unknowns`: how many there are at most, in a mode or a step. `recognised`: how many
+        `modes`: of each that was integrated its `mode`, the coordinates `integrated` and those
+        `eliminated`, how many `unknowns` its equations solve for, and its `guards` with the
+        evidence of how each was decided; where steps need no modes, none. `unknowns`: how many there are at most, in a mode or a step. `recognised`: how many
         modes were told from the steps.
     """
     automaton = observer.automaton
@@ -31,15 +31,22 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
             "recognised": len(set(trace.modes)),
         }
     modes: dict[tuple[str, ...], dict[str, Any]] = {}
+    rates = () if automaton.coordinates is None else automaton.coordinates.rates
+    named = enumerate(zip(automaton.names, automaton.variables, strict=True))
+    coordinates = [(i, name) for i, (name, symbol) in named if symbol not in rates]
     for arc in trace.arcs:
         key = moving_mode(arc.roles)
         if HELD in key or key in modes:
             continue
         mode = simulator.compiled(arc.roles, trace.zeros).mode
         # Contacts that are open have forces that are zero: they are no unknowns.
-        solved = [s for s, e in mode.definitions if s in automaton.unknowns and e != 0]
+        known = {s for s, e in mode.definitions if e == 0}
+        known |= {mode.rates[place] for place in mode.eliminated}
+        solved = {s for s, _ in mode.definitions if s in automaton.unknowns} - known
         modes[key] = {
             "mode": dict(zip(trace.regions, key, strict=True)),
+            "integrated": [n for i, n in coordinates if i not in mode.eliminated],
+            "eliminated": [n for i, n in coordinates if i in mode.eliminated],
             "unknowns": len(solved),
             "guards": {m.name: trace.evidence.get(m.name, "") for m in mode.margins},
         }

@@ -1,0 +1,208 @@
+"""Minimal coordinates: what a mode holds, solved for some coordinates in closed form.
+
+Where the coordinates are phi(z, t), the others z move by fewer equations, in which the forces that
+hold the rest do no work (J. L. Lagrange's equations of the second kind). These forces follow from
+the equations of the coordinates that were eliminated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import sympy as sp
+
+from statechart.automaton.regions import Hold
+from statechart.formulas.linear import Definition, solve_linear
+
+# A coordinate is eliminated where a unit of it moves what is held by so many at least: the ones of
+# mechanics are 1.
+_PIVOT = 0.5
+
+Known = Mapping[sp.Symbol, sp.Expr]
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """Coordinates that follow from the others in a mode.
+
+    Attributes
+    ----------
+    positions : mapping
+        Coordinate eliminated -> expression of those left, of parameters, time and anchors.
+    rates, accelerations : mapping
+        Its rate and its acceleration -> expression of variables and accelerations that are left.
+    anchors : mapping
+        Constant of a flow -> the expression of the variables that is constant in it.
+    replaced : mapping
+        Equation for accelerations -> place of the coordinate whose equation stands for it now.
+    forces : frozenset of Symbol
+        Those that hold the coordinates eliminated.
+    """
+
+    positions: Known
+    rates: Known
+    accelerations: Known
+    anchors: Known
+    replaced: Mapping[sp.Expr, int]
+    forces: frozenset[sp.Symbol]
+
+    @property
+    def known(self) -> dict[sp.Symbol, sp.Expr]:
+        """What stands for positions and rates in equations, without anchors."""
+        bare = {q: e for q, e in self.positions.items() if not e.has(*self.anchors)}
+        return {**bare, **self.rates}
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """The coordinates of an automaton whose equations are those of mechanics.
+
+    Attributes
+    ----------
+    positions, rates, accelerations : tuple of Symbol
+        Coordinate by coordinate; the first unknowns of the automaton are the accelerations, and
+        its first equations are theirs.
+    time : Symbol
+    joints : tuple of Hold
+        What every mode holds.
+    motion : callable
+        From an `Elimination` and the forces that may do work beside it to the equations of motion
+        (each = 0) of the coordinates that are left, in their order.
+    """
+
+    positions: tuple[sp.Symbol, ...]
+    rates: tuple[sp.Symbol, ...]
+    accelerations: tuple[sp.Symbol, ...]
+    time: sp.Symbol
+    joints: tuple[Hold, ...]
+    motion: Callable[[Elimination, Collection[sp.Symbol]], Sequence[sp.Expr]]
+
+    def left(self, elimination: Elimination) -> tuple[int, ...]:
+        """Return the places of the coordinates that are left."""
+        return tuple(i for i, q in enumerate(self.positions) if q not in elimination.positions)
+
+    def rate(self, expression: sp.Expr) -> sp.Expr:
+        """Return the total derivative with respect to time."""
+        first = zip(self.positions, self.rates, strict=True)
+        second = zip(self.rates, self.accelerations, strict=True)
+        used = expression.free_symbols
+        terms = [sp.diff(expression, x) * dx for x, dx in (*first, *second) if x in used]
+        return sp.Add(sp.diff(expression, self.time), *terms)
+
+
+def eliminated(
+    coordinates: Coordinates, held: Iterable[Hold], substitution: Known
+) -> Elimination | None:
+    """Solve what is held for coordinates in closed form; None where nothing can be.
+
+    Parameters
+    ----------
+    coordinates : Coordinates
+        Of the automaton.
+    held : iterable of Hold
+        By the states of a mode.
+    substitution : mapping
+        What is known of parameters.
+    """
+    positions: dict[sp.Symbol, sp.Expr] = {}
+    anchors: dict[sp.Symbol, sp.Expr] = {}
+    replaced: dict[sp.Expr, int] = {}
+    forces: set[sp.Symbol] = set()
+    for hold in (*coordinates.joints, *held):
+        if any(e.xreplace(substitution).has(*hold.forces) for e in hold.equations):
+            continue  # Other rows imply it.
+        found = positions
+        solved: list[sp.Symbol] = []
+        for place in hold.places:
+            pivot = _pivot(place.xreplace(substitution).xreplace(found), coordinates)
+            if pivot is None:
+                break
+            symbol, value = pivot
+            found = {q: e.xreplace({symbol: value}) for q, e in found.items()}
+            found[symbol] = value
+            solved.append(symbol)
+        else:
+            positions = found
+            places = (coordinates.positions.index(symbol) for symbol in solved)
+            replaced |= dict(zip(hold.equations, places, strict=True))
+            anchors |= hold.anchors
+            forces |= {*hold.forces}
+    if not positions:
+        return None
+    first = {q: coordinates.rate(e) for q, e in positions.items()}
+    rate = dict(zip(coordinates.positions, coordinates.rates, strict=True))
+    follows = dict(zip(coordinates.positions, coordinates.accelerations, strict=True))
+    return Elimination(
+        positions,
+        {rate[q]: e.xreplace(anchors) for q, e in first.items()},
+        {follows[q]: coordinates.rate(e).xreplace(anchors) for q, e in first.items()},
+        anchors,
+        replaced,
+        frozenset(forces),
+    )
+
+
+def _pivot(place: sp.Expr, coordinates: Coordinates) -> tuple[sp.Symbol, sp.Expr] | None:
+    """Return the coordinate that a place (= 0) is best solved for, and its expression."""
+    best: tuple[float, sp.Symbol, sp.Expr] | None = None
+    for coordinate in coordinates.positions:
+        if not place.has(coordinate):
+            continue
+        pivot = sp.diff(place, coordinate)
+        if pivot.is_number and abs(pivot) >= max(_PIVOT, best[0] if best else 0.0):
+            value = place.xreplace({coordinate: sp.S.Zero}) / -pivot
+            best = float(abs(pivot)), coordinate, sp.expand_mul(value)
+    return None if best is None else best[1:]
+
+
+def minimal_equations(
+    coordinates: Coordinates,
+    elimination: Elimination,
+    motion: Sequence[sp.Expr],
+    own: Sequence[sp.Expr],
+    others: Sequence[sp.Expr],
+    unknowns: Sequence[sp.Symbol],
+) -> tuple[Definition, ...]:
+    """Solve the equations of a mode some of whose coordinates are eliminated.
+
+    Parameters
+    ----------
+    coordinates, elimination
+        Of the mode.
+    motion : sequence of Expr
+        Equations of motion of the coordinates that are left.
+    own : sequence of Expr
+        The equations that these have in all accelerations: where forces of friction work on the
+        motion, so do those that press, and these are solved for along with it. A force that is zero
+        as a whole (that of a point mass on ground of infinite friction) then is so exactly.
+    others : sequence of Expr
+        All further ones, in all accelerations and in the forces.
+    unknowns : sequence of Symbol
+        Of the automaton that the mode leaves: accelerations and forces.
+
+    Returns
+    -------
+    tuple of (Symbol, Expr)
+        As of `statechart.formulas.linear.solve_linear`.
+    """
+    left = [coordinates.accelerations[i] for i in coordinates.left(elimination)]
+    open_ones = {u: None for u in unknowns if u not in coordinates.accelerations}
+    moving, rest = list(motion), list(others)
+    # The forces that the motion depends on, and the equations that are about these alone.
+    seen = {u for e in moving for u in e.free_symbols if u in open_ones}
+    of_forces = [e for e in rest if not e.has(*coordinates.accelerations)]
+    chosen = [e for e in of_forces if _unknown(e, open_ones) <= seen]
+    follow = list(elimination.accelerations.items())
+    if len(chosen) == len(seen):
+        moving += chosen
+        first = solve_linear(moving, (*left, *(u for u in open_ones if u in seen)), len(motion))
+        rest = [e for e in rest if e not in chosen]
+        last = solve_linear(rest, [u for u in open_ones if u not in seen])
+        return (*first, *follow, *last)
+    together = [e.xreplace(elimination.accelerations) for e in (*own, *rest)]
+    return (*solve_linear(together, (*left, *open_ones), len(own)), *follow)
+
+
+def _unknown(equation: sp.Expr, unknowns: Collection[sp.Symbol]) -> set[sp.Symbol]:
+    return {symbol for symbol in equation.free_symbols if symbol in unknowns}

@@ -1,0 +1,29 @@
+"""The variables that follow from the others, written into a state."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from statechart.arrays import Array, Ints32
+from statechart.kernels.jit import kernel
+from statechart.kernels.tapes import tape_values
+
+Program = tuple[Ints32, Array, Ints32, Ints32, Array]
+"""Code, constants and outputs of a tape; places (k,) of its outputs in a state (n,); the anchors
+of the flow, which the tape reads behind the state."""
+
+
+@kernel
+def lift(program: Program, state: Array, parameters: Array, time: float) -> None:
+    """Write what follows from the rest of `state` into it."""
+    code, constants, outputs, places, anchors = program
+    if places.shape[0] == 0:
+        return
+    n = state.shape[0]
+    inputs = np.empty(n + anchors.shape[0])
+    inputs[:n] = state
+    inputs[n:] = anchors
+    values = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, inputs, parameters, time, values)
+    for i in range(places.shape[0]):
+        state[places[i]] = values[i]
