@@ -55,8 +55,21 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
         held = (hold for state in states for hold in state.holds)
         elimination = eliminated(automaton.coordinates, held, substitution)
         if elimination is not None:
-            solved = _minimal(automaton, states, elimination, substitution)
-            return Mode((*controls, *solved), rates, margins, **_follows(automaton, elimination))
+            minimal = _minimal(automaton, states, elimination, substitution)
+            if minimal is not None:
+                follows = _follows(automaton, elimination)
+                return Mode((*controls, *minimal), rates, margins, **follows)
+    solved = _solved(automaton, states, loads, substitution)
+    return Mode((*controls, *solved), rates, margins)
+
+
+def _solved(
+    automaton: Automaton,
+    states: Sequence[State],
+    loads: Sequence[Loads],
+    substitution: Mapping[sp.Symbol, sp.Expr],
+) -> tuple[Definition, ...]:
+    """Solve the equations of a mode for all accelerations and forces at once."""
     carried = {unknown: by for load in loads for unknown, by in load.carried.items()}
     moving = (e.xreplace(carried) if carried else e for e in automaton.equations)
     equations = [
@@ -73,14 +86,9 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
         by = carried.get(unknown)
         own = [unknown] if by is None else [c for c in carriers if by.has(c)]
         unknowns |= dict.fromkeys(own)
-    return Mode(
-        (
-            *controls,
-            *solve_linear(equations, tuple(unknowns), len(automaton.equations)),
-            *_shared(loads, substitution),
-        ),
-        rates,
-        margins,
+    return (
+        *solve_linear(equations, tuple(unknowns), len(automaton.equations)),
+        *_shared(loads, substitution),
     )
 
 
@@ -89,8 +97,8 @@ def _minimal(
     states: Sequence[State],
     elimination: Elimination,
     substitution: Mapping[sp.Symbol, sp.Expr],
-) -> tuple[Definition, ...]:
-    """Solve the equations of a mode for the coordinates that an elimination leaves."""
+) -> tuple[Definition, ...] | None:
+    """Solve the equations of a mode for the coordinates that an elimination leaves, if it can."""
     coordinates = automaton.coordinates
     assert coordinates is not None
     count = len(coordinates.positions)
@@ -101,12 +109,10 @@ def _minimal(
     places = elimination.replaced
     others = [automaton.equations[places[e]] if e in places else e for e in others]
     known = elimination.known
-    own = [automaton.equations[i] for i in coordinates.left(elimination)]
     return minimal_equations(
         coordinates,
         elimination,
         [e.xreplace(substitution) for e in motion],
-        [e.xreplace(known).xreplace(substitution) for e in own],
         [e.xreplace(known).xreplace(substitution) for e in others],
         automaton.unknowns,
     )

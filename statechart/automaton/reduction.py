@@ -160,10 +160,9 @@ def minimal_equations(
     coordinates: Coordinates,
     elimination: Elimination,
     motion: Sequence[sp.Expr],
-    own: Sequence[sp.Expr],
     others: Sequence[sp.Expr],
     unknowns: Sequence[sp.Symbol],
-) -> tuple[Definition, ...]:
+) -> tuple[Definition, ...] | None:
     """Solve the equations of a mode some of whose coordinates are eliminated.
 
     Parameters
@@ -172,37 +171,29 @@ def minimal_equations(
         Of the mode.
     motion : sequence of Expr
         Equations of motion of the coordinates that are left.
-    own : sequence of Expr
-        The equations that these have in all accelerations: where forces of friction work on the
-        motion, so do those that press, and these are solved for along with it. A force that is zero
-        as a whole (that of a point mass on ground of infinite friction) then is so exactly.
     others : sequence of Expr
         All further ones, in all accelerations and in the forces.
     unknowns : sequence of Symbol
-        Of the automaton that the mode leaves: accelerations and forces.
+        Of the automaton: accelerations and forces.
 
     Returns
     -------
-    tuple of (Symbol, Expr)
-        As of `statechart.formulas.linear.solve_linear`.
+    tuple of (Symbol, Expr) or None
+        As of `statechart.formulas.linear.solve_linear`; None where the motion depends on forces
+        that hold coordinates eliminated. Friction does: all equations are better solved at once
+        then, so that a force that is zero as a whole (that of a point mass on ground of infinite
+        friction) is exactly zero, and the state better projected, which leads a slip across the
+        end of its rates.
     """
     left = [coordinates.accelerations[i] for i in coordinates.left(elimination)]
-    open_ones = {u: None for u in unknowns if u not in coordinates.accelerations}
-    moving, rest = list(motion), list(others)
+    forces = [u for u in unknowns if u not in coordinates.accelerations]
     # The forces that the motion depends on, and the equations that are about these alone.
-    seen = {u for e in moving for u in e.free_symbols if u in open_ones}
-    of_forces = [e for e in rest if not e.has(*coordinates.accelerations)]
-    chosen = [e for e in of_forces if _unknown(e, open_ones) <= seen]
-    follow = list(elimination.accelerations.items())
-    if len(chosen) == len(seen):
-        moving += chosen
-        first = solve_linear(moving, (*left, *(u for u in open_ones if u in seen)), len(motion))
-        rest = [e for e in rest if e not in chosen]
-        last = solve_linear(rest, [u for u in open_ones if u not in seen])
-        return (*first, *follow, *last)
-    together = [e.xreplace(elimination.accelerations) for e in (*own, *rest)]
-    return (*solve_linear(together, (*left, *open_ones), len(own)), *follow)
-
-
-def _unknown(equation: sp.Expr, unknowns: Collection[sp.Symbol]) -> set[sp.Symbol]:
-    return {symbol for symbol in equation.free_symbols if symbol in unknowns}
+    seen = set().union(*(e.free_symbols for e in motion)).intersection(forces)
+    about = [e for e in others if not e.has(*coordinates.accelerations)]
+    about = [e for e in about if e.free_symbols.intersection(forces) <= seen]
+    if len(about) != len(seen):
+        return None
+    first = solve_linear([*motion, *about], (*left, *(u for u in forces if u in seen)), len(motion))
+    rest = [e for e in others if e not in about]
+    last = solve_linear(rest, [u for u in forces if u not in seen])
+    return (*first, *elimination.accelerations.items(), *last)

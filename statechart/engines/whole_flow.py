@@ -172,7 +172,7 @@ def _enter(
 def _following(
     program: Program, row: NDArray[np.int64], watch: Watch, state: Array, start: float
 ) -> Following:
-    """What follows from other variables in a flow that begins in a state."""
+    """Return what follows from other variables in a flow that begins in a state."""
     code, constants, outputs, _, _ = tape_of(program, row[ANCHORS : ANCHORS + TAPE])
     anchors = np.empty(outputs.shape[0])
     tape_values(code, constants, outputs, state, watch.parameters, start, anchors)

@@ -17,10 +17,11 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
     Returns
     -------
     dict
-        `modes`: of each that was integrated its `mode`, the coordinates `integrated` and those
+        `modes`: of each that was integrated its `mode`, the coordinates `integrated` and
         `eliminated`, how many `unknowns` its equations solve for, and its `guards` with the
-        evidence of how each was decided; where steps need no modes, none. `unknowns`: how many there are at most, in a mode or a step. `recognised`: how many
-        modes were told from the steps.
+        evidence of how each was decided; where steps need no modes, none. `unknowns`: how many
+        there are at most, in a mode or a step. `recognised`: how many modes were told from the
+        steps.
     """
     automaton = observer.automaton
     simulator = observer.simulator
