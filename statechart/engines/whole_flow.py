@@ -23,7 +23,7 @@ from statechart.kernels.jit import part
 from statechart.kernels.lift import Program as Following
 from statechart.kernels.lift import lift
 from statechart.kernels.polynomials import cut_steps, horner
-from statechart.kernels.search import CROSSING, NONE, search
+from statechart.kernels.search import CROSSING, NONE, ready_along, search, search_along
 from statechart.kernels.tapes import tape_values
 
 ENDED, EVENT, UNUSUAL = range(3)
@@ -234,6 +234,7 @@ def flow_to_event(
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
     lift(follows, initial, watch.parameters, start)
+    ready = ready_along(code, constants, reads, n_fixed, times, coeffs, watch.parameters, start)
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:
@@ -245,10 +246,7 @@ def flow_to_event(
         if pending:
             if stray(coeffs[made - 1], length, memory.series) > allowed:
                 return UNUSUAL, -1, 0, boxes
-            found = search(
-                code, constants, outputs, reads, n_fixed, tolerances, times, coeffs,
-                watch.parameters, start, made - 1, made, BOXES,
-            )  # fmt: skip
+            found = search_along(ready, outputs, tolerances, made - 1, made, BOXES)
             boxes += found[6]
             if found[0] != NONE:
                 break

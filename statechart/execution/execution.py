@@ -30,7 +30,7 @@ from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace
 from statechart.execution.outcome import Progress
 from statechart.execution.record import trace_of
 from statechart.execution.zeno import Accumulation
-from statechart.formulas.series import size_at
+from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import summands
 
 # At such a rate a variable would have changed by this many times its size.
@@ -271,12 +271,13 @@ class Execution:
         relative, sizes = self.engine.tolerance, self.flow.sizes
         sizes = np.abs(self.state) if sizes is None else sizes
         closed, tolerances = False, {**self.flow.tolerances}
+        terms: list[float] = []
         for place, ((name, kind), margin) in enumerate(zip(compiled.watched, margins, strict=True)):
             if kind == "gap":
                 closed |= margin <= _AT_END * self.setup.tolerances[kind]
             elif kind == "plain" and name in tolerances:
-                size = size_at(guards, place, self.state, sizes, parameters, time)
-                tolerances[name] = max(tolerances[name], relative * size)
+                terms = terms or sizes_at(guards, self.state, sizes, parameters, time)
+                tolerances[name] = max(tolerances[name], relative * terms[place])
                 closed |= margin <= tolerances[name]
         self.flow = self.flow._replace(tolerances=tolerances)
         return closed

@@ -10,7 +10,7 @@ from statechart.engines.event_location import Crossing, Search, Verdict
 from statechart.engines.path import Path
 from statechart.errors import NonFinite, Undecided
 from statechart.execution.compiled_modes import CompiledMode
-from statechart.formulas.series import size_at
+from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import sample_states
 
 # Errors of dense output, in tolerances of the engine.
@@ -44,7 +44,7 @@ def noise(
     times, terms = path.times[: where.step + 2], path.coefficients[: where.step + 1]
     middle = sample_states(terms, times, np.array([0.5 * where.time]))[0]
     margin = guards.values(middle, parameters, start + 0.5 * where.time).item(where.guard)
-    size = size_at(guards, where.guard, middle, sizes, parameters, start + where.time)
+    size = sizes_at(guards, middle, sizes, parameters, start + where.time)[where.guard]
     wider = _NOISE * engine.tolerance * size
     # Twice as wide at least each time, so that this comes to an end.
     if margin > wider or not wider > 2.0 * tolerance:

@@ -53,13 +53,11 @@ def expand(
     return [registers[place] for place in tape.outputs.tolist()]
 
 
-def size_at(
-    tape: Tape, output: int, state: Array, sizes: Array, parameters: Array, time: float
-) -> float:
-    """Return how large the terms of an output are, given those of the state."""
+def sizes_at(tape: Tape, state: Array, sizes: Array, parameters: Array, time: float) -> list[float]:
+    """Return how large the terms of every output are, given those of the state."""
     pairs = zip(state.tolist(), sizes.tolist(), strict=True)
     variables = [Series([x], [max(abs(x), size)]) for x, size in pairs]
-    return expand(tape, variables, parameters.tolist(), time)[output].sizes[0]
+    return [found.sizes[0] for found in expand(tape, variables, parameters.tolist(), time)]
 
 
 def _constant(value: float, terms: int) -> Series:

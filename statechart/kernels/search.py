@@ -193,6 +193,36 @@ def _clear_at_edge(
     return jets[output, 0] + tolerance > 0.0
 
 
+Ready = tuple[Along, Array, Array, Array]
+"""A tape that is evaluated along steps, with what depends on parameters alone: see `Along`;
+bounds of third derivatives, registers, jets."""
+
+
+@part
+def ready_along(
+    code: Ints32,
+    constants: Array,
+    reads: Ints32,
+    n_fixed: int,
+    times: Array,
+    coeffs: Array,
+    parameters: Array,
+    start: float,
+) -> Ready:
+    """Evaluate what depends on parameters alone."""
+    n = coeffs.shape[1]
+    base, regs = filled(code, constants, parameters, n, 1)
+    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    run_tape(code, 0, n_fixed, base, regs, 1)
+    jets = np.zeros((regs.shape[0], 6))
+    for r in range(n + 1, base):
+        jets[r, 0] = jets[r, 1] = regs[r, 0]
+        if not abs(regs[r, 0]) < INF:
+            jets[r, 0], jets[r, 1] = -INF, INF
+    run_jets(code, 0, n_fixed, base, jets, 2)
+    return along, np.zeros(n), regs, jets
+
+
 @kernel
 def search(
     code: Ints32,
@@ -215,24 +245,26 @@ def search(
     Returns (verdict, guard, step and place of the event, its local time, where it is certain,
     boxes).
     """
-    n_out, n = outputs.shape[0], coeffs.shape[1]
-    base, regs = filled(code, constants, parameters, n, 1)
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
-    run_tape(code, 0, n_fixed, base, regs, 1)
-    jets = np.zeros((regs.shape[0], 6))
-    for r in range(n + 1, base):
-        jets[r, 0] = jets[r, 1] = regs[r, 0]
-        if not abs(regs[r, 0]) < INF:
-            jets[r, 0], jets[r, 1] = -INF, INF
-    run_jets(code, 0, n_fixed, base, jets, 2)
-    bounds, work, aside = np.zeros(n), np.empty((n_out, 11)), np.empty((1, 11))
+    for i in range(outputs.shape[0]):
+        if not tolerances[i] >= 0.0:
+            raise ValueError("the tolerances of margins are numbers >= 0")
+    ready = ready_along(code, constants, reads, n_fixed, times, coeffs, parameters, start)
+    return search_along(ready, outputs, tolerances, first, last, budget)
+
+
+@part
+def search_along(
+    ready: Ready, outputs: Ints32, tolerances: Array, first: int, last: int, budget: int
+) -> tuple[int, int, int, float, float, float, int]:
+    """Search steps (see `search`)."""
+    along, bounds, regs, jets = ready
+    _, _, _, _, reads, times, coeffs, start = along
+    n_out = outputs.shape[0]
+    work, aside = np.empty((n_out, 11)), np.empty((1, 11))
     scratch = (bounds, regs, jets, aside)
     lefts, rights = np.empty(64), np.empty(64)  # boxes still to see, the leftmost on top
     marks = np.empty((64, n_out), dtype=np.uint8)  # the guards that are undecided in them
     state = np.empty(n_out, dtype=np.uint8)
-    for i in range(n_out):
-        if not tolerances[i] >= 0.0:
-            raise ValueError("the tolerances of margins are numbers >= 0")
     boxes = 0
     for step in range(first, last):
         finite = prepare(coeffs, step, reads, bounds) and abs(start) < INF
