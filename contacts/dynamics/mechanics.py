@@ -320,9 +320,8 @@ class Mechanics(Geometry):
         In the world's frame, where coordinates of positions are what they are.
         """
         surface, point = self.scene.surfaces[contact.surface], self.point(contact.point)
-        place = list(self.scene.contacts).index(name)
         here = self._in_frame(surface, point)
-        x, y = (sp.Symbol(f"{axis}_held{place}", real=True) for axis in ("x", "y"))
+        x, y = (sp.Symbol(f"{name}.{axis}0", real=True) for axis in "xy")
         anchors = {x: here[0], y: here[1]}
         if surface.body is None:
             return (here[0] - x, here[1] - y), anchors

@@ -15,6 +15,7 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from statechart.automaton.reduction import Coordinates, Elimination
 from statechart.automaton.regions import Hold
+from statechart.formulas.formula import parse
 
 _Terms = dict[sp.Expr, sp.Expr]
 _Pair = tuple[sp.Expr, sp.Expr]
@@ -30,7 +31,23 @@ def coordinates(mechanics: Mechanics) -> Coordinates:
         mechanics.time,
         tuple(Hold((row.gap,), (equation,), (row.force,)) for row, equation in joints),
         partial(motion, mechanics),
+        _written(mechanics),
     )
+
+
+def _written(mechanics: Mechanics) -> dict[sp.Symbol, sp.Expr]:
+    """Return how a person writes moments of inertia, and cones: 1 and the coefficient."""
+    symbols, scene = mechanics.parameters.symbols, mechanics.scene
+    found: dict[sp.Symbol, sp.Expr] = {}
+    for name, body in scene.bodies.items():
+        if body.inertia is not None:
+            found[symbols[f"{name}.inertia"]] = parse(body.inertia).to_sympy(symbols)
+    for name, contact in scene.contacts.items():
+        cone = mechanics.contact(name).symbols
+        if contact.friction is not None and cone.cone_t in symbols.values():
+            found[cone.cone_n] = sp.S.One
+            found[cone.cone_t] = parse(contact.friction).to_sympy(symbols)
+    return found
 
 
 def motion(

@@ -69,6 +69,8 @@ class Coordinates:
     motion : callable
         From an `Elimination` and the forces that may do work beside it to the equations of motion
         (each = 0) of the coordinates that are left, in their order.
+    written : mapping
+        Parameters that the document does not declare -> how a person writes them.
     """
 
     positions: tuple[sp.Symbol, ...]
@@ -77,6 +79,7 @@ class Coordinates:
     time: sp.Symbol
     joints: tuple[Hold, ...]
     motion: Callable[[Elimination, Collection[sp.Symbol]], Sequence[sp.Expr]]
+    written: Known
 
     def left(self, elimination: Elimination) -> tuple[int, ...]:
         """Return the places of the coordinates that are left."""

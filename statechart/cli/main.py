@@ -188,6 +188,11 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     where.add_argument("--until", metavar="T", type=_number, help="judge where a run is then")
     modes.add_argument("--json", action="store_true", help="print one JSON object")
+    modes.add_argument(
+        "--equations", metavar="MODE",
+        help="print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'",
+    )  # fmt: skip
+    modes.add_argument("--latex", action="store_true", help="print them in LaTeX")
     draw = verb("draw", "draw the statechart of a model")
     draw.add_argument(
         "-o",

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
-from statechart.errors import DeclarationError, SimulationError, StatechartError, close_matches
+from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.pieces import Pieces
 
 T = TypeVar("T")
@@ -227,18 +227,19 @@ def _alternatives(
 def modes(arguments: argparse.Namespace) -> int:
     """List modes, which of them are possible at a configuration, and every region's chart."""
     from statechart.automaton.product import feasibility
-    from statechart.reporting.modes import listing, text
+    from statechart.reporting.modes import check_variables, listing, text
 
     parameters = _assigned("--set", arguments.parameters)
     runner = _runner(arguments.file, progress=True)
     automaton = runner.automaton
+    if arguments.equations is not None or arguments.latex:
+        from statechart.reporting.equations import told
+
+        form = "latex" if arguments.latex else "json" if arguments.json else "text"
+        print(told(automaton, runner.setup(parameters), arguments.equations, form), end="")
+        return 0
     at = _assigned("--at", arguments.at)
-    for name in at:
-        if name not in automaton.names:
-            raise DeclarationError(
-                f"--at {name}: the model has no such variable",
-                advice=close_matches(name, automaton.names),
-            )
+    check_variables(automaton, at)
     if not at:
         # Where no mode agrees with the start, modes are listed all the more.
         with suppress(SimulationError):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import MOST_MODES, Feasibility
 from statechart.automaton.product import graph
 from statechart.automaton.regions import Region
+from statechart.errors import DeclarationError, close_matches
 from statechart.reporting.text import table
 
 
@@ -46,6 +47,16 @@ def listing(
         "feasibility": None if found is None else _feasibility(automaton, found),
         "regions": [_region(region) for region in automaton.regions],
     }
+
+
+def check_variables(automaton: Automaton, names: Iterable[str]) -> None:
+    """Raise `DeclarationError` where a name of a configuration is no variable."""
+    for name in names:
+        if name not in automaton.names:
+            raise DeclarationError(
+                f"--at {name}: the model has no such variable",
+                advice=close_matches(name, automaton.names),
+            )
 
 
 def text(listed: Mapping[str, Any]) -> str:

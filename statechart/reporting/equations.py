@@ -1,0 +1,323 @@
+"""The equations of motion of a mode, as a person would write them: as text, or in LaTeX."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import sympy as sp
+
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import Setup, roles_in
+from statechart.automaton.modes import build_mode
+from statechart.automaton.reduction import Coordinates, Elimination, eliminated
+from statechart.automaton.trace import Key
+from statechart.errors import DeclarationError, close_matches
+
+# Formulas of more operations are shown as they are: to make them shorter takes too long.
+_LONG = 400
+
+Equation = tuple[sp.Expr, sp.Expr]
+"""Left and right side."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Equations that belong together.
+
+    Attributes
+    ----------
+    title : str
+    equations : tuple of Equation
+    """
+
+    title: str
+    equations: tuple[Equation, ...]
+
+
+def told(automaton: Automaton, setup: Setup, mode: str | None, form: str) -> str:
+    """Return the equations of a mode in words that are printed; see `blocks`.
+
+    A prime is a derivative with respect to time.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        Whose mode.
+    setup : Setup
+        Numbers of a run: what the document does not declare may be zero in it.
+    mode : str or None
+        As in `mode_named`.
+    form : str
+        `text`; `latex`, for amsmath; `json`, one object whose equations are text.
+
+    Raises
+    ------
+    DeclarationError
+        If `mode` names none.
+    """
+    if mode is None:
+        raise DeclarationError("--latex is for equations: say --equations MODE, too")
+    key = mode_named(automaton, mode)
+    declared = automaton.declaration.parameters
+    zeros = ((automaton.parameter_names[i], automaton.parameters[i]) for i in setup.zeros)
+    made = blocks(automaton, key, frozenset(s for name, s in zeros if name not in declared))
+    return _FORMS[form](automaton, key, made)
+
+
+def mode_named(automaton: Automaton, text: str) -> Key:
+    """Return the mode that a text names: ``tip:pin``, ``A:free B:slide+``, or ``pin`` alone.
+
+    Raises
+    ------
+    DeclarationError
+        If it names none.
+    """
+    states: dict[str, str] = {}
+    for word in text.replace(",", " ").split():
+        name, _, state = word.rpartition(":")
+        if not name and len(automaton.regions) == 1:
+            name = automaton.regions[0].name
+        region = next((r for r in automaton.regions if r.name == name), None)
+        if region is None or state not in region.states:
+            known = [f"{r.name}:{s}" for r in automaton.regions for s in r.states]
+            raise DeclarationError(
+                f"--equations {text}: there is no state {word!r}",
+                advice=close_matches(word, known) or f"there are {', '.join(known)}",
+            )
+        states[name] = state
+    missing = [region.name for region in automaton.regions if region.name not in states]
+    if missing:
+        raise DeclarationError(
+            f"--equations {text}: no state of {', '.join(missing)}",
+            advice="name one of every region, such as "
+            + automaton.label(tuple(r.states[0] for r in automaton.regions)),
+        )
+    return tuple(states[region.name] for region in automaton.regions)
+
+
+def _lines(automaton: Automaton, block: Block) -> list[str]:
+    names = {symbol: sp.Symbol(name) for symbol, name in _names(automaton).items()}
+    pairs = [[sp.sstr(side.xreplace(names)) for side in sides] for sides in block.equations]
+    return [" = ".join(pair) for pair in pairs]
+
+
+def _text(automaton: Automaton, key: Key, made: Sequence[Block]) -> str:
+    lines = [f"{automaton.name}, {automaton.label(key)}"]
+    for block in made:
+        lines += [f"{block.title}:", *(f"  {line}" for line in _lines(automaton, block))]
+    return "\n".join(lines) + "\n"
+
+
+def _json(automaton: Automaton, key: Key, made: Sequence[Block]) -> str:
+    mode = {region.name: state for region, state in zip(automaton.regions, key, strict=True)}
+    equations = {block.title: _lines(automaton, block) for block in made}
+    return json.dumps({"model": automaton.name, "mode": mode, **equations}, indent=2) + "\n"
+
+
+def _latex(automaton: Automaton, key: Key, made: Sequence[Block]) -> str:
+    sides = [side for block in made for equation in block.equations for side in equation]
+    called = {symbol: symbol.name for side in sides for symbol in side.free_symbols}
+    called |= _names(automaton)
+    names = {symbol: _typeset(automaton, name) for symbol, name in called.items()}
+    lines = [f"% {automaton.name}, {automaton.label(key)}"]
+    for block in made:
+        lines += [f"% {block.title}", r"\begin{align*}"]
+        lines += [
+            "  " + " &= ".join(sp.latex(side, symbol_names=names) for side in equation) + r" \\"
+            for equation in block.equations
+        ]
+        lines.append(r"\end{align*}")
+    return "\n".join(lines) + "\n"
+
+
+_FORMS = {"text": _text, "latex": _latex, "json": _json}
+
+
+def _names(automaton: Automaton) -> dict[sp.Symbol, str]:
+    """Return how symbols are called; derivatives with primes."""
+    found: dict[sp.Symbol, str] = {e: n for n, e in automaton.observables.items() if e.is_Symbol}
+    found |= dict(zip(automaton.parameters, automaton.parameter_names, strict=True))
+    coordinates = automaton.coordinates
+    moving = automaton.variables if coordinates is None else coordinates.positions
+    called = dict(zip(automaton.variables, automaton.names, strict=True))
+    for place, symbol in enumerate(moving):
+        found[symbol] = called[symbol]
+        if coordinates is None:
+            found[automaton.rates[place]] = f"{called[symbol]}'"
+        else:
+            found[coordinates.rates[place]] = f"{called[symbol]}'"
+            found[coordinates.accelerations[place]] = f"{called[symbol]}''"
+    return found
+
+
+def _typeset(automaton: Automaton, name: str) -> str:
+    """Return a name in LaTeX: dots for primes, and whose it is where there are several."""
+    plain = name.rstrip("'")
+    owner, _, own = plain.rpartition(".")
+    letter = r"\theta" if owner and own == "angle" else sp.latex(sp.Symbol(own))
+    if len(own) > 1 and letter == own:
+        letter = rf"\mathrm{{{own}}}"
+    primes = len(name) - len(plain)
+    letter = (letter, rf"\dot{{{letter}}}", rf"\ddot{{{letter}}}")[primes]
+    owners = {n.rpartition(".")[0] for n in (*automaton.names, *automaton.observables)} - {""}
+    bodies = {n.rpartition(".")[0] for n in automaton.names} - {""}
+    others = bodies if owner in bodies else owners - bodies
+    if not owner or len(others) < 2:
+        return letter
+    whose = rf"\mathrm{{{owner.replace('_', ' ')}}}"
+    stem, below, index = letter.partition("_{")
+    return rf"{stem}_{{{index[:-1]},{whose}}}" if below else rf"{letter}_{{{whose}}}"
+
+
+def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[Block]:
+    """Return the equations of a mode, in the automaton's symbols.
+
+    What is eliminated, the motion of the coordinates that are left, what these hold besides, and
+    the forces that follow; of a chart, what its variables do.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        Whose mode.
+    key : Key
+        A state of every region.
+    zeros : frozenset of Symbol
+        Parameters that are exactly zero and that the document does not declare.
+    """
+    if automaton.coordinates is None:
+        mode = build_mode(automaton, roles_in(key), frozenset())
+        known: dict[sp.Symbol, sp.Expr] = {}
+        for symbol, value in mode.definitions:
+            known[symbol] = value.xreplace(known)
+        rates = zip(automaton.rates, mode.rates, strict=True)
+        return [Block("motion", tuple((rate, _short(e.xreplace(known))) for rate, e in rates))]
+    rows = _rows(automaton, automaton.coordinates, key, zeros)
+    found: list[Block] = []
+    if rows.elimination is not None:
+        follows = rows.elimination.positions.items()
+        found.append(Block("eliminated", tuple((q, _short(place)) for q, place in follows)))
+    moving = tuple(_moving(row, automaton.coordinates) for row in rows.motion)
+    if moving:
+        found.append(Block("motion", moving))
+    if rows.held:
+        found.append(Block("held", tuple((_short(place), sp.S.Zero) for place in rows.held)))
+    forces = _forces(rows, automaton)
+    return [*found, Block("forces", forces)] if forces else found
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Equations of a mode, each = 0.
+
+    Attributes
+    ----------
+    elimination : Elimination or None
+    motion : list of Expr
+        Of the coordinates that are left.
+    held : list of Expr
+        Places that these hold besides.
+    forces : list of Expr
+        What tells the forces.
+    """
+
+    elimination: Elimination | None
+    motion: list[sp.Expr]
+    held: list[sp.Expr]
+    forces: list[sp.Expr]
+
+
+def _rows(
+    automaton: Automaton, coordinates: Coordinates, key: Key, zeros: frozenset[sp.Symbol]
+) -> _Rows:
+    states = [r.build(role) for r, role in zip(automaton.regions, roles_in(key), strict=True)]
+    written = dict(coordinates.written)
+    written |= {zero: sp.S.Zero for zero in zeros if zero not in written}
+    for state in states:
+        written |= {control: value.xreplace(written) for control, value in state.values.items()}
+    holds = [*coordinates.joints, *(hold for state in states for hold in state.holds)]
+    found = eliminated(coordinates, holds[len(coordinates.joints) :], written)
+    replaced = {} if found is None else found.replaced
+    equations = [
+        *(e for hold in coordinates.joints for e in hold.equations),
+        *(e for state in states for e in state.equations),
+    ]
+    absent = {e for e in equations if e.is_Symbol}
+    kept = [hold for hold in holds if not all(e in replaced for e in hold.equations)]
+    about = {e for hold in kept for e in hold.equations}
+    rest = [automaton.equations[replaced[e]] if e in replaced else e for e in equations]
+    rest = [e for e in rest if e not in about]
+    motion = list(automaton.equations[: len(coordinates.positions)])
+    if found is not None:
+        working = [u for u in automaton.unknowns if u not in absent | found.forces]
+        motion = list(coordinates.motion(found, working))
+        known = {**found.known, **found.accelerations}
+        rest = [e.xreplace(known) for e in rest]
+    zero = dict.fromkeys(absent, sp.S.Zero)
+    return _Rows(
+        found,
+        [row.xreplace(zero).xreplace(written) for row in motion],
+        [place.xreplace(written) for hold in kept for place in hold.places],
+        [row.xreplace(zero).xreplace(written) for row in rest if row not in absent],
+    )
+
+
+def _moving(row: sp.Expr, coordinates: Coordinates) -> Equation:
+    """Return an equation of motion: accelerations and centripetal terms are on the left."""
+    row = sp.expand_mul(row)
+    left: list[sp.Expr] = []
+    rest = row
+    for a in coordinates.accelerations:
+        coefficient = row.coeff(a)
+        left.append(_short(coefficient) * a)
+        rest -= sp.expand_mul(coefficient * a)
+    scale = sp.Dummy("scale", positive=True)
+    faster = {v: scale * v for v in coordinates.rates}
+    quadratic = [
+        term
+        for term in sp.Add.make_args(sp.expand_mul(rest))
+        if sp.expand(term.xreplace(faster) - scale**2 * term) == 0
+    ]
+    centripetal = sp.Add(*quadratic)
+    left.append(_short(centripetal))
+    return sp.Add(*left), _short(-sp.expand_mul(rest - centripetal))
+
+
+def _forces(rows: _Rows, automaton: Automaton) -> tuple[Equation, ...]:
+    """Return what forces follow from the motion, or from each other."""
+    assert automaton.coordinates is not None
+    left = [row for row in rows.forces if row != 0]
+    forces = [u for u in automaton.unknowns if u not in automaton.coordinates.accelerations]
+    found: list[Equation] = []
+    for row in list(left):
+        # A law of friction, or a force that is alone in its equation.
+        inside = [force for force in forces if row.has(force)]
+        if inside and (len(inside) == 1 or not row.has(*automaton.coordinates.accelerations)):
+            last = inside[-1]
+            slope = sp.diff(row, last)
+            found.append((last, _short(-row.xreplace({last: sp.S.Zero}) / slope)))
+            left.remove(row)
+    forces = [f for f in forces if any(row.has(f) for row in left)]
+    solved = {force for force, _ in found}
+    open_ones = [force for force in forces if force not in solved]
+    if left and len(left) == len(open_ones):
+        matrix, right = sp.linear_eq_to_matrix(left, open_ones)
+        solution = matrix.LUsolve(right)
+        found += [(force, _short(e)) for force, e in zip(open_ones, solution, strict=True)]
+    else:
+        found += [(_short(row), sp.S.Zero) for row in left]
+    return tuple(found)
+
+
+def _short(expression: sp.Expr) -> sp.Expr:
+    """Return the shortest of a few ways to write an expression."""
+    if expression.count_ops() > _LONG:
+        return expression
+    ways: list[Callable[[sp.Expr], sp.Expr]] = [
+        lambda e: e,
+        sp.factor_terms,
+        lambda e: sp.factor_terms(sp.trigsimp(sp.expand(e))),
+        lambda e: sp.factor_terms(sp.expand(e)),
+    ]
+    return min((way(expression) for way in ways), key=sp.count_ops)

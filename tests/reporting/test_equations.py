@@ -1,0 +1,141 @@
+"""Equations of a mode are what a person would write, and what is integrated."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+import sympy as sp
+from runs import automaton
+
+from statechart.arrays import Array
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import roles_in
+from statechart.automaton.modes import build_mode
+from statechart.cli.main import main
+from statechart.errors import DeclarationError
+from statechart.reporting.equations import Block, blocks, mode_named, told
+
+
+def shown(model: str, mode: str, form: str = "text") -> str:
+    built = automaton(model)
+    return told(built, built.setup({}, 1e-12), mode, form)
+
+
+def test_the_hinge_phase_is_that_of_the_paper() -> None:
+    assert shown("toppling_stick", "pin") == (
+        "toppling_stick, tip:pin\n"
+        "eliminated:\n"
+        "  stick.x = -L*sin(stick.angle) + tip.x0\n"
+        "  stick.y = L*cos(stick.angle) + tip.y0\n"
+        "motion:\n"
+        "  stick.angle''*(I_G + L**2*M) = L*M*g*sin(stick.angle)\n"
+        "forces:\n"
+        "  tip.H = L*M*(stick.angle'**2*sin(stick.angle) - stick.angle''*cos(stick.angle))\n"
+        "  tip.V = M*(-L*(stick.angle'**2*cos(stick.angle) + stick.angle''*sin(stick.angle)) + g)\n"
+    )
+
+
+def test_the_slide_phase_is_that_of_the_paper() -> None:
+    found = shown("toppling_stick", "slide-").splitlines()
+    assert "  stick.y = L*cos(stick.angle)" in found
+    assert "  M*stick.x'' = tip.H" in found
+    # Its friction opposes the slip, erratum 3.
+    assert "  tip.H = mu*tip.V" in found
+    assert "  tip.H = -mu*tip.V" in shown("toppling_stick", "slide+").splitlines()
+
+
+def test_latex_has_greek_angles_and_dots() -> None:
+    found = shown("toppling_stick", "pin", "latex")
+    assert (
+        r"\ddot{\theta} \left(M L^{2} + I_{G}\right) &= M g L \sin{\left(\theta \right)}" in found
+    )
+    assert found.count(r"\begin{align*}") == found.count(r"\end{align*}") == 3
+    assert r"x_{0,\mathrm{foot one}}" in shown(
+        "compass_walker", "foot_one:pin foot_two:off", "latex"
+    )
+
+
+def test_json_has_the_equations_as_texts() -> None:
+    found = json.loads(shown("toppling_stick", "pin", "json"))
+    assert found["mode"] == {"tip": "pin"}
+    assert found["motion"] == ["stick.angle''*(I_G + L**2*M) = L*M*g*sin(stick.angle)"]
+
+
+def test_a_chart_has_the_rates_of_its_variables() -> None:
+    assert "  x' = v" in shown("bouncing_ball_chart", "flight").splitlines()
+
+
+CASES = [
+    ("toppling_stick", "tip:slide+"),
+    ("compass_walker", "foot_one:pin foot_two:off"),
+    ("compass_walker", "foot_one:slide- foot_two:off"),
+    ("rocking_block", "left:free right:pin"),
+    ("sliding_ladder", "foot:slide- top:slide+"),
+    ("double_contact_bar", "A:pin B:free"),
+    ("painleve_rod", "tip:slide-"),
+    ("simplest_walker", None),
+    ("hopper", None),
+]
+
+
+@pytest.mark.parametrize(("model", "named"), CASES)
+def test_what_is_integrated_satisfies_the_equations_shown(model: str, named: str | None) -> None:
+    built = automaton(model)
+    key = tuple(region.states[0] for region in built.regions)
+    key = key if named is None else mode_named(built, named)
+    setup = built.setup({}, 1e-12)
+    mode = build_mode(built, roles_in(key), frozenset())
+    made = blocks(built, key, frozenset(built.parameters[i] for i in setup.zeros))
+    # States are drawn off what is held besides.
+    shown = [block for block in made if block.title != "held"]
+    rows = [left - right for block in shown for left, right in block.equations]
+    assert rows
+    random = np.random.default_rng(1)
+    values = dict(zip(built.parameters, setup.values.tolist(), strict=True))
+    state = random.uniform(-0.7, 0.7, len(built.variables))
+    if built.coordinates is not None:
+        state = _on(built, made, state, values)
+    values |= dict(zip(built.variables, state.tolist(), strict=True)) | {built.time: 0.3}
+    for symbol, value in mode.definitions:
+        values[symbol] = float(value.xreplace(values))
+    for row in rows:
+        anchors = {s: 0.0 for s in row.free_symbols if s.name.endswith(("x0", "y0"))}
+        found = [float(term.xreplace({**anchors, **values})) for term in sp.Add.make_args(row)]
+        assert sum(found) == pytest.approx(0.0, abs=1e-9 * max(1.0, *map(abs, found)))
+
+
+def _on(built: Automaton, made: list[Block], state: Array, values: dict[sp.Symbol, float]) -> Array:
+    """Put what is eliminated where the rest has it, with anchors at zero."""
+    assert built.coordinates is not None
+    known = dict(zip(built.variables, state.tolist(), strict=True))
+    for block in made:
+        if block.title == "eliminated":
+            for symbol, place in block.equations:
+                anchors = {s: 0.0 for s in place.free_symbols if s.name.endswith(("x0", "y0"))}
+                place = place.xreplace(anchors)
+                rate = built.coordinates.rate(place).xreplace(values)
+                known[symbol] = float(place.xreplace(values).xreplace(known))
+                follows = built.coordinates.positions.index(symbol)
+                known[built.coordinates.rates[follows]] = float(rate.xreplace(known))
+    return np.array([known[v] for v in built.variables])
+
+
+def test_what_names_no_mode_says_what_there_is() -> None:
+    bar = automaton("double_contact_bar")
+    with pytest.raises(DeclarationError, match="no state of B"):
+        mode_named(bar, "A:pin")
+    with pytest.raises(DeclarationError, match="there is no state 'A:pim'"):
+        mode_named(bar, "A:pim B:free")
+    with pytest.raises(DeclarationError, match="--equations MODE"):
+        told(bar, bar.setup({}, 1e-12), None, "latex")
+
+
+def test_the_verb_prints_them(capsys: pytest.CaptureFixture[str]) -> None:
+    path = "toppling_stick"
+    assert main(["modes", path, "--equations", "pin", "--latex"]) == 0
+    assert re.search(r"% motion\n\\begin{align\*}", capsys.readouterr().out)
+    assert main(["modes", path, "--latex"]) == 2
+    assert "--equations" in capsys.readouterr().err
