@@ -26,6 +26,8 @@ class _State:
     """Signals that arrived, those of them that a check has told of, and what is held back."""
 
     count = told = 0
+    # Whether SIGINT comes to this module already; asking the process for that takes long.
+    ours = False
     first = 0.0
     hold = _OPEN
 
@@ -39,6 +41,7 @@ def listen() -> None:
         # A process that is to outlive its terminal (nohup) ignores SIGHUP.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _note)
+            _now.ours = _now.ours or number == signal.SIGINT
     forget()
 
 
@@ -72,18 +75,21 @@ def held(*, firmly: bool = False) -> Iterator[None]:
     """
     outer = _now.hold
     lent = (
-        threading.current_thread() is threading.main_thread()
+        not _now.ours
+        and threading.current_thread() is threading.main_thread()
         and signal.getsignal(signal.SIGINT) is signal.default_int_handler
     )
     if lent:
         forget()
         signal.signal(signal.SIGINT, _note)
+        _now.ours = True
     _now.hold = max(outer, _FIRM if firmly else _HELD)
     try:
         yield
     finally:
         _now.hold = outer
         if lent:
+            _now.ours = False
             signal.signal(signal.SIGINT, signal.default_int_handler)
             untold = _now.count > _now.told
             forget()

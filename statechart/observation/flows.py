@@ -6,15 +6,38 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import sympy as sp
 
 from statechart.arrays import Array
 from statechart.automaton.laws import roles_in
 from statechart.automaton.modes import build_mode
-from statechart.automaton.regions import Mode
+from statechart.automaton.regions import Mode, Region
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.formulas.linear import Singular
 from statechart.observation.sampling import Points
+
+Where = tuple[tuple[str, str], ...]
+"""Regions, and the states that they have to be in."""
+
+
+def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> list[int]:
+    """Return which of `where` hold in the mode `key`, states being named as declared or not."""
+    states = {
+        region.name: (state, region.declared(state))
+        for region, state in zip(regions, key, strict=True)
+    }
+    return [
+        place
+        for place, wanted in enumerate(where)
+        if all(state in states[region] for region, state in wanted)
+    ]
+
+
+def seen(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:
+    """Return expressions as others see a mode: without the forces that it hides."""
+    hidden = mode.hidden if mode else {}
+    return tuple([e.xreplace(hidden) for e in expressions]) if hidden else tuple(expressions)
 
 
 def _place(arcs: Sequence[Arc], j: int, ends: bool) -> int:
@@ -71,9 +94,16 @@ def end_of(trace: Trace, width: int, rows: int = 1) -> Points:
     return Points(times, states, (roles,), (rows,), known)
 
 
+def instants(trace: Trace, jumps: Sequence[Jump], before: bool) -> tuple[Array, Array]:
+    """Return the times (m,) of some jumps of a run, and the states (m, n) before or after them."""
+    states = np.array([jump.before if before else jump.after for jump in jumps])
+    times = np.array([jump.t for jump in jumps])
+    return times, states.reshape(len(times), len(trace.variables))
+
+
 def beside(trace: Trace, jumps: Sequence[Jump], before: bool, width: int) -> Points:
     """Return the instants just before some jumps of a run, or just after them."""
-    states = [jump.before if before else jump.after for jump in jumps]
+    times, states = instants(trace, jumps, before)
     roles = [
         roles_at(trace, jump.j, jump.source, ends=True)
         if before
@@ -81,8 +111,8 @@ def beside(trace: Trace, jumps: Sequence[Jump], before: bool, width: int) -> Poi
         for jump in jumps
     ]
     return Points(
-        np.array([jump.t for jump in jumps]),
-        np.array(states).reshape(-1, len(trace.variables)),
+        times,
+        states,
         roles,
         range(1, len(jumps) + 1),
         solved_rows(trace, [(jump.j + (not before), before) for jump in jumps], width),

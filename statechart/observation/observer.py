@@ -25,13 +25,21 @@ from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
-from statechart.observation.flows import PassedModes, beside, end_of, roles_at, start_of
+from statechart.observation.flows import (
+    PassedModes,
+    Where,
+    beside,
+    end_of,
+    instants,
+    places_in,
+    roles_at,
+    seen,
+    start_of,
+)
 from statechart.observation.sampling import Points, Samples, along, at_times, extremes, subdivided
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 """Text over the observables' names, or an expression in the automaton's own symbols."""
-
-_Where = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +74,7 @@ class Observer:
         self._unknowns = frozenset(self._solved)
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
         self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
-        self._actives: dict[tuple[Key, tuple[_Where, ...], tuple[sp.Expr, ...]], _Active] = {}
+        self._actives: dict[tuple[Key, tuple[Where, ...], tuple[sp.Expr, ...]], _Active] = {}
         self._passed = PassedModes(simulator) if isinstance(simulator, Simulator) else None
 
     @property
@@ -155,11 +163,17 @@ class Observer:
 
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
-        return self._table(trace, self._all(formulas), start_of(trace, len(self._solved)))[0]
+        expressions = self._all(formulas)
+        if not self._needed(expressions):
+            return self._tape(expressions, None).values(trace.initial, trace.values, 0.0)
+        return self._table(trace, expressions, start_of(trace, len(self._solved)))[0]
 
     def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the end, after all jumps."""
-        return self._table(trace, self._all(formulas), end_of(trace, len(self._solved)))[0]
+        expressions = self._all(formulas)
+        if not self._needed(expressions):
+            return self._tape(expressions, None).values(trace.final, trace.values, trace.t_end)
+        return self._table(trace, expressions, end_of(trace, len(self._solved)))[0]
 
     def at(
         self,
@@ -183,8 +197,11 @@ class Observer:
             The state just before each jump, in the mode left; else just after it, in the mode
             entered.
         """
-        points = beside(trace, jumps, before, len(self._solved))
-        return self._table(trace, self._all(formulas), points)
+        expressions = self._all(formulas)
+        if not self._needed(expressions):
+            times, states = instants(trace, jumps, before)
+            return self._tape(expressions, None).table(states, trace.values, times)
+        return self._table(trace, expressions, beside(trace, jumps, before, len(self._solved)))
 
     def margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
         """Return the margins of the flow that each of the jumps ended, just before it.
@@ -256,7 +273,7 @@ class Observer:
         return total
 
     def _integrated(
-        self, trace: Trace, expressions: tuple[sp.Expr, ...], where: tuple[_Where, ...]
+        self, trace: Trace, expressions: tuple[sp.Expr, ...], where: tuple[Where, ...]
     ) -> Iterator[tuple[list[int], Array, Array]]:
         """Yield, an arc each, which expressions count there, their integrals, ends of pieces."""
         values, modes = trace.values, None
@@ -266,8 +283,7 @@ class Observer:
                 active = self._active(arc.mode, where, expressions)
             if not active.places:
                 continue
-            mode, coefficients = None, arc.coefficients
-            tape = None
+            mode, tape, coefficients = None, None, arc.coefficients
             if active.needed and arc.solved is not None:
                 tape = self._tape(active.expressions, None, known=True)
                 coefficients = np.pad(coefficients, ((0, 0), (0, arc.solved.shape[1]), (0, 0)))
@@ -278,7 +294,7 @@ class Observer:
                 modes = modes or self._modes(trace)
                 mode = modes(arc.roles)
             found, ends = integrals(
-                tape or self._tape(_seen(active.expressions, mode), mode),
+                tape or self._tape(seen(active.expressions, mode), mode),
                 arc.times,
                 coefficients,
                 values,
@@ -309,22 +325,14 @@ class Observer:
         return tuple([self.expression(formula) for formula in formulas])
 
     def _active(
-        self, key: Key, where: tuple[_Where, ...], expressions: tuple[sp.Expr, ...]
+        self, key: Key, where: tuple[Where, ...], expressions: tuple[sp.Expr, ...]
     ) -> _Active:
         """Find what is integrated in the mode `key`."""
-        states = {
-            region.name: (state, region.declared(state))
-            for region, state in zip(self.automaton.regions, key, strict=True)
-        }
-        places = [
-            i
-            for i, wanted in enumerate(where)
-            if all(state in states[region] for region, state in wanted)
-        ]
+        places = places_in(self.automaton.regions, key, where)
         chosen = tuple([expressions[i] for i in places])
-        active = _Active(places, chosen, self._needed(chosen))
-        self._actives[key, where, expressions] = active
-        return active
+        found = _Active(places, chosen, self._needed(chosen))
+        self._actives[key, where, expressions] = found
+        return found
 
     def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
         """Return the values (m, f) of expressions, one call of a kernel per flow."""
@@ -348,7 +356,7 @@ class Observer:
             ]
             if columns:
                 index = np.concatenate(parts)
-                tape = self._tape(_seen([expressions[i] for i in columns], mode), mode)
+                tape = self._tape(seen([expressions[i] for i in columns], mode), mode)
                 found = tape.table(points.states[index], values, points.times[index])
                 result[np.ix_(index, np.array(columns))] = found
         return result
@@ -384,9 +392,3 @@ class Observer:
     def _modes(self, trace: Trace) -> Callable[[Roles], Mode | None]:
         assert self._passed is not None  # steps have no equations of modes
         return self._passed.of(trace)
-
-
-def _seen(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:
-    """Return the expressions as others see the mode: without the forces that it hides."""
-    hidden = mode.hidden if mode else {}
-    return tuple([e.xreplace(hidden) for e in expressions]) if hidden else tuple(expressions)

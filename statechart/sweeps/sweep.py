@@ -320,7 +320,8 @@ def _hand_out(work: _Work, executor: Executor) -> None:
             "install this package, in this version, on all workers"
         ) from None
     except (BrokenExecutor, CancelledError) as error:
-        raise _Lost(f"workers died: {error or 'their executor was shut down'}") from None
+        words = str(error).strip() or "the connection to them was lost"
+        raise _Lost(f"workers died: {words}") from None
     except Exception as error:  # whatever an executor makes of workers that fail
         raise _Lost(f"workers failed, {type(error).__name__}: {error}") from None
     finally:

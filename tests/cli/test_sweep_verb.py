@@ -48,24 +48,32 @@ def test_a_sweep_is_kept(tmp_path: Path, name: str) -> None:
         assert np.isfinite(found["t_impact"]).all()
 
 
-@pytest.mark.parametrize("suffix", ["svg", "png", "pdf"])
 @pytest.mark.parametrize(
-    "over",
-    [
-        ["--over", "mu=log:0.05:50:12"],
-        ["--over", "mu=log:0.05:50:12", "--over", "I_G=0,1/3"],
-        ["--over", "mu=log:0.05:50:5", "--over", "I_G=lin:0:1:5", "--over", "theta0=0.01"],
-        ["--over", "mu=0.1,1,inf"],
-        ["--over", "mu=log:0.05:50", "--over", "I_G=lin:-0.2:1", "--sobol", "16"],
-        ["--over", "mu=lin:-1:-0.5:3"],
-    ],
-    ids=["lines", "families", "maps", "infinite", "samples", "none"],
+    ("suffix", "begins"), [("svg", b"<?xml"), ("png", b"\x89PNG"), ("pdf", b"%PDF")]
 )
-def test_a_sweep_is_drawn(tmp_path: Path, over: list[str], suffix: str) -> None:
+def test_a_sweep_is_drawn(tmp_path: Path, suffix: str, begins: bytes) -> None:
     picture = tmp_path / f"a.{suffix}"
-    main(["sweep", STICK, *over, "--plot", str(picture)])
-    begins = {"svg": b"<?xml", "png": b"\x89PNG", "pdf": b"%PDF"}[suffix]
+    over = ["--over", "mu=log:0.05:50:6", "--outputs", "t_impact"]
+    assert main(["sweep", STICK, *over, "--plot", str(picture)]) == 0
     assert picture.read_bytes().startswith(begins)
+
+
+@pytest.mark.parametrize(
+    ("over", "code"),
+    [
+        (["--over", "mu=log:0.05:50:5", "--over", "I_G=lin:0:1:5", "--over", "theta0=0.01"], 0),
+        (["--over", "mu=log:0.05:50:5", "--over", "I_G=lin:-1:1:5"], 0),
+        (["--over", "mu=0.1,1,inf"], 0),
+        (["--over", "mu=log:0.05:50", "--over", "I_G=lin:-0.2:1", "--sobol", "16"], 0),
+        (["--over", "mu=lin:-1:-0.5:3"], 1),
+    ],
+    ids=["fixed", "refused", "infinite", "samples", "none"],
+)
+def test_all_sorts_of_sweeps_are_drawn(tmp_path: Path, over: list[str], code: int) -> None:
+    picture = tmp_path / "a.svg"
+    asked = ["sweep", STICK, *over, "--outputs", "t_impact", "--plot", str(picture)]
+    assert main(asked) == code
+    assert picture.exists()
 
 
 def test_lists_are_drawn(tmp_path: Path) -> None:
