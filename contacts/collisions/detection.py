@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, part
 
 FOUND = 5
 """Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""
@@ -35,7 +35,7 @@ def place(vertices: Array, x: float, y: float, angle: float) -> Array:
     return placed
 
 
-@kernel
+@part
 def against_surface(
     body: Array, centre: Array, radius: float, surface: Array, within: float, found: Array
 ) -> tuple[int, Ints]:
@@ -74,7 +74,7 @@ def against_surface(
     return count, features
 
 
-@kernel
+@part
 def _farthest(one: Array, other: Array) -> tuple[float, int]:
     """Return the largest separation along an edge normal of `one`, and that edge."""
     best, edge = -math.inf, 0
@@ -91,7 +91,7 @@ def _farthest(one: Array, other: Array) -> tuple[float, int]:
     return best, edge
 
 
-@kernel
+@part
 def _clipped(
     one: Array, edge: int, other: Array, within: float, flip: bool, found: Array
 ) -> tuple[int, Ints]:
@@ -142,7 +142,7 @@ def _clipped(
     return count, features
 
 
-@kernel
+@part
 def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int, Ints]:
     """Take the nearest corners of polygons whose facing edges do not overlap."""
     features = np.zeros(len(found), np.int64)
@@ -160,7 +160,7 @@ def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int,
     return 1, features
 
 
-@kernel
+@part
 def _disc_and_polygon(
     centre: Array, radius: float, polygon: Array, flip: bool, within: float, found: Array
 ) -> tuple[int, Ints]:

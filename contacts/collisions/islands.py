@@ -14,7 +14,7 @@ import numpy as np
 from contacts.solvers.contact_lcp_kernels import STEEPEST, UNKNOWNS
 from contacts.solvers.step_impulses import capped
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import part
 
 _SWEEPS = 2000
 # Largest change of a velocity in a sweep that ends it, relative to the velocities; and in the last
@@ -50,7 +50,7 @@ class Touching(NamedTuple):
     loose: Array
 
 
-@kernel
+@part
 def island_of(parents: Ints, body: int) -> int:
     """Return the body that stands for an island (union-find, paths halved in place)."""
     while parents[body] != body:
@@ -59,7 +59,7 @@ def island_of(parents: Ints, body: int) -> int:
     return body
 
 
-@kernel
+@part
 def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
     """Return the velocity of contact i along d (0: normal, 1: tangential)."""
     total = 0.0
@@ -71,7 +71,7 @@ def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
     return total
 
 
-@kernel
+@part
 def push(
     bodies: Ints, rows: Array, inverse: Array, rates: Array, i: int, d: int, amount: float
 ) -> None:
@@ -83,7 +83,7 @@ def push(
                 rates[b, k] += inverse[b, k] * rows[i, d, 3 * side + k] * amount
 
 
-@kernel
+@part
 def compliance(bodies: Ints, rows: Array, inverse: Array, i: int, d: int, j: int, e: int) -> float:
     """Return the velocity of contact i along d per unit impulse of contact j along e."""
     total = 0.0
@@ -98,7 +98,7 @@ def compliance(bodies: Ints, rows: Array, inverse: Array, i: int, d: int, j: int
     return total
 
 
-@kernel
+@part
 def _sweep(members: Ints, touching: Touching, wanted: Array, impulses: Array) -> bool:
     """Sweep until nothing changes; `impulses` are changed in place."""
     bodies, rows, inverse, cones, _, _, _, _, loose = touching
@@ -164,7 +164,7 @@ def _sweep(members: Ints, touching: Touching, wanted: Array, impulses: Array) ->
     return True
 
 
-@kernel
+@part
 def _moved(members: Ints, touching: Touching, impulses: Array) -> Array:
     """Return how impulses change the velocities (m, 2) of the contacts."""
     bodies, rows, inverse = touching.bodies, touching.rows, touching.inverse
@@ -178,7 +178,7 @@ def _moved(members: Ints, touching: Touching, impulses: Array) -> Array:
     return moved
 
 
-@kernel
+@part
 def swept(
     members: Ints,
     touching: Touching,
@@ -228,7 +228,7 @@ def swept(
     return True
 
 
-@kernel
+@part
 def swept_steady(
     members: Ints,
     touching: Touching,

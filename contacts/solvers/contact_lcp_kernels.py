@@ -12,7 +12,7 @@ import numpy as np
 
 from contacts.solvers.lemke import FOUND, lemke, on_support, row_residual
 from statechart.arrays import Array, Bools
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, part
 
 STEEPEST = 2.0**-12
 """No cone's edge is steeper: its normal part, of 1, counts as at least this."""
@@ -98,7 +98,7 @@ def step_residual(matrix: Array, vector: Array, z: Array) -> float:
     return row_residual(matrix, vector, z, UNKNOWNS, 1e-3 * ROUNDING / RESIDUAL)
 
 
-@kernel
+@part
 def _settled(z: Array) -> Array:
     """Return z without what is rounding: of impulses, and of slip speeds."""
     largest = np.zeros(2)
@@ -112,7 +112,7 @@ def _settled(z: Array) -> Array:
     return result
 
 
-@kernel
+@part
 def _scales(matrix: Array) -> Array:
     """Return powers of two that make what depends on units near 1: impulses, and slip speeds.
 
@@ -127,7 +127,7 @@ def _scales(matrix: Array) -> Array:
     return scales
 
 
-@kernel
+@part
 def _improved(matrix: Array, vector: Array, guess: Bools) -> tuple[bool, bool, Array, Bools]:
     """Improve a basis until it solves the problem; return (solved, regular, z, basis)."""
     size = len(vector)
@@ -160,7 +160,7 @@ def _improved(matrix: Array, vector: Array, guess: Bools) -> tuple[bool, bool, A
     return False, True, z, basis
 
 
-@kernel
+@part
 def _by_lemke(matrix: Array, vector: Array, limit: int) -> tuple[bool, Array]:
     size = len(vector)
     right = vector / max(np.abs(vector).max(), 1e-300)
@@ -171,7 +171,7 @@ def _by_lemke(matrix: Array, vector: Array, limit: int) -> tuple[bool, Array]:
     return regular, np.maximum(_settled(z), 0.0)
 
 
-@kernel
+@part
 def _proximal(matrix: Array, vector: Array, guess: Bools, limit: int) -> tuple[bool, Array]:
     """Solve with delta (z - z_before) added to w, until it comes no closer (Rockafellar 1976).
 
@@ -247,7 +247,7 @@ def solve_contacts(
     return False, np.zeros(size), basis
 
 
-@kernel
+@part
 def pivots(contacts: int) -> int:
     """Return how many pivots are allowed."""
     return 50 + 20 * UNKNOWNS * contacts

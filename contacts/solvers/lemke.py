@@ -8,7 +8,7 @@ import numpy as np
 
 from contacts.solvers.saddle_point import SOLVED, solve_refined
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, part
 
 FOUND, RAY, SPENT = range(3)
 # Of a pivot relative to the largest entry of its column: smaller ones are rounding.
@@ -100,7 +100,7 @@ def enumerate_bases(matrix: Array, vector: Array, tolerance: float) -> list[int]
     return found
 
 
-@kernel
+@part
 def _pivot(table: Array, right: Array, r: int, c: int) -> None:
     """Exchange the basic variable of row r with the nonbasic one of column c."""
     width = table.shape[1]
@@ -126,7 +126,7 @@ def _pivot(table: Array, right: Array, r: int, c: int) -> None:
             right[i] = 0.0
 
 
-@kernel
+@part
 def _lexicographic(
     table: Array, basic: Ints, column_of: Ints, c: int, one: int, other: int
 ) -> bool:

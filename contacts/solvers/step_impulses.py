@@ -18,10 +18,10 @@ from contacts.solvers.contact_lcp_kernels import (
 )
 from contacts.solvers.redundancy import connected
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, part
 
 
-@kernel
+@part
 def _without_rounding(velocities: Array, size: float) -> None:
     """Set to zero what is rounding of velocities as large as `size`."""
     for i in range(len(velocities)):
@@ -30,7 +30,7 @@ def _without_rounding(velocities: Array, size: float) -> None:
                 velocities[i, d] = 0.0
 
 
-@kernel
+@part
 def _known(
     delassus: Array, free: Array, cones: Array, guess: Bools, limit: int, given: Array
 ) -> tuple[bool, Array, Bools]:
@@ -135,13 +135,13 @@ def smoothed(cones: Array) -> Array:
     return result
 
 
-@kernel
+@part
 def _work_at(before: Array, free: Array, impulses: Array, moved: Array) -> float:
     """Return the work of impulses that change the velocities of the contacts by `moved`."""
     return 0.5 * (impulses * (before + free + moved)).sum()
 
 
-@kernel
+@part
 def moved_by(delassus: Array, impulses: Array) -> Array:
     """Return the changes (m, 2) of the contacts' velocities under impulses (m, 2)."""
     flat = impulses.ravel()
@@ -205,7 +205,7 @@ def capped(
     return plastic + share * further, share
 
 
-@kernel
+@part
 def _part_left(push: Array, force: Array, cone: Array) -> float:
     """Return the largest part of `force`, up to 1, without which `push` is still in its cone."""
     part = 1.0
@@ -260,7 +260,7 @@ def steady_impulses(
     return steady, slides
 
 
-@kernel
+@part
 def relieve(
     groups: Ints,
     cones: Array,

@@ -8,7 +8,7 @@ import numpy as np
 
 from contacts.solvers.saddle_point import substitute
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import part
 
 CONTACT = 6
 """Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition."""
@@ -22,7 +22,7 @@ _SINGULAR = 1e-12
 _LIGHTEST = 1e-9
 
 
-@kernel
+@part
 def _factor(matrix: Array) -> tuple[bool, Ints]:
     """Factor in place with partial pivoting of equilibrated rows; False where singular."""
     size = len(matrix)
@@ -54,7 +54,7 @@ def _factor(matrix: Array) -> tuple[bool, Ints]:
     return True, order
 
 
-@kernel
+@part
 def back(factors: Array, order: Ints, right: Array) -> Array:
     """Return the solution for one right side (m,)."""
     x = np.empty(len(right))
@@ -62,7 +62,7 @@ def back(factors: Array, order: Ints, right: Array) -> Array:
     return x
 
 
-@kernel
+@part
 def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
     """Return the least inertia (n,) of every coordinate: small beside the bodies' at its levers."""
     reach = np.zeros(n)
@@ -78,7 +78,7 @@ def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
     return _LIGHTEST * heaviest * reach**2
 
 
-@kernel
+@part
 def factored(
     numbers: Array, n: int, h: float, damped: bool, held: Ints, joints: int, light: bool
 ) -> tuple[bool, Array, Ints, Array]:

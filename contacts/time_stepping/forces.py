@@ -6,13 +6,13 @@ import numpy as np
 
 from contacts.states import PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import part
 
 # Velocities below this part of what they are sums of are zero.
 _ROUNDING = 1e-9
 
 
-@kernel
+@part
 def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed: bool) -> int:
     """Return the number of the mode of a contact that bears an impulse.
 
@@ -38,7 +38,7 @@ def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed
     return SLIDE_PLUS if impulse[1] < 0.0 else SLIDE_MINUS
 
 
-@kernel
+@part
 def resting(compliance: Array, least: Array, impulses: Array, a: int) -> tuple[bool, float]:
     """Whether contact `a` stays closed without an impulse; and its slip, 0 where that is rounding.
 
@@ -59,7 +59,7 @@ def resting(compliance: Array, least: Array, impulses: Array, a: int) -> tuple[b
     return abs(after[0]) <= _ROUNDING * terms[0], slip
 
 
-@kernel
+@part
 def jammed(compliance: Array, least: Array, slip: float, cone: Array) -> bool:
     """Whether friction presses a sliding contact into its surface (Painleve's paradox).
 

@@ -1,6 +1,6 @@
 """Compiled numerics: data in, numbers out, one set of kernels for every model.
 
-`jit` compiles with numba and keeps what it compiled. `tapes` runs straight-line programs on
+`jit` compiles with numba, by way of `compilation`, and keeps what it compiled. `tapes` runs straight-line programs on
 floats; `intervals` and `jets` enclose their values and time derivatives, `boxes` says what is
 known of them over a piece of a step, and `search` finds the first fall of a margin by branch and
 bound. `resolution` says where a step may have passed something over, which `defect` asks of

@@ -1,4 +1,4 @@
-"""Kernels that numba compiles once and keeps on disk, across several files.
+"""Kernels that are compiled once and kept on disk, across several files.
 
 numba's cache looks only at the file of the function that is called: where that calls kernels of
 another file, an edit there would silently run the old code. Here a kernel's cache is as old as the
@@ -19,10 +19,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
 from statechart import interrupts
+from statechart.kernels.compilation import Callee, KernelCompiler, PartCompiler, Signature, plain
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -60,8 +61,23 @@ class _DigestedFile(IndexDataCacheFile):
         return False
 
 
+class _Stored(CompileResultCacheImpl):
+    """What a kernel is kept as: the kernels that it calls, and what numba keeps."""
+
+    def reduce(self, result: Any) -> Any:
+        return result.library.callees, super().reduce(result)
+
+    def rebuild(self, target_context: Any, stored: Any) -> Any:
+        callees, reduced = stored
+        if not all(callee.load() for callee in callees):
+            raise LookupError("a kernel that this one calls was compiled again")
+        return super().rebuild(target_context, reduced)
+
+
 class _Cache(FunctionCache):
     """numba's cache of one function, without which everything works, too."""
+
+    _impl_class = _Stored
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
@@ -90,27 +106,36 @@ def _digest(data: bytes) -> bytes:
 def kernel(function: F) -> F:
     """Compile a function when it is first called, from Python or from other kernels; cached."""
     # Without what C would need to call it, it compiles sooner.
-    compiled = njit(error_model="numpy", no_cfunc_wrapper=True)(function)
+    compiled = njit(error_model="numpy", no_cfunc_wrapper=True, pipeline_class=KernelCompiler)(
+        function
+    )
     # Where no folder can be written numba has no cache to offer.
     with suppress(RuntimeError):
         compiled._cache = _Cache(function)
-    compiled.compile = _interruptible(compiled.compile)
+    compile_ = compiled.compile
+
+    def compiling(signature: Signature) -> Any:
+        # Signals end a compilation at once: it may take half a minute.
+        with interrupts.let_through():
+            entry = compile_(plain(signature))
+        compiled.overloads[plain(signature)].library.callee = Callee.of(compiled, plain(signature))
+        return entry
+
+    compiled.compile = compiling
     return compiled
 
 
-def _interruptible(compile_: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Let signals end a compilation at once: it may take half a minute."""
-
-    def compiling(signature: Any) -> Any:
-        with interrupts.let_through():
-            return compile_(signature)
-
-    return compiling
-
-
 def part(function: F) -> F:
-    """Compile a function that only kernels call."""
-    return njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    """Compile a function that only kernels call, into each of them."""
+    compiled = njit(
+        error_model="numpy",
+        no_cpython_wrapper=True,
+        no_cfunc_wrapper=True,
+        pipeline_class=PartCompiler,
+    )(function)
+    compile_ = compiled.compile
+    compiled.compile = lambda signature: compile_(plain(signature))
+    return compiled
 
 
 def is_cached(compiled: Any) -> bool:

@@ -6,6 +6,7 @@ import importlib
 import pickle
 import sys
 
+import numpy as np
 import pytest
 from numba import njit
 
@@ -25,6 +26,14 @@ from statechart.kernels.jit import kernel
 @kernel
 def upper(x):
     return 2.0 * lower(x)
+"""
+CALLER = """\
+from lower_kernels import lower
+from statechart.kernels.jit import kernel
+
+@kernel
+def caller(whole):
+    return lower(1) + lower(2) + lower(whole[0])
 """
 
 
@@ -105,6 +114,36 @@ def test_a_damaged_file_of_the_cache_is_made_again(upper, tmp_path, suffix, dama
     after = again()
     assert after(1.0) == 22.0
     assert after.stats.cache_hits
+
+
+@pytest.mark.parametrize("damaged", ["lower", "upper"])
+def test_what_calls_a_kernel_that_was_compiled_again_is_compiled_again(upper, tmp_path, damaged):
+    upper("kernel", "10.0")(1.0)
+    for file in tmp_path.glob(f"**/{damaged}*.nbc"):
+        file.write_bytes(b"")
+    found = again()
+    assert found(1.0) == 22.0
+    assert not found.stats.cache_hits
+    assert bool(lower_of(found).stats.cache_hits) == (damaged == "upper")
+    after = again()
+    assert after(1.0) == 22.0
+    assert after.stats.cache_hits
+    assert lower_of(after).stats.cache_hits
+
+
+def lower_of(upper):
+    return upper.py_func.__globals__["lower"]
+
+
+@pytest.mark.parametrize("decorator", ["kernel", "part"])
+def test_literals_and_widths_of_integers_are_no_other_signature(upper, tmp_path, decorator):
+    (tmp_path / "caller_kernels.py").write_text(CALLER)
+    function = upper(decorator, "10.0")
+    caller = importlib.import_module("caller_kernels").caller
+    sys.modules.pop("caller_kernels")
+    lower = lower_of(function)
+    assert caller(np.array([3], np.int32)) == 36.0
+    assert [signature[0].name for signature in lower.overloads] == ["int64"]
 
 
 def test_a_kernel_runs_where_its_cache_cannot_be_written(upper, tmp_path, monkeypatch):
