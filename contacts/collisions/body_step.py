@@ -41,6 +41,7 @@ from contacts.time_stepping.chunk import (
     pressed_guess,
 )
 from statechart.arrays import Array, Ints
+from statechart.kernels.copies import indices, put_rows
 from statechart.kernels.jit import kernel
 
 MEMORY = 5
@@ -159,9 +160,8 @@ def step_bodies(
             angle = state[at + 2] + 0.5 * h * old[b, 2]
             state[at], state[at + 1], state[at + 2] = x, y, angle
             centres[b, 0], centres[b, 1] = x, y
-            world[firsts[b] : firsts[b + 1]] = place(
-                vertices[firsts[b] : firsts[b + 1]], x, y, angle
-            )
+            corners = vertices[firsts[b] : firsts[b + 1]]
+            put_rows(place(corners, x, y, angle), world[firsts[b] : firsts[b + 1]])
             loose[b, 0] += h * gravity[0]
             loose[b, 1] += h * gravity[1]
             speed = math.hypot(old[b, 0], old[b, 1]) + sizes[b] * abs(old[b, 2]) + fall
@@ -298,7 +298,7 @@ def step_bodies(
         rebounds = hit[:m] & (elastic[:m] > 0.0)
         touching = Touching(bodies, rows, inverse, cones, wanted, before, free, rebounds, loose)
         for island in range(b_count):
-            members = np.nonzero(owners == island)[0]
+            members = indices(owners == island)
             size = len(members)
             if size == 0:
                 continue
@@ -309,7 +309,8 @@ def step_bodies(
                         wanted[members[a], 0] = 0.0
             soften = softened and k == 0
             if soften:
-                wanted[members, 0] = np.maximum(wanted[members, 0], 0.0)
+                for a in range(size):
+                    wanted[members[a], 0] = max(wanted[members[a], 0], 0.0)
             if size > _DENSE and swept(members, touching, pushes, sliding, guesses):
                 swept_steady(members, touching, pushes, sliding, guesses, hit, steady)
                 continue

@@ -24,6 +24,11 @@ _PREFERRED = 1e-3
 _SAME = 1e-3
 
 
+@part
+def _write(found: Array, nx: float, ny: float, x: float, y: float, gap: float) -> None:
+    found[0], found[1], found[2], found[3], found[4] = nx, ny, x, y, gap
+
+
 @kernel
 def place(vertices: Array, x: float, y: float, angle: float) -> Array:
     """Return vertices (k, 2) of a body's frame in the world."""
@@ -61,14 +66,14 @@ def against_surface(
     if len(body) == 0:
         gap = nx * (centre[0] - px) + ny * (centre[1] - py) - radius
         if gap <= within:
-            found[0] = (nx, ny, centre[0] - radius * nx, centre[1] - radius * ny, gap)
+            _write(found[0], nx, ny, centre[0] - radius * nx, centre[1] - radius * ny, gap)
             features[0] = 0
             count = 1
         return count, features
     for i in range(len(body)):
         gap = nx * (body[i, 0] - px) + ny * (body[i, 1] - py)
         if gap <= within and count < len(found):
-            found[count] = (nx, ny, body[i, 0], body[i, 1], gap)
+            _write(found[count], nx, ny, body[i, 0], body[i, 1], gap)
             features[count] = i
             count += 1
     return count, features
@@ -136,7 +141,7 @@ def _clipped(
             count = 0
         if gap <= within:
             sign = -1.0 if flip else 1.0
-            found[count] = (-sign * nx, -sign * ny, x, y, gap)
+            _write(found[count], -sign * nx, -sign * ny, x, y, gap)
             features[count] = 4 * (64 * edge + facing) + 2 * end + (1 if flip else 0)
             count += 1
     return count, features
@@ -155,7 +160,7 @@ def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int,
     if best > within or best == 0.0:
         return 0, features
     nx, ny = (one[a, 0] - other[b, 0]) / best, (one[a, 1] - other[b, 1]) / best
-    found[0] = (nx, ny, other[b, 0], other[b, 1], best)
+    _write(found[0], nx, ny, other[b, 0], other[b, 1], best)
     features[0] = -1 - (64 * a + b)
     return 1, features
 
@@ -187,7 +192,7 @@ def _disc_and_polygon(
     if gap > within:
         return 0, features
     sign = -1.0 if flip else 1.0
-    found[0] = (sign * nx, sign * ny, x, y, gap)
+    _write(found[0], sign * nx, sign * ny, x, y, gap)
     return 1, features
 
 
@@ -225,7 +230,7 @@ def between(
             return 0, features
         nx, ny = dx / away, dy / away
         x, y = other_centre[0] + other_radius * nx, other_centre[1] + other_radius * ny
-        found[0] = (nx, ny, x, y, gap)
+        _write(found[0], nx, ny, x, y, gap)
         return 1, features
     if len(one) == 0:
         return _disc_and_polygon(one_centre, one_radius, other, False, within, found)

@@ -218,7 +218,8 @@ def swept(
             _moved(members, touching, plastic),
             _moved(members, touching, part),
         )
-        part[members] = chosen
+        for a in range(len(members)):
+            part[members[a], 0], part[members[a], 1] = chosen[a, 0], chosen[a, 1]
     for i in members:
         pushes[i, 0], pushes[i, 1] = part[i, 0], part[i, 1]
         edge = cones[i, 0] * abs(part[i, 1]) - cones[i, 1] * part[i, 0]
@@ -244,6 +245,7 @@ def swept_steady(
         others = members[~hit[members]]
         alone = np.zeros_like(pushes)
         if len(others) and not swept(others, touching, alone, sliding.copy(), guesses.copy()):
-            alone[others] = pushes[others]
+            for i in others:
+                alone[i, 0], alone[i, 1] = pushes[i, 0], pushes[i, 1]
     for i in members:
         steady[i, 0], steady[i, 1] = alone[i, 0], alone[i, 1]

@@ -13,6 +13,7 @@ from contacts.modes.fast_classification import classify
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.engines.whole_flow import Program, tape_of
+from statechart.kernels.copies import put
 from statechart.kernels.jit import part
 from statechart.kernels.tapes import tape_values
 
@@ -112,7 +113,8 @@ def switched(
     See `contacts.dynamics.conditions.Conditions.switched`.
     """
     place, at = -1, 0
-    taken[:] = kept
+    for c in range(kept.shape[0]):
+        taken[c] = kept[c]
     for c in range(kept.shape[0]):
         begin, holds, fails = at, True, False
         while at < values.shape[0] and scene.owners[at] == c:
@@ -277,5 +279,5 @@ def hit(
             low = numbers[scalars + SCALARS * i + 1] <= scene.speed
             if low and scene.restitution[i] == 0.0 and taken[i] == FREE:
                 return -1, 0, 0
-    state[:] = after
+    put(after, state)
     return c, path, bits

@@ -45,6 +45,7 @@ from statechart.execution.ahead import (
     T_SINCE,
 )
 from statechart.kernels.accumulation import follow
+from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel, part
 from statechart.kernels.tapes import tape_values
 
@@ -211,7 +212,7 @@ def _instant(
         place[N_ASKED] = 0
         return GOES_ON, -1, 0.0
     if target < 0 or (target == mode and struck < 0):
-        state[:] = before
+        put(before, state)
         return FELL, margin, 0.0
     event = block.used[EVENTS]
     block.events[event, 0], block.events[event, 1] = mode, target
@@ -222,8 +223,8 @@ def _instant(
     block.numbers[event, 3:] = 0.0
     if struck >= 0:
         block.numbers[event, 4], block.numbers[event, 5] = impulse[struck]
-    block.states[event, 0] = before
-    block.states[event, 1] = state
+    put(before, block.states[event, 0])
+    put(state, block.states[event, 1])
     block.used[EVENTS] += 1
     place[N_MODE] = target
     place[N_JUMPS] += 1
@@ -235,7 +236,8 @@ def _instant(
         while kept[changed] == taken[changed]:
             changed += 1
         row = _PER_CAUSE * changed + _cause(kept[changed], taken[changed])
-    kept[:] = taken
+    for c in range(kept.shape[0]):
+        kept[c] = taken[c]
     rest = follow(series[row], high, now[T_LOW], margin >= 0, scene.short)
     if rest >= 0.0:
         return ACCUMULATES, row, rest

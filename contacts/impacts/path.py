@@ -75,7 +75,8 @@ def _piece(
         if status == INEXACT:
             return UNTRUSTED, STICK, 0.0, 0.0, 0.0, 0.0
         if status == SOLVED and cone_n * abs(x[size + 1]) <= cone_t * x[size]:
-            change[:] = x[:size]
+            for i in range(size):
+                change[i] = x[i]
             return ENDED, STICK, 1.0, 0.0, x[size], x[size + 1]
     for sign in (1.0, -1.0):
         if u_t * sign < 0.0:

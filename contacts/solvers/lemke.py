@@ -8,6 +8,7 @@ import numpy as np
 
 from contacts.solvers.saddle_point import SOLVED, solve_refined
 from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.copies import indices, put_rows
 from statechart.kernels.jit import kernel, part
 
 FOUND, RAY, SPENT = range(3)
@@ -58,7 +59,7 @@ def row_residual(
 @kernel
 def on_support(matrix: Array, vector: Array, positive: Bools) -> tuple[bool, Array]:
     """Solve ``w = 0`` where z may be positive, z = 0 elsewhere."""
-    which = np.nonzero(positive)[0]
+    which = indices(positive)
     count = len(which)
     z = np.zeros(len(vector))
     if count == 0:
@@ -72,7 +73,8 @@ def on_support(matrix: Array, vector: Array, positive: Bools) -> tuple[bool, Arr
     x = np.empty(count)
     if solve_refined(part, right, x) != SOLVED:
         return False, z
-    z[which] = x
+    for a in range(count):
+        z[which[a]] = x[a]
     return True, z
 
 
@@ -160,13 +162,15 @@ def lemke(matrix: Array, vector: Array, cover: Array, limit: int) -> tuple[int, 
     if r < 0:
         return FOUND, z, basis
     table = np.empty((size, size + 1))
-    table[:, :size] = matrix
-    table[:, size] = cover
+    put_rows(matrix, table)
+    for i in range(size):
+        table[i, size] = cover[i]
     right = vector.copy()
     basic = np.arange(size)
     nonbasic = np.arange(size, 2 * size + 1)
     column_of = np.full(2 * size + 1, -1)
-    column_of[size:] = np.arange(size + 1)
+    for i in range(size + 1):
+        column_of[size + i] = i
     c = size
     for _ in range(limit):
         _pivot(table, right, r, c)

@@ -17,6 +17,7 @@ from contacts.solvers.saddle_point import (
 )
 from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel, part
 
 INTO, PULLS, OUTSIDE, AGAINST = range(4)
@@ -195,9 +196,9 @@ def solve_modes(
                 first, bearing = row_order, order
         size = n + rank
         matrix, b, x = np.zeros((size, size)), np.empty(size), np.empty(size)
-        matrix[:n, :n] = mass
+        put_rows(mass, matrix)
         _write_rows(rows, columns, first, bearing, matrix)
-        b[:n] = right
+        put(right, b)
         for i in range(rank):
             b[n + i] = constants[first[i]]
         status[k] = solve_refined(matrix, b, x)

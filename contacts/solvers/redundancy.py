@@ -12,6 +12,7 @@ from contacts.solvers.dependence import independent
 from contacts.solvers.smallest_forces import springs
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
 
 
@@ -34,17 +35,19 @@ def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> 
     for i in range(len(codes)):
         if codes[i] == FREE or i == left_out:
             continue
-        n, t = jacobians[i]
+        n, t = jacobians[i, 0], jacobians[i, 1]
         owners[m] = i
         if codes[i] == PIN:
-            rows[m], rows[m + 1] = n, t
+            put(n, rows[m])
+            put(t, rows[m + 1])
             owners[m + 1] = i
             m += 1
         elif codes[i] == SLIDE:
-            rows[m] = n
+            put(n, rows[m])
         else:
             edge = -cones[i, 1] if codes[i] == SLIDE_PLUS else cones[i, 1]
-            rows[m] = cones[i, 0] * n + edge * t
+            for k in range(len(n)):
+                rows[m, k] = cones[i, 0] * n[k] + edge * t[k]
         m += 1
     return rows[:m], owners[:m]
 
@@ -85,14 +88,14 @@ def shared_forces(
     if rank == len(rows):
         return np.zeros(len(codes), np.bool_), forces
     shared = sharing(codes, cones, jacobians, rank, len(rows))
-    which = np.nonzero(codes != FREE)[0]
+    which = indices(codes != FREE)
     sliding = np.zeros(len(which))
     edges = np.empty((len(which), 2))
     reach = np.empty((len(which), 2, rank))
     load = np.zeros(rank)
     for a in range(len(which)):
         i = which[a]
-        edges[a] = cones[i]
+        put(cones[i], edges[a])
         if codes[i] == SLIDE:
             # A slide without friction is one along the edge (1, 0).
             edges[a, 0], edges[a, 1] = 1.0, 0.0
@@ -107,7 +110,7 @@ def shared_forces(
         return shared, forces
     result = forces.copy()
     for a in range(len(which)):
-        result[which[a]] = least[a]
+        put(least[a], result[which[a]])
     return shared, result
 
 

@@ -42,9 +42,9 @@ def _zone(w: Array, cone: Array, sliding: float) -> int:
 def _force(zone: int, w: Array, cone: Array, force: Array) -> None:
     """Project `w` as its zone says."""
     if zone == INSIDE:
-        force[:] = w
+        force[0], force[1] = w[0], w[1]
     elif zone == APEX:
-        force[:] = 0.0
+        force[0] = force[1] = 0.0
     else:
         edge = cone[1] if zone == UPPER else -cone[1]
         along = cone[0] * w[0] + edge * w[1]
@@ -168,7 +168,9 @@ def springs(
     right, pushed = load.copy(), load.copy()
     for i in range(size):
         scale = 1.0 / np.abs(reach[:, :, i]).max()
-        scaled[:, :, i] *= scale
+        for g in range(count):
+            scaled[g, 0, i] *= scale
+            scaled[g, 1, i] *= scale
         right[i] *= scale
         pushed[i] = right[i]
     zones = np.empty(count, np.int64)

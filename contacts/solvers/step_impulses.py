@@ -18,6 +18,7 @@ from contacts.solvers.contact_lcp_kernels import (
 )
 from contacts.solvers.redundancy import connected
 from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel, part
 
 
@@ -121,10 +122,12 @@ def solve_impacts(
         for label in range(len(cones)):
             group = groups == label
             if (rebounds & group).any():
-                own = np.nonzero(group)[0]
-                pushes[own], _ = capped(
+                own = indices(group)
+                found, _ = capped(
                     before[own], free[own], rest[own], full[own], slower[own], faster[own]
                 )
+                for a in range(len(own)):
+                    put(found[a], pushes[own[a]])
     return good, z, basis, pushes, least
 
 
@@ -246,17 +249,20 @@ def steady_impulses(
     if not sudden.any():
         return pushes, z[3::UNKNOWNS] > 0.0
     steady, slides = np.zeros((m, 2)), np.zeros(m, np.bool_)
-    others = np.nonzero(~sudden)[0]
-    if len(others):
-        both = np.empty(2 * len(others), np.int64)
-        both[::2], both[1::2] = 2 * others, 2 * others + 1
-        nothing = np.zeros(UNKNOWNS * len(others), np.bool_)
-        good, alone, _ = solve_contacts(
-            delassus[both][:, both], least[others], cones[others], nothing, pivots(len(others))
-        )
+    others = indices(~sudden)
+    count = len(others)
+    if count:
+        felt = np.empty((2 * count, 2 * count))
+        for i in range(2 * count):
+            for k in range(2 * count):
+                felt[i, k] = delassus[2 * others[i // 2] + i % 2, 2 * others[k // 2] + k % 2]
+        nothing = np.zeros(UNKNOWNS * count, np.bool_)
+        good, alone, _ = solve_contacts(felt, least[others], cones[others], nothing, pivots(count))
         if good:
-            steady[others] = impulses_of(alone)
-            slides[others] = alone[3::UNKNOWNS] > 0.0
+            forces = impulses_of(alone)
+            for a in range(count):
+                put(forces[a], steady[others[a]])
+                slides[others[a]] = alone[UNKNOWNS * a + 3] > 0.0
     return steady, slides
 
 

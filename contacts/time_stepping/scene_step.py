@@ -39,6 +39,7 @@ from contacts.time_stepping.energy import energy_added
 from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
 from contacts.time_stepping.forces import borne_mode, jammed, resting
 from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
@@ -193,7 +194,7 @@ def step_scene(
                 wanted[i, 0] = -restitution[i] * nearing
                 approach[k] = max(approach[k], nearing)
                 closing[k] = max(closing[k], -gap)
-        which = np.nonzero(active)[0]
+        which = indices(active)
         m = len(which)
         total = np.zeros(size)
         for i in range(size):
@@ -214,7 +215,7 @@ def step_scene(
                     push = np.zeros(size)
                     for j in range(n):
                         push[j] = numbers[row + d * n + j]
-                    columns[2 * a + d] = back(matrix, order, push)
+                    put(back(matrix, order, push), columns[2 * a + d])
             delassus = np.zeros((2 * m, 2 * m))
             for a in range(m):
                 row = first + per * which[a]
@@ -290,7 +291,7 @@ def step_scene(
                 for b in range(2 * m):
                     slip += delassus[2 * a + 1, b] * pushes[b // 2, b % 2]
                 if (sudden & (groups == groups[a])).any():
-                    impulses[k, i] = into_cone(pushes[a] - steady[a], ours[a])
+                    put(into_cone(pushes[a] - steady[a], ours[a]), impulses[k, i])
                 for d in range(2):
                     for j in range(size):
                         total[j] += columns[2 * a + d, j] * pushes[a, d]

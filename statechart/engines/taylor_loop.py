@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Ints32
 from statechart.engines.heyoka_step import call_step
 from statechart.kernels.constraints import off_by
+from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel, part
 from statechart.kernels.lift import Program, lift
 from statechart.kernels.polynomials import horner
@@ -117,7 +118,7 @@ def _taylor_steps(
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
     while True:
         lift(follows, state, values, start + times[first + taken])
-        here[:] = state
+        put(state, here)
         step[0] = 0.0 if done else min(left, longest)
         call_step(address, state, parameters, clock, step, series)
         # The step before the one that is made again has been looked at.
@@ -130,8 +131,8 @@ def _taylor_steps(
                 longest, done, again = 0.5 * h, False, True
                 taken -= 1
                 total, left, clock[0], clock[1] = summed, length, since, rest
-                state[:] = begun
-                end[:] = begun
+                put(begun, state)
+                put(begun, end)
                 if halvings > HALVINGS:
                     return taken, taken, 0.0, left
                 continue
@@ -139,7 +140,7 @@ def _taylor_steps(
         if done:
             return taken, taken, h, left
         h, again = step[0], False
-        begun[:] = here
+        put(here, begun)
         bounded = expand(series, h, coeffs[first + taken])
         taken += 1
         summed, length, since, rest = total, left, clock[0], clock[1]
@@ -242,13 +243,13 @@ def taylor_flow(
     integrator, boxes = (address, state, heyokas, clock, series, tolerance, max_step), 0
     if moved:
         clock[0] = clock[1] = 0.0
-        state[:] = initial
+        put(initial, state)
         if heyokas.shape[0] > 0:
             heyokas[0] = start + times[first]
             for i in range(used.shape[0]):
                 heyokas[i + 1] = parameters[used[i]]
     while True:
-        begun[:] = state
+        put(state, begun)
         taken, finite, h, left = _taylor_steps(
             integrator,
             until - times[first],

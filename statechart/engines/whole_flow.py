@@ -18,6 +18,7 @@ from statechart.engines.event_location import BOXES
 from statechart.engines.heyoka_step import call_step
 from statechart.engines.taylor_loop import ORDERS, STRAY, expand, let_pass, stray
 from statechart.kernels.constraints import off_by
+from statechart.kernels.copies import put
 from statechart.kernels.defect import unseen
 from statechart.kernels.jit import part
 from statechart.kernels.lift import Program as Following
@@ -161,7 +162,7 @@ def _enter(
 ) -> None:
     """Let the integrator begin in a state."""
     memory.clock[:] = 0.0
-    memory.state[:] = state
+    put(state, memory.state)
     if row[PARS] > 0:
         memory.pars[0] = now
         for i in range(row[PARS] - 1):
@@ -293,7 +294,7 @@ def flow_to_event(
     ):
         return UNUSUAL, -1, 0, boxes
     if verdict == NONE:
-        initial[:] = ended
+        put(ended, initial)
         return ENDED, -1, made, boxes
     kind = program.ints[row[MARGINS_AT] + 2 * guard]
     if kind == PLAIN:

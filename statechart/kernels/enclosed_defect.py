@@ -17,6 +17,7 @@ import numpy as np
 
 from statechart.arrays import Array, Complexes, Ints32
 from statechart.kernels.boxes import Along, place, prepare
+from statechart.kernels.copies import put
 from statechart.kernels.discs import run_discs
 from statechart.kernels.intervals import EPS, INF, mul, sub
 from statechart.kernels.jets import run_jets
@@ -210,7 +211,7 @@ def enclosed_defect(
                     lefts[top + 1], rights[top + 1] = a, m
                     top += 2
                     continue
-                wide[:] = worst
+                put(worst, wide)
             for v in range(n):
                 bounds[step, v] += (b - a) * worst[v] * _WIDER
                 unknown[step, v] += (b - a) * wide[v]
