@@ -6,7 +6,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from statechart import interrupts
+from statechart import compiling, interrupts
 
 if TYPE_CHECKING:
     # Signals are listened to before anything is imported that takes long.
@@ -35,6 +35,7 @@ def program() -> int:
 
         take_streams()
         be_quiet()
+        compiling.announce(lambda line: print(line, file=sys.stderr, flush=True))
         import gc
 
         gc.set_threshold(_COLLECTED_AFTER)

@@ -365,13 +365,9 @@ def _scratch() -> Iterator[None]:
 
 
 def _runner(file: str, **options: Any) -> Runner:
-    from statechart.kernels.search import cached
     from statechart.running.runner import Runner
 
-    runner = Runner(file, **options)
-    if not cached():
-        print("compiling the numerical kernels; this happens once", file=sys.stderr, flush=True)
-    return runner
+    return Runner(file, **options)
 
 
 def _assigned(option: str, pairs: Iterable[tuple[str, T]]) -> dict[str, T]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
+from statechart.compiling import working_time
 from statechart.engines.engine import Begin, Engine, FlowWatch, Steps
 from statechart.engines.path import Path
 from statechart.errors import OutOfBudget
@@ -23,10 +23,10 @@ class Allowance:
     seconds : float
         How many.
     clock : callable
-        Tells the time.
+        Tells the time; by default it stands still while kernels are compiled.
     """
 
-    def __init__(self, seconds: float, clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(self, seconds: float, clock: Callable[[], float] = working_time) -> None:
         self.seconds, self.clock = seconds, clock
         self._until = math.inf
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-import time as wall
 
 from statechart.automaton.trace import Outcome, Trace
+from statechart.compiling import working_time
 from statechart.errors import SimulationError
 
 _PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown
@@ -22,11 +22,11 @@ class Progress:
 
     def __init__(self, until: float) -> None:
         self._until = until
-        self._began = self._shown = wall.perf_counter()
+        self._began = self._shown = working_time()
 
     def show(self, time: float, jumps: int, steps: int) -> None:
         """Say how far the run is, if that was not said within the last second."""
-        now = wall.perf_counter()
+        now = working_time()
         if now - self._shown < _PROGRESS_AFTER:
             return
         self._shown = now

@@ -19,10 +19,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
+from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
-from statechart import interrupts
+from statechart import compiling, interrupts
 from statechart.kernels.compilation import Callee, KernelCompiler, PartCompiler, Signature, plain
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -99,6 +100,21 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)
 
 
+class _Told(event.Listener):
+    """Tells `statechart.compiling` of every function that numba compiles for a kernel."""
+
+    def on_start(self, event: Any) -> None:
+        compiled = event.data["dispatcher"]
+        compiling.begin(compiled.py_func.__name__, lambda: len(_missing(compiled, {})))
+
+    def on_end(self, event: Any) -> None:
+        made = event.data["dispatcher"]._compiler.pipeline_class
+        compiling.end(made in (KernelCompiler, PartCompiler))
+
+
+event.register("numba:compile", _Told())
+
+
 def _digest(data: bytes) -> bytes:
     return hashlib.blake2b(data, digest_size=_DIGEST).digest()
 
@@ -114,14 +130,14 @@ def kernel(function: F) -> F:
         compiled._cache = _Cache(function)
     compile_ = compiled.compile
 
-    def compiling(signature: Signature) -> Any:
+    def compile_plain(signature: Signature) -> Any:
         # Signals end a compilation at once: it may take half a minute.
         with interrupts.let_through():
             entry = compile_(plain(signature))
         compiled.overloads[plain(signature)].library.callee = Callee.of(compiled, plain(signature))
         return entry
 
-    compiled.compile = compiling
+    compiled.compile = compile_plain
     return compiled
 
 
@@ -142,6 +158,18 @@ def is_cached(compiled: Any) -> bool:
     """Whether a kernel lies compiled on disk, whole, for the files as they are."""
     file = getattr(compiled._cache, "_cache_file", None)
     return file is not None and bool(file._load_index())
+
+
+def _missing(compiled: Any, found: dict[Any, None]) -> dict[Any, None]:
+    """Return kernels and parts that are compiled with one, those that lie on disk left out."""
+    if compiled in found or compiled.overloads or is_cached(compiled):
+        return found
+    found[compiled] = None
+    names = compiled.py_func.__globals__
+    for name in compiled.py_func.__code__.co_names:
+        if isinstance(names.get(name), Dispatcher):
+            _missing(names[name], found)
+    return found
 
 
 def _collect(function: Callable[..., Any], stamps: dict[str, tuple[float, int]]) -> None:

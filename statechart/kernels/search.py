@@ -8,7 +8,7 @@ from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import Along, enclose, judge, prepare
 from statechart.kernels.intervals import EPS, INF, LIBM, TINY
 from statechart.kernels.jets import run_jets
-from statechart.kernels.jit import is_cached, kernel, part
+from statechart.kernels.jit import kernel, part
 from statechart.kernels.polynomials import horner, local_time
 from statechart.kernels.tapes import filled, run_tape
 
@@ -386,8 +386,3 @@ def search_along(
             at = local_time(times, event_step, event)
             return CROSSING, found, event_step, event, at, local_time(times, step, sure), boxes
     return NONE, -1, 0, 0.0, 0.0, 0.0, boxes
-
-
-def cached() -> bool:
-    """Whether the kernels lie compiled on disk; if not, the first use takes some seconds."""
-    return is_cached(search)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 
 from statechart.automaton.trace import Outcome, Trace
+from statechart.compiling import working_time
 from statechart.engines.request import Chosen
 from statechart.observation.outputs import Outputs
 from statechart.running.estimate import Answer, Cost, Once
 
 
 def confirmed(
-    once: Once, chosen: Chosen, *, clock: Callable[[], float] = time.perf_counter
+    once: Once, chosen: Chosen, *, clock: Callable[[], float] = working_time
 ) -> Answer | None:
     """Make a run that was measured again; None where it turns out as another one.
 

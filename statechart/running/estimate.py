@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -11,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from statechart.automaton.trace import Outcome, Trace
+from statechart.compiling import working_time
 from statechart.engines.request import TIGHTER
 from statechart.errors import DeclarationError
 from statechart.observation.difference import compare, paired
@@ -59,7 +59,7 @@ class Cost:
     runs, steps, evaluations : int
         Over all runs; evaluations of the rates are 0 where the engine does not count them.
     seconds : float
-        Wall time, compiling included.
+        Wall time; kernels that were compiled meanwhile, once on a machine, are no part of it.
     """
 
     runs: int
@@ -278,7 +278,7 @@ def tighten(
     *,
     floor: float,
     first: float | None = None,
-    clock: Callable[[], float] = time.perf_counter,
+    clock: Callable[[], float] = working_time,
 ) -> Answer:
     """Run at ever tighter tolerances until two runs differ by no more than `accuracy`.
 
@@ -332,7 +332,7 @@ def within(
     *,
     floor: float,
     first: float | None = None,
-    clock: Callable[[], float] = time.perf_counter,
+    clock: Callable[[], float] = working_time,
 ) -> Answer:
     """Return the most accurate run that a time allows.
 

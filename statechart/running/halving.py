@@ -9,12 +9,12 @@ powers put no event at the same place between steps twice, and a run is compared
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
 from statechart.automaton.trace import Outcome, Trace
+from statechart.compiling import working_time
 from statechart.observation.difference import compare, distance, modes_apart
 from statechart.observation.observer import Observer
 from statechart.running.estimate import Answer, Cost, Made
@@ -122,7 +122,7 @@ def halve(
     *,
     first: float,
     end: float,
-    clock: Callable[[], float] = time.perf_counter,
+    clock: Callable[[], float] = working_time,
 ) -> Answer:
     """Run at ever shorter steps until the estimated error is no more than `accuracy`.
 

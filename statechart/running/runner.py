@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import partial
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Key, Outcome
+from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
 from statechart.documents.setting import Setting
@@ -88,7 +88,7 @@ class Runner:
         once: bool = False,
         progress: bool = False,
     ) -> None:
-        began = time.perf_counter()
+        began = working_time()
         self.document: Document | None = None
         if isinstance(model, str | Path):
             model = read(find(str(model)))
@@ -98,14 +98,14 @@ class Runner:
         self.model = model
         self._constants = model.constants()
         self._end = None if model.stop.time is None else parse(model.stop.time)
-        read_at = time.perf_counter()
+        read_at = working_time()
         try:
             self.automaton = _automaton(model)
         except FormulaError as error:
             loc = self.document.where(error.text) if self.document else ()
             with located(self.document, {}, loc):
                 raise
-        self._timings = {"read": read_at - began, "compose": time.perf_counter() - read_at}
+        self._timings = {"read": read_at - began, "compose": working_time() - read_at}
         self._progress = progress
         self._asked = Setting(engine, method, tolerance, accuracy, step, budget, max_step)
         self._study, self._alone = study, once
@@ -178,7 +178,7 @@ class Runner:
                 "the engine impulse cannot certify: its steps follow no differential equation",
                 advice="leave certify out, or take the engine taylor or scipy",
             )
-        began = time.perf_counter()
+        began = working_time()
         answer, basis = self._answers.answer(overrides, end)
         observer, trace, estimate = answer.observer, answer.trace, answer.estimate
         if certify:
@@ -192,7 +192,7 @@ class Runner:
             trace = replace(trace, warnings=(self._answers.reason, *trace.warnings))
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
-        timings = {**self._timings, "run": time.perf_counter() - began}
+        timings = {**self._timings, "run": working_time() - began}
         return Result(trace, observer, estimate, timings, self, asked)
 
     def alternatives(self) -> dict[str, Runner]:

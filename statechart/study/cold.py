@@ -8,12 +8,12 @@ import pickle
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from dataclasses import asdict
 from types import TracebackType
 from typing import IO
 
+from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
 from statechart.loading.kind import kind
@@ -130,9 +130,9 @@ def serve() -> None:
 
 
 def _answer(model: Declaration, until: float, setting: Setting) -> bytes:
-    began = time.perf_counter()
+    began = working_time()
     try:
         Runner(model, **asdict(setting)).run(until=until, throw=False)
     except Exception:
         return b"nan\n"
-    return f"{time.perf_counter() - began!r}\n".encode()
+    return f"{working_time() - began!r}\n".encode()

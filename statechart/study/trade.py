@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from statechart.automaton.automaton import Automaton
+from statechart.compiling import working_time
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
@@ -64,7 +64,7 @@ def trade(
     settings: Sequence[Setting] | None = None,
     until: float | None = None,
     repeats: int = 3,
-    clock: Callable[[], float] = time.perf_counter,
+    clock: Callable[[], float] = working_time,
     cold: Callable[[Setting], float | None] | None = None,
     progress: Callable[[str], None] = lambda line: None,
 ) -> Study:

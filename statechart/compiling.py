@@ -1,0 +1,78 @@
+"""Compilation in this process: said while it lasts, and no part of the time that work takes.
+
+numba compiles a kernel and all below it when it is first called, in the middle of a run. What it
+takes has nothing to do with the run, and the next one does not take it: budgets, costs and progress
+are told by `working_time`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+_AFTER = 1.0  # seconds before it is said that something is compiled, and between one and the next
+
+
+class _State:
+    """What is being compiled; since when, and when that was last said."""
+
+    name, done, total = "", 0, 0
+    depth = 0
+    began = said = 0.0
+    told = False
+    spent = 0.0
+    say: Callable[[str], None] | None = None
+
+
+_now = _State()
+
+
+def announce(say: Callable[[str], None] | None) -> None:
+    """Let what is compiled for more than about a second be said by `say`, line by line."""
+    _now.say = say
+
+
+def working_time() -> float:
+    """Return seconds of a clock that stands still while something is compiled."""
+    now = time.perf_counter()
+    return now - _now.spent - (now - _now.began if _now.depth else 0.0)
+
+
+def begin(name: str, count: Callable[[], int]) -> None:
+    """Begin to compile a function, for itself or for the one that was begun before.
+
+    Parameters
+    ----------
+    name : str
+        Of the function.
+    count : callable
+        Tells how many functions are compiled with it; asked of the outermost one.
+    """
+    _now.depth += 1
+    if _now.depth > 1:
+        return
+    _now.began = _now.said = time.perf_counter()
+    _now.name, _now.done, _now.told = name, 0, False
+    _now.total = count() if _now.say is not None else 0
+
+
+def end(counts: bool = True) -> None:
+    """End what was begun last; whether it `counts` as one of those to be compiled."""
+    _now.depth -= 1
+    _now.done += counts
+    now = time.perf_counter()
+    if _now.depth == 0:
+        _now.spent += now - _now.began
+        if _now.told:
+            _say(f"compiled {_now.name} in {now - _now.began:.0f} s; the next run need not")
+    elif now - _now.said >= _AFTER:
+        _now.said, _now.told = now, True
+        _say(
+            f"compiling {_now.name}: {min(_now.done, _now.total)} of {_now.total} functions, "
+            f"{now - _now.began:.0f} s"
+        )
+
+
+def _say(line: str) -> None:
+    if _now.say is not None:
+        _now.say(line)

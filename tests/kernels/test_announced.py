@@ -1,0 +1,135 @@
+"""What compiles is said, and is no part of the time that work takes."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import pytest
+
+from statechart import compiling
+from statechart.engines.budget import Allowance
+from statechart.errors import OutOfBudget
+
+KERNELS = """\
+from statechart.kernels.jit import kernel, part
+
+@part
+def smallest_part(x):
+    return x + 1.0
+
+@part
+def larger_part(x):
+    return smallest_part(x) + smallest_part(2.0)
+
+@kernel
+def lower_kernel(x):
+    return larger_part(x)
+
+@kernel
+def upper_kernel(x):
+    return lower_kernel(x) + larger_part(x)
+"""
+
+
+class Clock:
+    """A clock that tells what it was set to."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    found = Clock()
+    monkeypatch.setattr(compiling, "time", found)
+    monkeypatch.setattr(compiling, "_now", compiling._State())
+    return found
+
+
+@pytest.fixture
+def lines(clock):
+    """Return what is said; every function takes a second."""
+    said: list[str] = []
+    compiling.announce(said.append)
+    return said
+
+
+@pytest.fixture
+def kernels(tmp_path, monkeypatch):
+    (tmp_path / "announced_kernels.py").write_text(KERNELS)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def imported():
+        sys.modules.pop("announced_kernels", None)
+        return importlib.import_module("announced_kernels")
+
+    yield imported
+    sys.modules.pop("announced_kernels", None)
+
+
+def slow(monkeypatch, clock, seconds):
+    """Let the end of every function that is compiled come so many seconds later."""
+    end = compiling.end
+
+    def later(counts=True):
+        clock.now += seconds
+        end(counts)
+
+    monkeypatch.setattr(compiling, "end", later)
+
+
+def test_what_compiles_is_said_with_how_far_it_is(kernels, clock, lines, monkeypatch):
+    slow(monkeypatch, clock, 1.0)
+    assert kernels().upper_kernel(1.0) == 10.0
+    assert lines == [
+        "compiling upper_kernel: 1 of 4 functions, 1 s",
+        "compiling upper_kernel: 2 of 4 functions, 2 s",
+        "compiling upper_kernel: 3 of 4 functions, 3 s",
+        "compiled upper_kernel in 4 s; the next run need not",
+    ]
+
+
+def test_what_lies_on_disk_is_not_counted(kernels, clock, lines, monkeypatch):
+    kernels().lower_kernel(1.0)
+    slow(monkeypatch, clock, 1.0)
+    kernels().upper_kernel(1.0)
+    assert lines[0] == "compiling upper_kernel: 1 of 3 functions, 1 s"
+    lines.clear()
+    kernels().upper_kernel(1.0)
+    assert not lines
+
+
+def test_what_takes_less_than_a_second_is_not_said(kernels, clock, lines, monkeypatch):
+    slow(monkeypatch, clock, 0.2)
+    kernels().upper_kernel(1.0)
+    assert not lines
+
+
+def test_a_failure_ends_what_was_begun(tmp_path, kernels, clock, lines):
+    module = kernels()
+    with pytest.raises(Exception, match="upper_kernel"):
+        module.upper_kernel("text")
+    began = compiling.working_time()
+    clock.now += 3.0
+    assert compiling.working_time() == began + 3.0
+
+
+def test_time_stands_still_while_something_compiles(kernels, clock, monkeypatch):
+    allowance = Allowance(2.5)
+    allowance.begin()
+    slow(monkeypatch, clock, 10.0)
+    kernels().upper_kernel(1.0)
+    allowance.check(0.0)
+    clock.now += 2.0
+    compiling.begin("other", lambda: 1)
+    clock.now += 10.0
+    allowance.check(0.0)
+    compiling.end()
+    allowance.check(0.0)
+    clock.now += 1.0
+    with pytest.raises(OutOfBudget):
+        allowance.check(0.0)
