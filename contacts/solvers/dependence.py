@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.solvers.saddle_point import SMALLEST, largest_size, power_of_two
+from contacts.solvers.saddle_point import SMALLEST, largest_in_column, largest_size, power_of_two
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
@@ -45,7 +45,7 @@ def independent(rows: Array, near: float = CANCELLING) -> tuple[int, Ints, Ints]
         for k in range(size):
             left[i, k] *= scale
     for k in range(size):
-        scale = power_of_two(largest_size(left[:, k]))
+        scale = power_of_two(largest_in_column(left, k))
         for i in range(count):
             left[i, k] *= scale
     for r in range(min(count, size)):

@@ -37,13 +37,22 @@ def largest_size(values: Array) -> float:
 
 
 @part
+def largest_in_column(matrix: Array, k: int) -> float:
+    """Return the largest absolute value in a column."""
+    largest = 0.0
+    for i in range(matrix.shape[0]):
+        largest = max(largest, abs(matrix[i, k]))
+    return largest
+
+
+@part
 def _equilibrate(scaled: Array, b: Array) -> Array:
     """Bring rows and columns to size 1, in place, by powers of two; return those of the columns."""
     size = len(b)
     column_scale = np.empty(size)
     # Columns first: masses may span many decades.
     for k in range(size):
-        scale = power_of_two(largest_size(scaled[:, k]))
+        scale = power_of_two(largest_in_column(scaled, k))
         for i in range(size):
             scaled[i, k] *= scale
         column_scale[k] = scale

@@ -74,10 +74,11 @@ def _missing(reach: Array, forces: Array, load: Array) -> Array:
 def _stiffness(reach: Array, zones: Ints, cones: Array) -> Array:
     size = reach.shape[2]
     result = np.zeros((size, size))
-    bears = np.empty(2)
+    moved, bears = np.empty(2), np.empty(2)
     for g in range(len(reach)):
         for k in range(size):
-            _force(zones[g], reach[g, :, k], cones[g], bears)
+            moved[0], moved[1] = reach[g, 0, k], reach[g, 1, k]
+            _force(zones[g], moved, cones[g], bears)
             for i in range(size):
                 result[i, k] += reach[g, 0, i] * bears[0] + reach[g, 1, i] * bears[1]
     return result
