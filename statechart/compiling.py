@@ -64,7 +64,7 @@ def end(counts: bool = True) -> None:
     if _now.depth == 0:
         _now.spent += now - _now.began
         if _now.told:
-            _say(f"compiled {_now.name} in {now - _now.began:.0f} s; the next run need not")
+            _say(f"compiled {_now.name} in {now - _now.began:.0f} s; this happens once")
     elif now - _now.said >= _AFTER:
         _now.said, _now.told = now, True
         _say(

@@ -14,7 +14,6 @@ from functools import cache
 from typing import Any
 
 import llvmlite.binding as llvm
-from heyoka import _core
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
@@ -48,6 +47,8 @@ class Step:
     """
 
     def __init__(self, module: str, code: bytes) -> None:
+        from heyoka import _core  # elsewhere than on Linux there is none
+
         builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process()
         library = ctypes.CDLL(_core.__file__)
         for name in set(_HELPERS.findall(module)):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.linalg import expm
 
 from statechart.arrays import Array
 from statechart.automaton.laws import Instant, Laws, Setup
@@ -121,7 +120,7 @@ class Certificate:
                 for order in range(MOMENTS):
                     added += power @ (moment[:, order] / scale)
                     power = power @ slope / (order + 1)
-                self._carry(expm(slope) if np.isfinite(slope).all() else slope)
+                self._carry(_exponential(slope) if np.isfinite(slope).all() else slope)
                 self._error += added
                 self._unknown += np.diag((rest / scale) ** 2)
                 if shifts[step].any():
@@ -240,3 +239,9 @@ def _made(laws: Laws, instant: Instant, jump: Jump) -> Array | None:
             return found.after if same else None
         instant = instant._replace(flow=following)
     return None
+
+
+def _exponential(matrix: Array) -> Array:
+    from scipy.linalg import expm  # it takes a tenth of a second, and only certificates need it
+
+    return expm(matrix)

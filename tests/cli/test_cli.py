@@ -428,12 +428,20 @@ def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_run_imports_neither_plots_nor_tables_nor_the_other_engine() -> None:
+@pytest.mark.parametrize(
+    ("model", "others"),
+    [
+        ("toppling_stick", "{'scipy.linalg', 'scipy.integrate'}"),
+        ("dice", "{'scipy.linalg', 'scipy.integrate', 'heyoka'}"),
+    ],
+    ids=["events", "steps"],
+)
+def test_a_run_imports_neither_plots_nor_tables_nor_other_engines(model: str, others: str) -> None:
     pytest.importorskip("heyoka")
     code = (
-        "import sys; from statechart.cli.main import main; main(['run', 'toppling_stick']);"
-        "print(sorted({'matplotlib', 'pandas', 'xarray', 'scipy.integrate', 'hypothesis',"
-        "'networkx', 'pygraphviz'} & sys.modules.keys()))"
+        f"import sys; from statechart.cli.main import main; main(['run', '{model}']);"
+        "print(sorted(({'matplotlib', 'pandas', 'xarray', 'hypothesis', 'networkx', 'pygraphviz',"
+        f"'rich', 'zarr'}} | {others}) & sys.modules.keys()))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
