@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array, Ints32
+from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
@@ -21,8 +22,9 @@ def lift(program: Program, state: Array, parameters: Array, time: float) -> None
         return
     n = state.shape[0]
     inputs = np.empty(n + anchors.shape[0])
-    inputs[:n] = state
-    inputs[n:] = anchors
+    put(state, inputs)
+    for i in range(anchors.shape[0]):
+        inputs[n + i] = anchors[i]
     values = np.empty(outputs.shape[0])
     tape_values(code, constants, outputs, inputs, parameters, time, values)
     for i in range(places.shape[0]):
