@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, partial
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -141,8 +142,6 @@ class SceneInstants:
         region, how = cause(self._names, source, target, False)
         impulse: Mapping[str, tuple[float, float]] = {}
         path: tuple[str, ...] = ()
-        # The laws themselves are asked for what few will read.
-        again = cache(partial(self._again, setup, event, fired))
         if event.struck >= 0:
             region, how = self._names[event.struck], "touchdown"
             if event.group == 0:
@@ -151,7 +150,7 @@ class SceneInstants:
                     impulse = {region: (event.normal, event.tangential)}
             else:
                 path = (f"plastic {', '.join(self._modes(event))}",)
-                impulse = Deferred(lambda: again().impulse)
+                impulse = Deferred(partial(self._told, "impulse", setup, event, fired))
         return Jump(
             event.t,
             event.j,
@@ -164,17 +163,18 @@ class SceneInstants:
             (fired,) if fired else (),
             impulse,
             path,
-            Deferred(lambda: again().considered),
+            Deferred(partial(self._told, "considered", setup, event, fired)),
             (event.energy_before, event.energy_after),
         )
 
-    def _again(self, setup: SceneSetup, event: Event, fired: str) -> Jump:
+    def _told(self, what: str, setup: SceneSetup, event: Event, fired: str) -> Mapping[str, Any]:
+        """Return what few will read of a jump: the laws themselves are asked again."""
         flow, clock = flow_in(setup, event.source), Clock(event.t)
         at = Instant(setup, clock, event.j, flow, event.before, (fired,) if fired else ())
         made = self._ask(at)
         assert made is not None
         assert made[0] is not None
-        return made[0]
+        return {"impulse": made[0].impulse, "considered": made[0].considered}[what]
 
     def _modes(self, event: Event) -> Iterator[str]:
         """Return what the contacts of a group do in a plastic impact."""

@@ -25,20 +25,18 @@ from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure
 from statechart.execution.ahead import Ahead
 from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
+from statechart.execution.finding import closing
 from statechart.execution.flow import UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace
 from statechart.execution.outcome import Progress
 from statechart.execution.record import trace_of
 from statechart.execution.zeno import Accumulation
-from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import summands
 
 # At such a rate a variable would have changed by this many times its size.
 _STEEP = 1e6
 # A margin that cannot be decided gets so much more room at a time, and in all.
 _WIDER, _WIDEST = 16.0, 1e4
-# A gap that is closed to this part of its tolerance as the run ends has just closed.
-_AT_END = 1e-2
 # How far to look ahead at first, in lengths of the last flow: those of bounces shrink.
 _AHEAD = 16.0
 # A flow of no scale is looked at so far ahead at first: its powers are floats.
@@ -266,21 +264,11 @@ class Execution:
         compiled = self.entered.get(self.flow.roles)
         if compiled is None:
             return False
-        guards, parameters, time = compiled.guards, self.setup.values, self.clock.high
-        margins = guards.values(self.state, parameters, time).tolist()
-        relative, sizes = self.engine.tolerance, self.flow.sizes
-        sizes = np.abs(self.state) if sizes is None else sizes
-        closed, tolerances = False, {**self.flow.tolerances}
-        terms: list[float] = []
-        for place, ((name, kind), margin) in enumerate(zip(compiled.watched, margins, strict=True)):
-            if kind == "gap":
-                closed |= margin <= _AT_END * self.setup.tolerances[kind]
-            elif kind == "plain" and name in tolerances:
-                terms = terms or sizes_at(guards, self.state, sizes, parameters, time)
-                tolerances[name] = max(tolerances[name], relative * terms[place])
-                closed |= margin <= tolerances[name]
+        happens, tolerances = closing(
+            self.engine, compiled, self.flow, self.setup, self.state, self.clock.high
+        )
         self.flow = self.flow._replace(tolerances=tolerances)
-        return closed
+        return happens
 
     def _warn(self) -> None:
         assert self.flow is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array
+from statechart.automaton.laws import Flow, Setup
 from statechart.engines.engine import Engine, FlowWatch
 from statechart.engines.event_location import Crossing, Search, Verdict
 from statechart.engines.path import Path
@@ -15,6 +16,8 @@ from statechart.kernels.polynomials import sample_states
 
 # Errors of dense output, in tolerances of the engine.
 _NOISE = 100.0
+# A gap that is closed to this part of its tolerance as the run ends has just closed.
+_AT_END = 1e-2
 _LOCATED = (Verdict.CROSSING, Verdict.GRAZE)
 
 
@@ -83,3 +86,25 @@ def decided(
             return where._replace(guard=guard, crossed=where.time)
     name = names[where.guard] if where.guard >= 0 else "one of " + ", ".join(names)
     raise NonFinite(f"the guard {name} cannot be evaluated near t = {time:.17g}")
+
+
+def closing(
+    engine: Engine, compiled: CompiledMode, flow: Flow, setup: Setup, state: Array, time: float
+) -> tuple[bool, dict[str, float]]:
+    """Return whether something may just be happening in a state, and the tolerances of the flow.
+
+    Those of margins that a run may be off by more than by their own are wider.
+    """
+    guards, parameters = compiled.guards, setup.values
+    margins = guards.values(state, parameters, time).tolist()
+    sizes = np.abs(state) if flow.sizes is None else flow.sizes
+    closed, tolerances = False, {**flow.tolerances}
+    terms: list[float] = []
+    for place, ((name, kind), margin) in enumerate(zip(compiled.watched, margins, strict=True)):
+        if kind == "gap":
+            closed |= margin <= _AT_END * setup.tolerances[kind]
+        elif kind == "plain" and name in tolerances:
+            terms = terms or sizes_at(guards, state, sizes, parameters, time)
+            tolerances[name] = max(tolerances[name], engine.tolerance * terms[place])
+            closed |= margin <= tolerances[name]
+    return closed, tolerances
