@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _FORMAT = "statechart sweep 1"
+# Cells of a sweep: which of them are done is known in memory.
+_MOST = 100_000_000
 # Cells of a chunk: so many numbers are read at once by whoever looks at one of them.
 _CHUNK = 4096
 SAMPLE = "sample"
@@ -175,6 +177,10 @@ class Plan:
         elif len(set(lengths)) > 1:
             raise DeclarationError("the columns of a table of samples have one length")
         self.shape = lengths if grid else lengths[:1]
+        if self.size > _MOST:
+            raise DeclarationError(
+                f"a sweep has at most {_MOST} cells, not {self.size}", advice="give fewer values"
+            )
 
     @property
     def size(self) -> int:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _SPACINGS = ("lin", "log")
 _FORMS = "write lin:A:B:N, log:A:B:N, or the values themselves, such as 0.1,1/3,inf"
+# Values of one parameter: what is more than anybody waits for would only take the memory.
+_MOST = 10_000_000
 # So that a sequence is the same wherever and whenever it is drawn.
 _SEED = 0
 
@@ -100,8 +102,8 @@ def values(name: str, text: str) -> Array:
     if spacing not in _SPACINGS or len(words) != 3:
         raise _wrong(name, f"{text!r} is no range", _FORMS)
     count = words[2].strip()
-    if not count.isdecimal() or len(count) > 9 or int(count) == 0:
-        raise _wrong(name, f"{count!r} is not a number of values", "at least 1 is needed")
+    if not count.isdecimal() or not 0 < int(count) <= _MOST:
+        raise _wrong(name, f"{count!r} is not a number of values", f"write one from 1 to {_MOST}")
     interval = _interval(name, spacing, *words[:2])
     if int(count) == 1:
         if interval.least != interval.greatest:
@@ -133,6 +135,8 @@ def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
     from scipy.stats import qmc
 
     power = count.bit_length() - 1
+    if count > _MOST:
+        raise DeclarationError(f"--sobol {count}: at most {_MOST} points can be drawn")
     if count != 1 << power:
         raise DeclarationError(
             f"--sobol {count}: a Sobol sequence is balanced for powers of two only",

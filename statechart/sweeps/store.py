@@ -170,6 +170,8 @@ class Store:
             )
         try:
             group = zarr.open_group(path, mode="r+", use_consolidated=False)
+        except PermissionError:
+            raise
         except Exception:  # whatever the library makes of what is no store
             raise DeclarationError(
                 f"{path} is no store of a sweep", advice="name another, or remove it"

@@ -52,6 +52,7 @@ def test_lists_are_formulas_of_numbers() -> None:
         ("lin:1:1:10", "the range is empty"),
         ("lin:0:1:1", "a range of one value has two ends"),
         ("lin:0:1:0", "'0' is not a number of values"),
+        ("lin:0:1:100000000", "'100000000' is not a number of values"),
         ("lin:0:1:ten", "'ten' is not a number of values"),
         ("lin:0:1", "'lin:0:1' is no range"),
         ("geo:1:2:3", "'geo:1:2:3' is no range"),

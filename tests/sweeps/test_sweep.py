@@ -198,10 +198,12 @@ def test_numbers_of_copies_are_a_parameter_like_others() -> None:
     found = sweep("dice", over, engine="impulse", step=1e-3, until=0.01)
     assert found["outcome"].to_numpy()[:2].tolist() == [["HORIZON"] * 2] * 2
     assert found["outcome"].to_numpy()[2].tolist() == ["DECLARATION_ERROR"] * 2
-    alone = sweep("dice", {"n": [2.0]}, engine="impulse", step=1e-3, until=0.01)
-    first = found["kinetic"].to_numpy()[1] if "kinetic" in found else found["t_end"].to_numpy()[1]
-    assert first[0] > 0.0
-    assert len(alone["outcome"]) == 1
+    runner = Runner("dice", engine="impulse", step=1e-3)
+    for i, n in enumerate((1.0, 2.0)):
+        for j, mu in enumerate((0.5, 0.6)):
+            alone = runner.run({"n": n, "mu": mu}, until=0.01).outputs["energy_left"]
+            assert found["energy_left"][i, j].item() == alone
+    assert found["energy_left"][1, 0] > found["energy_left"][0, 0]
 
 
 def test_an_accuracy_is_delivered_in_every_cell() -> None:
@@ -248,6 +250,7 @@ def test_a_sweep_opens_in_pandas_and_netcdf(tmp_path: Path) -> None:
         ({"over": {"mu": []}}, "mu has no values"),
         ({"over": {"mu": [1.0, 1.0]}}, "given twice"),
         ({"over": {"mu": [math.nan]}}, "not nan"),
+        ({"over": {"mu": np.linspace(0, 1, 20_000), "L": np.linspace(1, 2, 20_000)}}, "at most"),
         ({"over": {}}, "needs parameters"),
         ({"over": None}, "give one of them"),
         ({"samples": pd.DataFrame({"mu": [1.0]})}, "give one of them"),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import networkx as nx
 import pytest
+import xarray as xr
 
 import contacts
 import statechart
@@ -75,6 +76,11 @@ def test_a_shipped_model_loads_by_its_name() -> None:
     model = statechart.load("bouncing_ball_chart")
     assert isinstance(model, Chart)
     assert model.alternatives() == {}
+
+
+def test_a_sweep_is_a_data_set() -> None:
+    found: xr.Dataset = statechart.sweep(sled(), {"mu": [0.2, 0.4]}, outputs=["rest"])
+    assert found["rest"].dims == ("mu",)
 
 
 def test_errors_are_one_tree() -> None:
