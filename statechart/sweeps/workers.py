@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import multiprocessing
 import os
 import signal
@@ -87,19 +88,36 @@ def cluster(address: str) -> Iterator[Executor]:
             "a cluster needs Dask, which is not installed",
             advice='install it with: pip install "contact-statecharts[cluster]"',
         ) from None
+    # Asked first: a client that found none would go on trying, and complain as it is thrown away.
     try:
-        client = Client(address, timeout=_ANSWER, set_as_default=False)
-    except (OSError, ValueError, TypeError, RuntimeError) as error:
-        words = str(error).strip().split("\n")[0] or type(error).__name__
-        raise DeclarationError(
-            f"no scheduler answers at {address}: {words}",
-            advice="start one with `dask scheduler`; it prints its address, tcp://HOST:8786",
-        ) from None
+        kind = asyncio.run(asyncio.wait_for(_identity(address), _ANSWER))
+    except (OSError, ValueError) as error:
+        raise _silent(address, str(error) or "it took too long") from None
+    except Exception:  # whatever it makes of what another program says
+        raise _silent(address, "what listens there is something else") from None
+    if kind != "Scheduler":
+        raise _silent(address, f"there is a {kind}")
+    client = Client(address, timeout=_ANSWER, set_as_default=False)
     try:
         _check(client, address)
         yield client.get_executor()
     finally:
         client.close(timeout=_ANSWER)
+
+
+async def _identity(address: str) -> str:
+    """Return what answers at an address: Scheduler, Worker or Nanny."""
+    from distributed import rpc
+
+    async with rpc(address) as there:
+        return str((await there.identity())["type"])
+
+
+def _silent(address: str, words: str) -> DeclarationError:
+    return DeclarationError(
+        f"no scheduler answers at {address}: " + words.strip().split("\n")[0],
+        advice="start one with `dask scheduler`; it prints its address, tcp://HOST:8786",
+    )
 
 
 def _check(client: object, address: str) -> None:

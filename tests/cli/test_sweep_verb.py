@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +76,25 @@ def test_all_sorts_of_sweeps_are_drawn(tmp_path: Path, over: list[str], code: in
     asked = ["sweep", STICK, *over, "--outputs", "t_impact", "--plot", str(picture)]
     assert main(asked) == code
     assert picture.exists()
+
+
+def test_what_is_no_scheduler_is_told_from_one(capfd: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        answering = threading.Thread(target=_answer, args=(server,))
+        answering.start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        assert main(["sweep", STICK, "--over", "mu=1", "--scheduler", address]) == 2
+        answering.join()
+    said = capfd.readouterr().err
+    assert said.startswith(f"no scheduler answers at {address}: ")
+    assert len(said.splitlines()) == 1
+
+
+def _answer(server: socket.socket) -> None:
+    """Say what a web server would."""
+    connection, _ = server.accept()
+    with connection:
+        connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 10)
 
 
 def test_lists_are_drawn(tmp_path: Path) -> None:
