@@ -52,13 +52,14 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
     margins = tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins)
     rates = tuple(rate.xreplace(substitution) for rate in automaton.rates)
     if automaton.coordinates is not None and not loads:
-        held = (hold for state in states for hold in state.holds)
-        elimination = eliminated(automaton.coordinates, held, substitution)
+        held = [hold for state in states for hold in state.holds]
+        about = {e for hold in held for e in hold.equations}
+        laws = [e for state in states for e in state.equations if e not in about]
+        elimination = eliminated(automaton.coordinates, held, substitution, laws)
         if elimination is not None:
             minimal = _minimal(automaton, states, elimination, substitution)
-            if minimal is not None:
-                follows = _follows(automaton, elimination)
-                return Mode((*controls, *minimal), rates, margins, **follows)
+            follows = _follows(automaton, elimination)
+            return Mode((*controls, *minimal), rates, margins, **follows)
     solved = _solved(automaton, states, loads, substitution)
     return Mode((*controls, *solved), rates, margins)
 
@@ -97,8 +98,8 @@ def _minimal(
     states: Sequence[State],
     elimination: Elimination,
     substitution: Mapping[sp.Symbol, sp.Expr],
-) -> tuple[Definition, ...] | None:
-    """Solve the equations of a mode for the coordinates that an elimination leaves, if it can."""
+) -> tuple[Definition, ...]:
+    """Solve the equations of a mode for the coordinates that an elimination leaves."""
     coordinates = automaton.coordinates
     assert coordinates is not None
     count = len(coordinates.positions)
@@ -106,14 +107,15 @@ def _minimal(
     absent = {e for e in others if e.is_Symbol}
     working = [u for u in automaton.unknowns if u not in absent | elimination.forces]
     motion = coordinates.motion(elimination, working)
-    places = elimination.replaced
-    others = [automaton.equations[places[e]] if e in places else e for e in others]
-    known = elimination.known
+    places, known = elimination.replaced, elimination.known
+    laws = [e for e in others if e not in places]
+    follow = [automaton.equations[places[e]] for e in others if e in places]
     return minimal_equations(
         coordinates,
         elimination,
         [e.xreplace(substitution) for e in motion],
-        [e.xreplace(known).xreplace(substitution) for e in others],
+        [e.xreplace(known).xreplace(substitution) for e in laws],
+        [e.xreplace(known).xreplace(substitution) for e in follow],
         automaton.unknowns,
     )
 

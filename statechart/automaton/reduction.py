@@ -95,9 +95,15 @@ class Coordinates:
 
 
 def eliminated(
-    coordinates: Coordinates, held: Iterable[Hold], substitution: Known
+    coordinates: Coordinates,
+    held: Iterable[Hold],
+    substitution: Known,
+    laws: Collection[sp.Expr] = (),
 ) -> Elimination | None:
-    """Solve what is held for coordinates in closed form; None where nothing can be.
+    """Solve what is held for coordinates in closed form; None where not all of it can be.
+
+    A loop that its last joint closes, or a circle, would have to be kept on what it holds by a
+    projection that then moves what was eliminated.
 
     Parameters
     ----------
@@ -107,30 +113,33 @@ def eliminated(
         By the states of a mode.
     substitution : mapping
         What is known of parameters.
+    laws : collection of Expr
+        Equations whose forces have to stay in the equations of motion: of friction that works.
     """
     positions: dict[sp.Symbol, sp.Expr] = {}
     anchors: dict[sp.Symbol, sp.Expr] = {}
     replaced: dict[sp.Expr, int] = {}
     forces: set[sp.Symbol] = set()
     for hold in (*coordinates.joints, *held):
-        if any(e.xreplace(substitution).has(*hold.forces) for e in hold.equations):
-            continue  # Other rows imply it.
+        # Friction depends on it, or other rows imply it.
+        known = (e.xreplace(substitution) for e in (*hold.equations, *laws))
+        if any(e.has(*hold.forces) for e in known):
+            return None
         found = positions
         solved: list[sp.Symbol] = []
         for place in hold.places:
             pivot = _pivot(place.xreplace(substitution).xreplace(found), coordinates)
             if pivot is None:
-                break
+                return None
             symbol, value = pivot
             found = {q: e.xreplace({symbol: value}) for q, e in found.items()}
             found[symbol] = value
             solved.append(symbol)
-        else:
-            positions = found
-            places = (coordinates.positions.index(symbol) for symbol in solved)
-            replaced |= dict(zip(hold.equations, places, strict=True))
-            anchors |= hold.anchors
-            forces |= {*hold.forces}
+        positions = found
+        places = (coordinates.positions.index(symbol) for symbol in solved)
+        replaced |= dict(zip(hold.equations, places, strict=True))
+        anchors |= hold.anchors
+        forces |= {*hold.forces}
     if not positions:
         return None
     first = {q: coordinates.rate(e) for q, e in positions.items()}
@@ -163,9 +172,10 @@ def minimal_equations(
     coordinates: Coordinates,
     elimination: Elimination,
     motion: Sequence[sp.Expr],
-    others: Sequence[sp.Expr],
+    laws: Sequence[sp.Expr],
+    follow: Sequence[sp.Expr],
     unknowns: Sequence[sp.Symbol],
-) -> tuple[Definition, ...] | None:
+) -> tuple[Definition, ...]:
     """Solve the equations of a mode some of whose coordinates are eliminated.
 
     Parameters
@@ -174,29 +184,23 @@ def minimal_equations(
         Of the mode.
     motion : sequence of Expr
         Equations of motion of the coordinates that are left.
-    others : sequence of Expr
-        All further ones, in all accelerations and in the forces.
+    laws : sequence of Expr
+        Those of the forces that may do work on them.
+    follow : sequence of Expr
+        The equations of the coordinates eliminated.
     unknowns : sequence of Symbol
         Of the automaton: accelerations and forces.
 
     Returns
     -------
-    tuple of (Symbol, Expr) or None
-        As of `statechart.formulas.linear.solve_linear`; None where the motion depends on forces
-        that hold coordinates eliminated. Friction does: all equations are better solved at once
-        then, so that a force that is zero as a whole (that of a point mass on ground of infinite
-        friction) is exactly zero, and the state better projected, which leads a slip across the
-        end of its rates.
+    tuple of (Symbol, Expr)
+        As of `statechart.formulas.linear.solve_linear`.
     """
     left = [coordinates.accelerations[i] for i in coordinates.left(elimination)]
     forces = [u for u in unknowns if u not in coordinates.accelerations]
-    # The forces that the motion depends on, and the equations that are about these alone.
-    seen = set().union(*(e.free_symbols for e in motion)).intersection(forces)
-    about = [e for e in others if not e.has(*coordinates.accelerations)]
-    about = [e for e in about if e.free_symbols.intersection(forces) <= seen]
-    if len(about) != len(seen):
-        return None
-    first = solve_linear([*motion, *about], (*left, *(u for u in forces if u in seen)), len(motion))
-    rest = [e for e in others if e not in about]
-    last = solve_linear(rest, [u for u in forces if u not in seen])
-    return (*first, *elimination.accelerations.items(), *last)
+    working = [force for force in forces if force not in elimination.forces]
+    return (
+        *solve_linear([*motion, *laws], (*left, *working), len(motion)),
+        *elimination.accelerations.items(),
+        *solve_linear(follow, [force for force in forces if force in elimination.forces]),
+    )
