@@ -189,13 +189,16 @@ def test_a_closed_loop_keeps_all_coordinates() -> None:
     assert mode_of(model, zeros=zeros_of(model)).eliminated == {}
 
 
-def test_a_circle_and_friction_that_slides_keep_all_coordinates() -> None:
-    assert mode_of(pinned_rod(), "slide+").eliminated == {}
+@pytest.mark.parametrize(
+    "hill", [{"circle": [0, 0], "radius": 1}, {"height": "1 - x**2"}, {"incline": "steep"}]
+)
+def test_what_is_curved_or_lies_by_a_formula_keeps_all_coordinates(hill: dict[str, Any]) -> None:
+    # On a height that becomes vertical, y follows x as little as x does y.
     ball = scene(
-        parameters={"mu": 0},
+        parameters={"steep": 1.5},
         gravity=1,
         bodies={"ball": {"mass": 1, "start": {"y": 1}}},
-        surfaces={"hill": {"circle": [0, 0], "radius": 1}},
+        surfaces={"hill": hill},
         contacts={
             "c": {
                 "point": {"body": "ball"},
@@ -207,6 +210,10 @@ def test_a_circle_and_friction_that_slides_keep_all_coordinates() -> None:
         },
     )
     assert mode_of(ball, "slide").eliminated == {}
+
+
+def test_friction_that_slides_keeps_all_coordinates() -> None:
+    assert mode_of(pinned_rod(), "slide+").eliminated == {}
 
 
 def test_a_frictionless_slide_on_a_line_leaves_what_is_along_it() -> None:
