@@ -30,9 +30,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from contacts.dynamics.setup import SceneNumbers
-from statechart.engines import taylor
 from statechart.engines.taylor import Taylor
-from statechart.execution.execution import Execution
+from statechart.execution import execution
+from statechart.execution.ahead import Ahead
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
@@ -214,10 +214,8 @@ def shares(simulator: Simulator, trace: Callable[[], object]) -> dict[str, float
     places: list[tuple[str, Any, str]] = [
         ("numbers of the run (parameters, scales, tolerances)", SceneNumbers, "at"),
         ("first mode", laws, "begin"),
-        ("flows: compiled steps and search", taylor, "taylor_flow"),
-        ("flows: what is around them", Execution, "_flow"),
-        ("jumps: classification, evidence", laws, "jump"),
-        ("the trace", Execution, "_trace"),
+        ("flows and jumps: compiled", Ahead, "_advance"),
+        ("the trace", execution, "trace_of"),
     ]
     spent = {what: 0.0 for what, _, _ in places}
 
@@ -239,7 +237,6 @@ def shares(simulator: Simulator, trace: Callable[[], object]) -> dict[str, float
         begin = time.perf_counter()
         trace()
         whole = time.perf_counter() - begin
-        spent["flows: what is around them"] -= spent["flows: compiled steps and search"]
         for what, seconds in spent.items():
             found[what].append(seconds)
         found["the rest"].append(whole - sum(spent.values()))

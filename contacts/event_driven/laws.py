@@ -54,10 +54,6 @@ _EPS = float(np.finfo(float).eps)
 _START_DEPTH = 1e-9
 
 
-def _alike(one: Jump, other: Jump) -> bool:
-    return (one.region, one.cause) == (other.region, other.cause)
-
-
 class SceneLaws:
     """The laws of a scene (see `statechart.automaton.laws.Laws`).
 
@@ -299,7 +295,8 @@ class SceneLaws:
         """
         assert isinstance(setup, SceneSetup)
         jump = jumps[-1]
-        since = [j for j, past in enumerate(jumps[:-1]) if _alike(past, jump)]
+        alike = jump.region, jump.cause
+        since = [j for j, past in enumerate(jumps[:-1]) if (past.region, past.cause) == alike]
         if jump.cause != "touchdown" or not since:
             return None
         took_part = set().union(*(past.impulse for past in jumps[since[-1] :]))

@@ -136,6 +136,11 @@ class Recording:
         To be written on.
     jump : callable, optional
         Makes the jump of an event that a loop has written; asked when one is looked at.
+
+    Attributes
+    ----------
+    made : dict
+        Number of jumps before it -> a jump that is kept as it was made.
     """
 
     def __init__(
@@ -148,7 +153,7 @@ class Recording:
         self.memory, self.variables = memory, variables
         self._kinds, self._jump = kinds, jump
         self._places = {kind: place for place, kind in enumerate(kinds)}
-        self._made: dict[int, Jump] = {}
+        self.made: dict[int, Jump] = {}
         self._blocks: list[Block] = []
         # How many arcs and events stand in the blocks before each.
         self._arcs, self._events = [0], [0]
@@ -169,11 +174,6 @@ class Recording:
         # A trace that nobody has any more is to go at once: nothing here may point back at it.
         del self.arcs, self.jumps
         return self._sequences()
-
-    @property
-    def made(self) -> int:
-        """How many jumps are kept as they were made."""
-        return len(self._made)
 
     def kind(self, mode: Key, roles: Roles) -> int:
         """Return the place of a kind, a new one where it was none."""
@@ -211,14 +211,14 @@ class Recording:
     def add_jump(self, jump: Jump) -> None:
         """Add a jump that is kept as it is."""
         self._room(0, 0, 0, 1)
-        self._made[len(self.jumps)] = jump
+        self.made[len(self.jumps)] = jump
         block = self.memory
         block.events[block.used[EVENTS]] = MADE
         block.used[EVENTS] += 1
 
     def replace_last(self, jump: Jump) -> None:
         """Replace the last jump."""
-        self._made[len(self.jumps) - 1] = jump
+        self.made[len(self.jumps) - 1] = jump
         self.jumps.forget(len(self.jumps) - 1)
 
     def seal(self) -> None:
@@ -226,21 +226,10 @@ class Recording:
         if not self.memory.used.any():
             return
         arcs, times, terms, events = self.memory.used.tolist()
-        memory = self.memory
-        self._keep(
-            Block(
-                memory.arcs[:arcs].copy(),
-                memory.places[:arcs].copy(),
-                memory.starts[:arcs].copy(),
-                memory.times[:times].copy(),
-                memory.coefficients[:terms].copy(),
-                memory.events[:events].copy(),
-                memory.numbers[:events].copy(),
-                memory.states[:events].copy(),
-                memory.used.copy(),
-            )
-        )
-        memory.used[:] = 0
+        used = (arcs, arcs, arcs, times, terms, events, events, events, 4)
+        pairs = zip(self.memory, used, strict=True)
+        self._keep(Block._make([array[:count].copy() for array, count in pairs]))
+        self.memory.used[:] = 0
 
     def _room(self, arcs: int, times: int, terms: int, events: int) -> bool:
         """Make room on the pad; False where it can never hold that much."""
@@ -294,7 +283,7 @@ class Recording:
         return Arc(mode, roles, start, j, times, terms.reshape(steps, self.variables, width))
 
     def _event(self, j: int) -> Jump:
-        made = self._made.get(j)
+        made = self.made.get(j)
         if made is not None:
             return made
         block, row = self._found(self._events, j)

@@ -173,7 +173,7 @@ class Execution:
             return (UNBOUNDED,)
         if reached.failure is not None:
             raise reached.failure
-        check_size(0, self.record.made, self.clock.high)
+        check_size(0, len(self.record.made), self.clock.high)
         if reached.crossing is None:
             return ("zeno",) if duration == remaining else ()
         return self.fell(compiled, reached.crossing.guard, graze=reached.graze)

@@ -102,7 +102,7 @@ def test_a_trace_that_memory_does_not_hold_is_kept_on_disk(
     runner = Runner("stick_slip_block", engine="taylor")
     kept = runner.run(until=200.0).trace
     monkeypatch.setattr(recording, "IN_MEMORY", 2**10)
-    monkeypatch.setattr(recording, "_ARCS", 7)
+    monkeypatch.setattr(recording, "_ARCS", 40)
     spilled = Runner("stick_slip_block", engine="taylor").run(until=200.0).trace
     assert len(spilled.arcs) == len(kept.arcs) > 50
     assert isinstance(spilled.arcs[30].coefficients.base, np.memmap)
