@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import tempfile
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Generic, NamedTuple, TypeVar, overload
+from typing import Any, Generic, NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,7 +227,8 @@ class Recording:
             return
         arcs, times, terms, events = self.memory.used.tolist()
         used = (arcs, arcs, arcs, times, terms, events, events, events, 4)
-        pairs = zip(self.memory, used, strict=True)
+        arrays: Iterable[NDArray[Any]] = self.memory
+        pairs = zip(arrays, used, strict=True)
         self._keep(Block._make([array[:count].copy() for array, count in pairs]))
         self.memory.used[:] = 0
 
