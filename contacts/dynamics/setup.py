@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import sympy as sp
 
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales, ScaleTape
-from contacts.scene.checks import check_finite, check_physical
+from contacts.scene.checks import check_finite, check_physical, physical_limits
 from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
 from contacts.solvers.dependence import implied
@@ -21,6 +22,8 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Margin
 from statechart.documents.fields import FormulaText
 from statechart.errors import DeclarationProblem
+from statechart.formulas.formula import parse
+from statechart.formulas.tape import Tape
 
 _Reader = Callable[[Sequence[float]], ContactLaw]
 
@@ -104,7 +107,15 @@ class SceneNumbers:
             [entry for row in rows for entry in row.jacobian],
         )
         self._inertias = [(name, self._places.get(f"{name}.inertia")) for name in scene.bodies]
-        self._physical: set[tuple[tuple[str, float], ...]] = set()
+        self._limits: Tape | None = None
+        limits = physical_limits(scene)
+        if limits is not None:
+            # What is a number was checked when it was read.
+            varying = [limit for limit in limits if parse(limit[0]).names]
+            bounded = [parse(text).to_sympy(mechanics.known) for text, _, _ in varying]
+            if not any(expression.has(sp.oo) for expression in bounded):
+                self._limits = mechanics.tape(bounded)
+                self._bounds = np.array([bounds for _, *bounds in varying]).reshape(-1, 2).T
 
     def at(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
         """Return the numbers for `overrides` of the parameters.
@@ -117,10 +128,8 @@ class SceneNumbers:
         values, further = self._parameters.values(overrides)
         values, warnings = self._point_masses(values, further[-len(self._inertias) :])
         initial = further[: -len(self._inertias)]
-        key = tuple(sorted(overrides.items()))
-        if overrides and key not in self._physical:
+        if overrides and not self._physical(values, initial):
             check_physical(self._scene, self._scene.values(overrides))
-            self._physical.add(key)
         if not all(map(math.isfinite, initial.tolist())):
             check_finite(self._scene, self._scene.values(overrides))
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
@@ -164,6 +173,13 @@ class SceneNumbers:
                 **self.conditions.bands(values, initial, scales.sizes),
             },
         )
+
+    def _physical(self, values: Array, initial: Array) -> bool:
+        """Whether masses and the like are surely within their bounds."""
+        if self._limits is None:
+            return False
+        found, (least, most) = self._limits.at(initial, values, 0.0), self._bounds
+        return bool(((least <= found) & (found <= most)).all())
 
     def _point_masses(self, values: Array, levers: Array) -> tuple[Array, tuple[str, ...]]:
         """Set to zero the moments of inertia that cannot be told from it."""

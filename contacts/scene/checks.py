@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from contacts.scene.fields import SceneFields
@@ -53,6 +54,27 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
                 where = f" in state {state!r} of {region!r}" if state else ""
                 at = ("contacts", name, key)
                 _bounded(seen, text, at, words + where, most=most, infinite=key == "friction")
+
+
+def physical_limits(scene: SceneFields) -> list[tuple[FormulaText, float, float]] | None:
+    """Return what `check_physical` looks at, each with bounds between which it is surely right.
+
+    None where states of controllers set some of it.
+    """
+    most = sys.float_info.max
+    found: list[tuple[FormulaText, float, float]] = []
+    for body in scene.bodies.values():
+        found.append((body.mass, math.ulp(0.0), most))
+        found += [(body.inertia, 0.0, most)] if body.inertia is not None else []
+    for surface in scene.surfaces.values():
+        found += [(surface.radius, math.ulp(0.0), most)] if surface.radius is not None else []
+        found += [(surface.incline, -1.5, 1.5)] if surface.incline is not None else []
+    for contact in scene.contacts.values():
+        for text, last in ((contact.friction, math.inf), (contact.restitution, 1.0)):
+            if scene.controlled.region_of(text) is not None:
+                return None
+            found += [(text, 0.0, last)] if text is not None else []
+    return found
 
 
 def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from statechart.arrays import Array, Ints32
 from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, whole, wide
 from statechart.kernels.jets import run_jets
@@ -162,3 +165,35 @@ def judge(
             bound = at[0] + drop - LIBM * (abs(at[0]) - drop) - TINY
             if bound > row[4]:
                 row[4] = bound
+
+
+@part
+def unclear_by_slopes(
+    along: Along,
+    outputs: Ints32,
+    tolerances: Array,
+    step: int,
+    bounds: Array,
+    jets: Array,
+    state: NDArray[np.uint8],
+    work: Array,
+) -> int:
+    """Clear outputs by the mean value form over a whole step; return how many are not.
+
+    Where terms cancel (the slip of a point) a natural enclosure is wide, and this is not; it takes
+    half of what all evidence does.
+    """
+    enclose(along, step, bounds, 0.5, 0.0, 0, jets)
+    for i in range(outputs.shape[0]):
+        work[i, 0] = jets[outputs[i], 0]
+    enclose(along, step, bounds, 0.5, 0.5, 1, jets)
+    unclear = 0
+    for i in range(outputs.shape[0]):
+        if state[i] != 0:
+            box, middle = jets[outputs[i]], work[i, 0]
+            drop = 0.5 * max(abs(box[2]), abs(box[3]))
+            if middle - drop - LIBM * (drop + abs(middle)) - TINY + tolerances[i] > 0.0:
+                state[i] = 0
+            else:
+                unclear += 1
+    return unclear

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.boxes import Along, enclose, judge, prepare
+from statechart.kernels.boxes import Along, enclose, judge, prepare, unclear_by_slopes
 from statechart.kernels.intervals import EPS, INF, LIBM, TINY
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel, part
@@ -293,6 +293,10 @@ def search_along(
                         state[i] = 0
                     else:
                         unclear += 1
+            if unclear > 0 and b - a == 1.0:
+                unclear = unclear_by_slopes(
+                    along, outputs, tolerances, step, bounds, jets, state, work
+                )
             if unclear == 0:
                 continue
             judge(along, outputs, step, bounds, a, b, jets, work)
