@@ -37,9 +37,9 @@ from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
 
-# Operations on tape. Compiling 250 of a formula without loops takes 1.7 s and 42 MB, with loops
-# 0.4 s and 8 MB; on tape, where each is there once, these are some 160.
-_COMPACT = 160
+# Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB; unless
+# they are so few on tape, where each is there once.
+_COMPACT, _FEW = 240, 100
 # What compiling takes at least, and for each operation: somewhat more than the shipped models need.
 _BEGIN, _EACH = 0.01, 2e-4
 # Steps in one call: in between, progress is shown and an interruption heard.
@@ -51,6 +51,12 @@ _LEAST_BASE = 1e-12
 # the shipped models show.
 _SLOPE, _ORDERS = 1e-12, 1e3
 _SHOWN = 80  # characters of a formula in a message
+
+
+def _many(mode: Mode, rates: Tape) -> bool:
+    """Whether the operations of a mode are too many to be compiled without loops."""
+    written = sp.count_ops([*(value for _, value in mode.definitions), *mode.rates])
+    return bool(len(rates.code) > _FEW and written > _COMPACT)
 
 
 def has_long_double() -> bool:
@@ -121,7 +127,7 @@ class Taylor(Engine):
             # Loops in the compiled code cost small modes up to half of their speed; without them
             # the compiler needs half a minute for a mode of two thousand operations. Of long
             # doubles it takes several times as long.
-            compact_mode=extended or len(rates.code) > _COMPACT,
+            compact_mode=extended or _many(mode, rates),
         )
         # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
         # cancel); the first is the start of the arc.
