@@ -17,8 +17,8 @@ from statechart.arrays import Array
 from statechart.errors import SingularMode
 from statechart.formulas.tape import Tape
 
-# Of a contact, besides its Jacobian and biases: gap, its rate, slip, point, tangent.
-_SCALARS = 7
+SCALARS = 7
+"""Numbers of a contact behind all Jacobians and biases: gap, its rate, slip, point, tangent."""
 
 UNTRUSTED = "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
 """Why a system has no solution."""
@@ -176,7 +176,7 @@ class SnapshotTape:
             outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
             outputs += [*geometry.point, *geometry.tangent]
         n, count = self.size, self.count
-        lengths = n * n, n + 1, 2 * n * count, 2 * count, _SCALARS * count
+        lengths = n * n, n + 1, 2 * n * count, 2 * count, SCALARS * count
         # Where mass matrix, forces and energy, Jacobians, biases and scalars end.
         self._ends = tuple(accumulate(lengths))
         rows = mechanics.joint_rows
@@ -216,7 +216,7 @@ class SnapshotTape:
                 [
                     PerContact._make(
                         (
-                            *listed[further + _SCALARS * i : further + _SCALARS * (i + 1)],
+                            *listed[further + SCALARS * i : further + SCALARS * (i + 1)],
                             *listed[2 * i : 2 * i + 2],
                             jacobian,
                         )

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.impacts.path import ENDED, strike
+from contacts.dynamics.snapshot import SCALARS
+from contacts.impacts.path import ENDED, RAISES, strike
 from contacts.impacts.plastic import together
 from contacts.modes.fast_classification import classify
 from contacts.states import FREE, OFF_CODE, PIN
@@ -16,11 +17,6 @@ from statechart.engines.whole_flow import Program, tape_of
 from statechart.kernels.copies import put
 from statechart.kernels.jit import part
 from statechart.kernels.tapes import tape_values
-
-SCALARS = 7
-"""Numbers of a contact behind all Jacobians and biases: gap, its rate, slip, point, tangent."""
-# An impact that raises the energy by more than this part of the terms of its work is told of.
-_RAISES = 1e-9
 
 
 class SceneWatch(NamedTuple):
@@ -193,7 +189,7 @@ def _alone(
         rise += jacobian[0, i] * change
         glide += jacobian[1, i] * change
     work = normal * (approach + 0.5 * rise) + tangential * (slip + 0.5 * glide)
-    if work > _RAISES * (normal * abs(approach) + abs(tangential * slip)):
+    if work > RAISES * (normal * abs(approach) + abs(tangential * slip)):
         return 0
     impulse[c, 0], impulse[c, 1] = normal, tangential
     return path

@@ -17,7 +17,7 @@ from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.decision import cause
 from contacts.event_driven.hit import SceneWatch
 from contacts.event_driven.impact_jump import flow_in
-from contacts.event_driven.run_on import run_on
+from contacts.event_driven.run_on import CAUSES, run_on
 from contacts.impacts.bounces import FAST
 from contacts.impacts.impact import MEANINGS, pieces
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
@@ -28,12 +28,10 @@ from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, Setup, roles_in
 from statechart.automaton.recording import Deferred, Event
 from statechart.automaton.trace import Clock, Jump, Key, Roles
-from statechart.engines.whole_flow import Watch
-from statechart.execution.ahead import KINDS, Loop
+from statechart.engines.whole_flow import KINDS, Watch
+from statechart.execution.ahead import Loop
 from statechart.formulas.tape import Tape
 from statechart.kernels.jit import is_cached
-
-_CAUSES = ("touchdown", "liftoff", "stick", "slip", "reverse", "enable", "disable")
 
 
 class SceneInstants:
@@ -68,7 +66,7 @@ class SceneInstants:
         off = {f"{name}.{OFF}": -1 - c for c, name in enumerate(names)}
         self._of_margins = {**owners, **off}
         self._owners = np.array([contact for contact, _ in conditions.listed], np.int64)
-        self.series = tuple((name, cause) for name in names for cause in _CAUSES)
+        self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
     def compiled(self) -> bool:
         """Whether the loop lies compiled on disk."""
@@ -136,7 +134,7 @@ class SceneInstants:
         return partial(run_on, loop.program, loop.pace, watch, loop.memory, scene)
 
     def jump(self, setup: Setup, event: Event, fired: str) -> Jump:
-        """Return the jump to the one mode that agreed with the state."""
+        """Return the jump of an event that the loop has made."""
         assert isinstance(setup, SceneSetup)
         source, target = event.source, event.target
         region, how = cause(self._names, source, target, False)

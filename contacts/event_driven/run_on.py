@@ -44,6 +44,7 @@ from statechart.execution.ahead import (
     T_LOW,
     T_SINCE,
 )
+from statechart.execution.livelock import STEADY
 from statechart.kernels.accumulation import follow
 from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel, part
@@ -53,13 +54,14 @@ from statechart.kernels.tapes import tape_values
 _PER_CONTACT = 5
 TOUCHDOWN, LIFTOFF, STICK, SLIP, REVERSE, ENABLE, DISABLE = range(7)
 """What a change of a contact's state is called, see `contacts.states.cause_of`."""
-_PER_CAUSE = 7
+CAUSES = ("touchdown", "liftoff", "stick", "slip", "reverse", "enable", "disable")
+"""In that order."""
+_PER_CAUSE = len(CAUSES)
 GOES_ON = -1
 # Jumps of an instant.
 MOST_AT_ONCE = 16
 # So many steps and boxes in one call, some tens of milliseconds.
 _STEPS, _BOXES = 4096, 65536
-_STEADY = 4096
 
 
 @part
@@ -242,7 +244,7 @@ def _instant(
     if rest >= 0.0:
         return ACCUMULATES, row, rest
     count = place[N_JUMPS]
-    steady = count >= _STEADY and count & (count - 1) == 0
+    steady = count >= STEADY and count & (count - 1) == 0
     if count >= place[N_MOST] or steady:
         return COUNTED, -1, 0.0
     return GOES_ON, -1, 0.0

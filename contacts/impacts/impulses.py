@@ -16,6 +16,7 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import Snapshot
+from contacts.impacts.plastic import STEEP
 from contacts.impacts.work import work_of
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.contact_lcp_kernels import STEEPEST
@@ -32,8 +33,6 @@ from statechart.arrays import Array, Ints
 _ENUMERATED = 4
 # Up to here it is the last resort: inertias that differ by more than 1e12 ruin Lemke's matrix.
 _ENUMERATED_LAST = 7
-# Above this mu a cone's edges alone do not span it in double precision.
-_STEEP = 1e3
 _ON_EDGE = 1e-9
 # Relative to the terms of each inequality: what rounding makes of equality, and what is refused.
 _EXACT, _TIE = 1e-13, 1e-11
@@ -344,7 +343,7 @@ def _choices(law: ContactLaw) -> tuple[int, ...]:
         return (FREE, SLIDE)
     if not any(state in SLIDING for state in law.states):
         return (FREE, PIN)  # declared not to slip, at whatever force
-    steep = (_PRESS,) if law.cone_t > _STEEP * law.cone_n else ()
+    steep = (_PRESS,) if law.cone_t > STEEP * law.cone_n else ()
     return (FREE, SLIDE_PLUS, SLIDE_MINUS, PIN, *steep)
 
 

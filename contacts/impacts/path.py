@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from contacts.solvers.mode_solver import dot
 from contacts.solvers.saddle_point import INEXACT, SOLVED, saddle
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel, part
@@ -20,16 +21,10 @@ SLIP, SLIP_PLUS, SLIP_MINUS, STICK, WEDGE = range(1, 6)
 """Pieces of a path, in its code digits of base 8, the first the lowest."""
 
 LONGEST = 8
+RAISES = 1e-9
+"""An impact that raises the energy by more than this part of the terms of its work is told of."""
 # Of the terms of a rate: less is no error that an impulse should mend.
 _ROUNDING = 8 * 2.0**-52
-
-
-@part
-def _dot(a: Array, b: Array) -> float:
-    total = 0.0
-    for i in range(len(a)):
-        total += a[i] * b[i]
-    return total
 
 
 @part
@@ -57,7 +52,7 @@ def _along(
         for i in range(size):
             change[i] = forwards * x[i]
         u_n = forwards if direction == 0 else 0.0
-        return ENDED, u_n, _dot(jacobian[1], change), abs(amount) * n, abs(amount) * t
+        return ENDED, u_n, dot(jacobian[1], change), abs(amount) * n, abs(amount) * t
     return POWERLESS, 0.0, 0.0, 0.0, 0.0
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from contacts.dynamics.snapshot import SCALARS
 from contacts.solvers.dependence import independent
 from contacts.solvers.mode_solver import solve_modes
 from contacts.solvers.redundancy import connected, mode_columns
@@ -18,8 +19,8 @@ from statechart.kernels.jit import part
 
 MOST = 4
 """Contacts in one impact."""
-# Above this mu a cone's edges alone do not span it in double precision.
-_STEEP = 1e3
+STEEP = 1e3
+"""Above this mu a cone's edges alone do not span it in double precision."""
 # Of the sizes of impulses and velocities: nearer to its edge an inequality is not decided here.
 _EDGE = 1e-9
 # Of the terms of a momentum: what no impulse explains.
@@ -36,7 +37,7 @@ def _choices(allowed: Bools, cone: Array, choices: Ints) -> int:
     if not (allowed[SLIDE] or allowed[SLIDE_PLUS] or allowed[SLIDE_MINUS]):
         choices[1] = PIN
         return 2
-    if cone[1] > _STEEP * cone[0]:
+    if cone[1] > STEEP * cone[0]:
         return 0
     choices[1], choices[2], choices[3] = SLIDE_PLUS, SLIDE_MINUS, PIN
     return 4
@@ -115,7 +116,7 @@ def together(
             return 0
         jacobians[g] = numbers[at + 2 * n * c : at + 2 * n * (c + 1)].reshape((2, n))
         edges[g] = cones[c]
-        place = scalars + 7 * c
+        place = scalars + SCALARS * c
         for d in range(2):
             start[g, d] = numbers[place + 1 + d]
             fastest = max(fastest, abs(start[g, d]))

@@ -20,6 +20,7 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.impact import Impact, impact
 from contacts.impacts.impulses import Impulses, collisions, coupled
+from contacts.impacts.path import RAISES
 from contacts.impacts.work import work_of
 from contacts.scene.parts import MOREAU, Simultaneous
 from contacts.solvers.step_impulses import shares
@@ -161,7 +162,7 @@ def _raises(contact: PerContact, result: Impact, change: Array) -> bool:
     work = result.normal * (contact.gap_rate + 0.5 * normal)
     work += result.tangential * (contact.slip + 0.5 * tangential)
     size = result.normal * abs(contact.gap_rate) + abs(result.tangential * contact.slip)
-    return work > 1e-9 * size
+    return work > RAISES * size
 
 
 def _at_once(

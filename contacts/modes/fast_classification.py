@@ -13,7 +13,7 @@ import numpy as np
 from contacts.dynamics.contact_law import cones
 from contacts.dynamics.projection import landing
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SnapshotTape
+from contacts.dynamics.snapshot import SCALARS, SnapshotTape
 from contacts.solvers.mode_solver import solve_modes
 from contacts.states import CODES, FREE, OFF, OFF_CODE, OPEN, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints, Ints32
@@ -93,8 +93,6 @@ def _kept(flow: Key | None, count: int) -> tuple[bool, Ints]:
 ENDLESS = 1e13
 # More combinations of states are left to the laws.
 _MOST = 64
-# Numbers of a contact behind all Jacobians and biases: gap, its rate, slip, point, tangent.
-_SCALARS = 7
 
 
 @kernel
@@ -210,7 +208,7 @@ def classify(
             closed[c] = still[c] = False
             options[c, 0], counts[c] = FREE, 1
             continue
-        place = scalars + _SCALARS * c
+        place = scalars + SCALARS * c
         gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
         shut = gap <= close
         if not gap >= lowest[c] or (shut and rate < -slow):
@@ -269,7 +267,7 @@ def classify(
         for force in forces[agreeing, c]:
             if abs(force) > ENDLESS * force_scale:
                 return False
-        place = scalars + _SCALARS * c
+        place = scalars + SCALARS * c
         taken[c] = OFF_CODE if kept[c] == OFF_CODE else codes[agreeing, c]
         if taken[c] != FREE and taken[c] != OFF_CODE:
             if abs(numbers[place]) > near or abs(numbers[place + 1]) > creep:

@@ -26,7 +26,8 @@ _CONTRADICTED = 1e-9
 
 
 @part
-def _dot(a: Array, b: Array) -> float:
+def dot(a: Array, b: Array) -> float:
+    """Return the sum of the products of two rows."""
     total = 0.0
     for i in range(len(a)):
         total += a[i] * b[i]
@@ -59,10 +60,10 @@ def _judge(
     for c in range(len(code)):
         sign = _direction(code[c])
         if code[c] == FREE and closed[c]:
-            apart = biases[c, 0] + _dot(jacobians[c, 0], accelerations)
+            apart = biases[c, 0] + dot(jacobians[c, 0], accelerations)
             _worse(verdict, -apart / scale, c, INTO, apart)
         elif sign != 0.0 and still[c]:
-            along = sign * (biases[c, 1] + _dot(jacobians[c, 1], accelerations))
+            along = sign * (biases[c, 1] + dot(jacobians[c, 1], accelerations))
             _worse(verdict, -along / scale, c, AGAINST, along)
 
 

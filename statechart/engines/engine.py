@@ -18,8 +18,13 @@ from statechart.engines.event_location import Search
 from statechart.engines.path import Path
 from statechart.formulas.tape import Tape
 
+FIRST_CHUNK = 4
 LONGEST_CHUNK = 64
 """Steps are made in chunks that grow by half, so that little is dropped behind an early event."""
+GROWTH = 16.0
+"""By which the look-ahead in time grows."""
+LOOKS = 256
+"""Boxes in which a step is looked at for what it missed of its rates."""
 NEAR = 0.05
 """A state may be this far off the constraints, in tolerances, before it is projected."""
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
-from statechart.engines.engine import LONGEST_CHUNK, NEAR, Pace
+from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR, Pace
 from statechart.engines.event_location import BOXES
 from statechart.engines.heyoka_step import call_step
 from statechart.engines.taylor_loop import ORDERS, STRAY, expand, let_pass, stray
@@ -49,11 +49,8 @@ they know of it; tapes of the margins, of the rates, of what is to stay above th
 follows from other variables, of its anchors; where the places of what follows are listed."""
 
 PLAIN, GAP, SPEED, FORCE = range(4)
-"""Kinds of margins."""
-
-# Chunks are as for flows that are made step by step.
-_FIRST_CHUNK, _GROWTH = 4, 16.0
-_LOOKS = 256
+KINDS = ("plain", "gap", "speed", "force")
+"""Kinds of margins: their numbers, and their names in that order."""
 
 
 class Program(NamedTuple):
@@ -231,7 +228,7 @@ def flow_to_event(
     allowed = max(STRAY, ORDERS * pace.tolerance)
     made, boxes, pending, length = 0, 0, False, 0.0
     end = min(horizon, duration)
-    chunk, chunk_end, base, total, left = _FIRST_CHUNK, _FIRST_CHUNK, 0.0, 0.0, end
+    chunk, chunk_end, base, total, left = FIRST_CHUNK, FIRST_CHUNK, 0.0, 0.0, end
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
     lift(follows, initial, watch.parameters, start)
@@ -254,7 +251,7 @@ def flow_to_event(
             if left == 0.0:
                 if end == duration:
                     break
-                horizon *= _GROWTH
+                horizon *= GROWTH
                 end = min(times[made] + horizon, duration)
                 _enter(program, row, watch, memory, ended, start + times[made])
                 base, total, left, pending = times[made], 0.0, end - times[made], False
@@ -332,6 +329,6 @@ def _missed(
     code, constants, outputs, reads, n_fixed = tape_of(program, row[RATES : RATES + TAPE])
     found_at = unseen(
         code, constants, outputs, reads, n_fixed, watch.parameters, start, times, coeffs,
-        0, upto, watch.floors, pace.allowed, _LOOKS,
+        0, upto, watch.floors, pace.allowed, LOOKS,
     )[0]  # fmt: skip
     return bool(found_at >= 0)

@@ -20,6 +20,7 @@ from statechart.automaton.trace import Clock, Jump, Key, Roles
 from statechart.engines.engine import Engine, Entry, Pace
 from statechart.engines.whole_flow import (
     COLUMNS,
+    KINDS,
     LAWS_AT,
     TAPE,
     Program,
@@ -47,9 +48,6 @@ N_MODE, N_JUMPS, N_MOST, N_STEPS, N_BOXES, N_ASKED = range(6)
 
 AHEAD = 16.0
 """How far to look ahead at first, in lengths of the last flow: those of bounces shrink."""
-
-KINDS = ("plain", "gap", "speed", "force")
-"""Of margins, in the order of their numbers."""
 
 # Loops that are not compiled yet are, once so many flows could have been theirs: about two seconds.
 _WORTH = 2000

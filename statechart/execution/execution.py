@@ -22,7 +22,7 @@ from statechart.automaton.trace import (
 from statechart.engines.engine import FlowWatch
 from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
-from statechart.execution.ahead import Ahead
+from statechart.execution.ahead import AHEAD, Ahead
 from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.finding import closing
@@ -37,8 +37,6 @@ from statechart.kernels.polynomials import summands
 _STEEP = 1e6
 # A margin that cannot be decided gets so much more room at a time, and in all.
 _WIDER, _WIDEST = 16.0, 1e4
-# How far to look ahead at first, in lengths of the last flow: those of bounces shrink.
-_AHEAD = 16.0
 # A flow of no scale is looked at so far ahead at first: its powers are floats.
 _FARTHEST = 1e12
 
@@ -217,7 +215,7 @@ class Execution:
         if elapsed > 0.0:
             # A mode may flow on from where a margin fell, without a jump.
             since = self.record.jumps[-1].t if self.record.jumps else 0.0
-            self.horizon = _AHEAD * max(elapsed, self.clock.high - since)
+            self.horizon = AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
         remaining, special = flow.remaining - elapsed, flow.tolerances
         self.flow = Flow(flow.mode, flow.roles, remaining, "", False, (), flow.held, special, terms)

@@ -10,7 +10,16 @@ import numpy as np
 
 from statechart import interrupts
 from statechart.arrays import Array
-from statechart.engines.engine import LONGEST_CHUNK, NEAR, Begin, Engine, FlowWatch
+from statechart.engines.engine import (
+    FIRST_CHUNK,
+    GROWTH,
+    LONGEST_CHUNK,
+    LOOKS,
+    NEAR,
+    Begin,
+    Engine,
+    FlowWatch,
+)
 from statechart.engines.event_location import Crossing, Search, Verdict, search
 from statechart.engines.path import Path
 from statechart.errors import SimulationError, StepFailure, TooLong
@@ -21,7 +30,6 @@ from statechart.kernels.polynomials import cut_steps, local_time
 
 FOLLOWED = "the slopes of all steps were held against the rates"
 UNFOLLOWED = "steps are not known to follow the rates: what is narrow may have been missed"
-_FIRST_CHUNK = 4
 # A chunk may end this far off its constraints, in tolerances; inside it may be farther.
 _DRIFT = 0.2
 # A single step that ends so far off was blind to something; of what rounding does this is no part.
@@ -29,8 +37,6 @@ _BLIND = 1e3
 # What a step half as long is off as much as this part of, comes of errors and rounding far from
 # where the run began.
 _STAYS = 0.75
-# Boxes in which a step is looked at for what it missed of its rates.
-_LOOKS = 256
 # What a step misses of smooth rates falls by more than this as it is halved; beyond the second, in
 # parts of the motion, it is not rounding.
 _FALLS, _ROUGH = 0.25, 1e-3
@@ -42,8 +48,6 @@ _LEAST = 1e-6
 _NEARER = 0.5
 # So many steps tell how many the rest takes; of more than this, days at a microsecond each.
 _LOOKED_AT, _TOO_MANY = 4096, 1e12
-# The look-ahead in time grows likewise.
-_GROWTH = 16.0
 
 
 @dataclass(eq=False, slots=True)
@@ -136,7 +140,7 @@ class Advance:
 
     def _start(self) -> None:
         self.state, self._kept, self._reached = self.initial, 0, 0.0
-        self._count, self._begin = _FIRST_CHUNK, Begin.NEW
+        self._count, self._begin = FIRST_CHUNK, Begin.NEW
         self._end = min(self.horizon, self.duration)
         self._seen, self._mark = math.inf, (0, 0.0)
         self._missed, self._rounded, self._unknown = (-1.0, 0.0, 0.0), 0.0, 0
@@ -224,7 +228,7 @@ class Advance:
                 last if where is None else where.step + 1,
                 floors(self.engine, len(self.initial)),
                 max(self.engine.allowed, self._rounded),
-                _LOOKS,
+                LOOKS,
             )
             if step < 0:
                 return None
@@ -284,7 +288,7 @@ class Advance:
         if self.on_steps is not None:
             self.on_steps(self._reached, self.steps)
         if finished:
-            self.horizon *= _GROWTH
+            self.horizon *= GROWTH
             self._end = min(self._reached + self.horizon, duration)
         # Chunks as long as one whose end had to be moved stay near enough to be brought back.
         if not moved:

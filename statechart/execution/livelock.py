@@ -12,9 +12,9 @@ JUMPS_AT_ONCE = 64
 """More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
 """
 
-# Jumps whose pace was steady while their number doubled thrice, from so many on, go on like that
-# where no condition ends them.
-_STEADY = 512
+STEADY = 4096
+"""Jumps whose pace was steady while their number doubled thrice go on like that, from so many on,
+where no condition ends them."""
 
 
 class Livelock:
@@ -54,7 +54,7 @@ class Livelock:
 def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int) -> None:
     """Raise `TooLong` where steady jumps are so many that a run cannot reach its end."""
     count = len(jumps)
-    if count < 8 * _STEADY or count & (count - 1):
+    if count < STEADY or count & (count - 1):
         return
     times = [jumps[(count >> k) - 1].t for k in range(4)]
     paces = [
