@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF_CODE = range(6)
 
 
@@ -25,6 +27,24 @@ OPEN = ("free", OFF)
 
 SLIDING = ("slide", "slide+", "slide-")
 """Slip without friction, along the tangent, and against it."""
+
+
+CLOSED = "closed"
+"""The superstate of those that touch the surface."""
+
+
+SUPERSTATES = {"slide+": "slide", "slide-": "slide", "slide": CLOSED, "pin": CLOSED}
+"""State -> what it is in: ``free | closed { pin | slide { slide+ | slide- } }``."""
+
+
+def superstates_of(states: Iterable[str]) -> dict[str, str]:
+    """Return state or superstate -> superstate, as far as a region of `states` has them."""
+    found: dict[str, str] = {}
+    for state in states:
+        while state in SUPERSTATES:
+            found[state] = SUPERSTATES[state]
+            state = SUPERSTATES[state]
+    return found
 
 
 def declared_state(state: str) -> str:

@@ -21,7 +21,7 @@ from contacts.scene.checks import check_finite, check_physical
 from contacts.scene.collision_checks import check_shapes
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
-from contacts.states import FREE
+from contacts.states import FREE, superstates_of
 from contacts.time_stepping.chunk import FULL, Chunk, softened_remark, stepped
 from contacts.time_stepping.loop import DEEPEST, Begun
 from contacts.time_stepping.stepper import RELATIVE, Stepper
@@ -71,7 +71,14 @@ def bodies_automaton(scene: Scene) -> Automaton:
         rates=(*mechanics.v, *mechanics.a),
         equations=(),
         regions=tuple(
-            Region(name, BODY_STATES, lambda state: State(), BODY_EDGES) for name in bodies
+            Region(
+                name,
+                BODY_STATES,
+                lambda state: State(),
+                BODY_EDGES,
+                superstates_of(BODY_STATES),
+            )
+            for name in bodies
         ),
         stops=stops,
         observables=observables,

@@ -15,7 +15,7 @@ from contacts.modes.classification import Choice, choose
 from contacts.modes.fast_classification import ENDLESS
 from contacts.modes.painleve import paradoxes
 from contacts.scene.parts import Resolution
-from contacts.states import OFF, cause_of, declared_state
+from contacts.states import OFF, cause_of, superstates_of
 from statechart.automaton.trace import Key
 from statechart.errors import DeclarationProblem, NoConsistentMode
 
@@ -120,7 +120,7 @@ def check_declared(
     for name, declared in modes.items():
         place = names.index(name)
         found = choice.taken.states[place]
-        if declared not in (found, declared_state(found)):
+        if declared not in {found, *superstates_of((found,)).values()}:
             why = next(
                 (
                     reason

@@ -62,7 +62,7 @@ class SceneFields(Declaration):
     regions: dict[NameText, Controller] = Field(
         default={}, description="Controllers: regions beside the contacts."
     )
-    modes: dict[str, Literal["free", "slide", "slide+", "slide-", "pin", "off"]] = Field(
+    modes: dict[str, Literal["free", "closed", "slide", "slide+", "slide-", "pin", "off"]] = Field(
         default={}, description="Initial modes, checked; found from the state where not given."
     )
 

@@ -9,7 +9,7 @@ import sympy as sp
 
 from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off, shared
 from contacts.scene.parts import Contact
-from contacts.states import OFF, OPEN
+from contacts.states import OFF, OPEN, declared_state, superstates_of
 from statechart.automaton.regions import Edge, Margin, Region, State
 from statechart.automaton.trace import Role
 
@@ -81,7 +81,7 @@ def region(
     def build(role: Role) -> State:
         if role.state == OFF:
             return off(symbols(), gates())
-        mode: Free | Slide | Pin = modes[groups.get(role.state, role.state)]  # type: ignore[index]
+        mode: Free | Slide | Pin = modes[declared_state(role.state)]  # type: ignore[index]
         direction = _DIRECTIONS.get(role.state, 0)
         if isinstance(role.share, Bearing):
             built = shared(mode, symbols(), direction, role.share)
@@ -90,9 +90,8 @@ def region(
         return replace(built, margins=(*built.margins, *gates())) if gate else built
 
     names = states(contact, gate=gate)
-    groups = {s: "slide" for s in names if s in ("slide+", "slide-")}
     arrows = edges(contact, jams=jams, bounces=bounces, gate=gate)
-    return Region(name, names, build, arrows, groups, forces)
+    return Region(name, names, build, arrows, superstates_of(names), ("slide",), forces)
 
 
 def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Edge, ...]:

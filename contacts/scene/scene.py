@@ -14,7 +14,7 @@ from contacts.scene.other_laws import replaced
 from contacts.scene.parts import Contact, Path, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.scene.shapes import INDEX
-from contacts.states import declared_state
+from contacts.states import declared_state, superstates_of
 from statechart.charts.transitions import check_listening
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText, check_names
@@ -136,11 +136,12 @@ class Scene(SceneFields):
             self._member("body", force.body, self.bodies, "forces", name, "body")
         for name, mode in self.modes.items():
             self._member("contact", name, self.contacts, "modes", name)
-            known = self.contacts[name].kinds | ({"off"} if self.gate(name) else set())
-            if declared_state(mode) not in known:
+            present = states(self.contacts[name], gate=self.gate(name))
+            known = dict.fromkeys(map(declared_state, present)) | _active(present)
+            if mode not in known:
                 raise DeclarationProblem(
                     f"contact {name!r} does not list the mode {mode!r}",
-                    advice="its modes: " + ", ".join(sorted(known)),
+                    advice="its modes: " + ", ".join(known),
                     loc=("modes", name),
                 )
         return self
@@ -238,10 +239,9 @@ class Scene(SceneFields):
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
         names |= {"energy", *self.controls}
         gates = {c: self.gate(c) for c in self.contacts}
-        found = {
-            c: {s for state in states(x, gate=gates[c]) for s in (state, declared_state(state))}
-            for c, x in self.contacts.items()
-        } | {name: set(region.states) for name, region in self.regions.items()}
+        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in self.contacts.items()} | {
+            name: set(region.states) for name, region in self.regions.items()
+        }
         causes = {
             c: {
                 edge.cause
@@ -250,7 +250,7 @@ class Scene(SceneFields):
             for c, x in self.contacts.items()
         } | {name: {t.name for t in region.transitions} for name, region in self.regions.items()}
         if self.collisions:
-            found |= {body: {*BODY_STATES} for body in self.single_bodies()}
+            found |= {body: {*_active(BODY_STATES)} for body in self.single_bodies()}
             causes |= {body: {*BODY_CAUSES} for body in self.single_bodies()}
         self.check_uses(names, found, causes)
         for name, region in self.regions.items():
@@ -285,3 +285,9 @@ class Scene(SceneFields):
         for index, text in enumerate(texts):
             where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
             check_names(parse(text), known, *where)
+
+
+def _active(states: Iterable[str]) -> dict[str, None]:
+    """Return states of a contact and what they are in, in their order."""
+    found = dict.fromkeys(states)
+    return found | dict.fromkeys(superstates_of(found).values())

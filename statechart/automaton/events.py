@@ -46,6 +46,4 @@ def _cause(region: Region, jump: Jump, before: str, after: str) -> str | None:
 
 
 def _entered(region: Region, before: str, after: str, state: str) -> bool:
-    return (after == state != before) or (
-        region.declared(after) == state != region.declared(before)
-    )
+    return state in region.active(after) and state not in region.active(before)

@@ -153,8 +153,12 @@ class Region:
         Role -> State.
     edges : tuple of Edge
         The region's own statechart.
-    groups : mapping
-        State -> the state as its declaration names it, where that differs (slide+ -> slide).
+    superstates : mapping
+        State or superstate -> the superstate that it is in; names differ, those outermost are
+        no keys.
+    listed : tuple of str
+        Superstates that the declaration lists as states of their own: slide, which runs know by
+        its directions alone.
     forces : tuple of Symbol
         Unknowns that are zero for others while the region is captured (see `Role`).
     """
@@ -163,12 +167,24 @@ class Region:
     states: tuple[str, ...]
     build: Callable[[Role], State]
     edges: tuple[Edge, ...]
-    groups: Mapping[str, str] = field(default_factory=dict)
+    superstates: Mapping[str, str] = field(default_factory=dict)
+    listed: tuple[str, ...] = ()
     forces: tuple[sp.Symbol, ...] = ()
 
     def declared(self, state: str) -> str:
         """Return the state as the declaration names it."""
-        return self.groups.get(state, state)
+        return next((name for name in self.active(state) if name in self.listed), state)
+
+    def active(self, state: str) -> tuple[str, ...]:
+        """Return what is active with a state: itself and its superstates, inner first."""
+        found = [state]
+        while found[-1] in self.superstates:
+            found.append(self.superstates[found[-1]])
+        return tuple(found)
+
+    def within(self, name: str) -> tuple[str, ...]:
+        """Return the states in which a state or superstate is active."""
+        return tuple(state for state in self.states if name in self.active(state))
 
 
 @dataclass(frozen=True, eq=False)

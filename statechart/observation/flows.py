@@ -18,15 +18,12 @@ from statechart.formulas.linear import Singular
 from statechart.observation.sampling import Points
 
 Where = tuple[tuple[str, str], ...]
-"""Regions, and the states that they have to be in."""
+"""Regions, and the states or superstates that they have to be in."""
 
 
 def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> list[int]:
-    """Return which of `where` hold in the mode `key`, states being named as declared or not."""
-    states = {
-        region.name: (state, region.declared(state))
-        for region, state in zip(regions, key, strict=True)
-    }
+    """Return which of `where` hold in the mode `key`; superstates are states, too."""
+    states = {region.name: region.active(state) for region, state in zip(regions, key, strict=True)}
     return [
         place
         for place, wanted in enumerate(where)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import MOST_MODES, Feasibility
+from statechart.automaton.hierarchy import HierarchicalEdge, hierarchical_edges
 from statechart.automaton.product import graph
 from statechart.automaton.regions import Region
 from statechart.errors import DeclarationError, close_matches
@@ -90,6 +91,8 @@ def _region(region: Region) -> dict[str, Any]:
         "modes_declared": len({region.declared(state) for state in region.states}),
         "modes_total": len(region.states),
         "states": [{"name": s, "declared": region.declared(s)} for s in region.states],
+        "superstates": dict(region.superstates),
+        "hierarchical_edges": [_arrow(edge) for edge in hierarchical_edges(region)],
         "edges": [
             {
                 "cause": edge.cause,
@@ -100,6 +103,17 @@ def _region(region: Region) -> dict[str, Any]:
             }
             for edge in region.edges
         ],
+    }
+
+
+def _arrow(edge: HierarchicalEdge) -> dict[str, Any]:
+    return {
+        "cause": edge.cause,
+        "from": edge.source,
+        "to": edge.target,
+        "guard": edge.guard,
+        "reset": edge.reset,
+        "choices": [{"to": c.target, "reset": c.reset} for c in edge.choices],
     }
 
 
@@ -146,14 +160,42 @@ def _row(mode: Mapping[str, str], verdict: str) -> tuple[str, ...]:
 
 
 def _edges(region: Mapping[str, Any]) -> str:
-    title = f"{region['name']}: {', '.join(state['name'] for state in region['states'])}\n"
     rows = [
         (
             f"  {edge['from']} -> {edge['to']}",
             edge["cause"],
             f"[{edge['guard']}]",
-            f"/ {edge['reset']}" if edge["reset"] else "",
+            _resets(edge["choices"]),
         )
-        for edge in region["edges"]
+        for edge in region["hierarchical_edges"]
     ]
-    return title + (table(rows) if rows else "")
+    return f"{region['name']}: {_nested(region)}\n" + (table(rows) if rows else "")
+
+
+def _nested(region: Mapping[str, Any]) -> str:
+    """Return the states of a region in a line, such as `free, closed {pin, slide}`."""
+    superstates = region["superstates"]
+    members: dict[str | None, list[str]] = {}
+    for state in (listed["name"] for listed in region["states"]):
+        name: str | None = state
+        while name is not None:
+            outer = superstates.get(name)
+            siblings = members.setdefault(outer, [])
+            if name not in siblings:
+                siblings.append(name)
+            name = outer
+
+    def text(name: str) -> str:
+        return name if name not in members else f"{name} {{{', '.join(map(text, members[name]))}}}"
+
+    return ", ".join(map(text, members[None]))
+
+
+def _resets(choices: Sequence[Mapping[str, str]]) -> str:
+    """Return what an edge resets: where that depends on the state chosen, with these states."""
+    states: dict[str, list[str]] = {}
+    for choice in choices:
+        states.setdefault(choice["reset"], []).append(choice["to"])
+    if len(states) == 1:
+        return f"/ {choices[0]['reset']}" if choices[0]["reset"] else ""
+    return "/ " + " or ".join(f"{reset} ({', '.join(to)})" for reset, to in states.items())

@@ -1,0 +1,114 @@
+"""States in states: what a contact's superstates say, and its edges as a person draws them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import statechart
+from contacts.kind import automaton
+from contacts.scene.scene import Scene
+from models import names, path
+from statechart.automaton.hierarchy import flat_edges, hierarchical_edges
+from statechart.automaton.regions import Region
+from statechart.errors import DeclarationError
+from statechart.running.runner import Runner
+
+
+def contact(**declared: Any) -> Region:
+    """Return the region of a contact of a rod."""
+    scene = Scene.model_validate(
+        {
+            "name": "rod",
+            "bodies": {"rod": {"mass": 1, "inertia": 1}},
+            "surfaces": {"ground": {"height": 0}},
+            "contacts": {
+                "tip": {"point": {"body": "rod", "at": [1, 0]}, "surface": "ground"} | declared
+            },
+        }
+    )
+    (region,) = automaton(scene).regions
+    return region
+
+
+def test_a_contact_is_free_or_closed_which_is_pinned_or_slides() -> None:
+    region = contact(friction=1, restitution=0)
+    assert region.superstates == {
+        "slide+": "slide", "slide-": "slide", "slide": "closed", "pin": "closed",
+    }  # fmt: skip
+    assert region.active("slide+") == ("slide+", "slide", "closed")
+    assert region.active("free") == ("free",)
+    assert set(region.within("closed")) == {"pin", "slide+", "slide-"}
+    assert [region.declared(s) for s in ("slide-", "pin", "free")] == ["slide", "pin", "free"]
+
+
+def test_twelve_edges_of_a_contact_are_drawn_as_seven() -> None:
+    region = contact(friction=1, restitution=0)
+    flat = [e for e in region.edges if e.cause not in ("zeno", "jam")]
+    drawn = [e for e in hierarchical_edges(region) if e.cause not in ("zeno", "jam")]
+    assert (len(flat), len(drawn)) == (12, 7)
+    ends = {(e.cause, e.source, e.target) for e in drawn}
+    assert ends == {
+        ("touchdown", "free", "closed"),
+        ("liftoff", "closed", "free"),
+        ("stick", "slide", "pin"),
+        ("slip", "pin", "slide+"),
+        ("slip", "pin", "slide-"),
+        ("reverse", "slide+", "slide-"),
+        ("reverse", "slide-", "slide+"),
+    }
+    (touchdown,) = (e for e in drawn if e.cause == "touchdown")
+    resets = {c.target: c.reset for c in touchdown.choices}
+    assert resets["pin"].endswith("slip := 0")
+    assert resets["slide+"] == resets["slide-"] == "impact; dgap := 0"
+
+
+@pytest.mark.parametrize("model", names())
+def test_flattening_the_drawn_edges_gives_those_of_the_executor(model: str) -> None:
+    for region in Runner(model).automaton.regions:
+        drawn = hierarchical_edges(region)
+        flat = flat_edges(region, drawn)
+        assert len(drawn) <= len(region.edges)
+        assert sorted(map(repr, flat)) == sorted(map(repr, region.edges))
+
+
+@pytest.fixture
+def stick(tmp_path: Path) -> Callable[[str], Path]:
+    """Return what writes the shipped stick with other sections at its end."""
+    shipped = path("toppling_stick")
+    assert shipped is not None
+    text = shipped.read_text(encoding="utf-8")
+
+    def written(end: str) -> Path:
+        file = tmp_path / "stick.yaml"
+        file.write_text(text[: text.index("\noutputs:")] + end, encoding="utf-8")
+        return file
+
+    return written
+
+
+def test_a_superstate_serves_in_outputs_as_a_state_does(stick: Callable[[str], Path]) -> None:
+    outputs = """
+outputs:
+  touches: {integral: 1, during: {tip: closed}}
+  pinned: {integral: 1, during: {tip: pin}}
+  slides: {integral: 1, during: {tip: slide}}
+  closes: {count: tip.closed}
+"""
+    found = statechart.run(stick(outputs)).outputs
+    assert found["touches"] == pytest.approx(found["pinned"] + found["slides"], rel=1e-12)
+    assert found["pinned"] > 0.0 < found["slides"]
+    # It begins closed, and what slips or sticks enters no state that it is in already.
+    assert found["closes"] == 0
+
+
+def test_a_contact_may_be_said_to_start_closed(stick: Callable[[str], Path]) -> None:
+    modes = "\nmodes: {tip: closed}\n"
+    assert statechart.run(stick(modes)).trace.start_mode == ("pin",)
+    with pytest.raises(DeclarationError, match="cannot start in mode 'free'"):
+        statechart.run(stick("\nmodes: {tip: free}\n"))
+    with pytest.raises(DeclarationError, match="does not list the mode 'off'"):
+        statechart.run(stick("\nmodes: {tip: 'off'}\n"))
