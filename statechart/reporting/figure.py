@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -17,25 +17,13 @@ from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
+from statechart.palette import GRID, INK, LINES, state_colours
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-# Okabe and Ito (2008): told apart by everybody, colour-blind or not.
-LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-# Modes keep their colours from picture to picture; others take the next of the rest.
-_MODES = {
-    "free": "#A6D8F5",
-    "slide+": "#F3C14B",
-    "slide-": "#E88A4A",
-    "slide": "#F3C14B",
-    "pin": "#6CC4A4",
-    "off": "#E6E6E6",
-}
-_REST = ("#A6D8F5", "#F3C14B", "#6CC4A4", "#E0A9C6", "#E88A4A", "#8FB8DE", "#D9D38A", "#BDBDBD")
-_INK, _GRID = "#333333", "#E6E6E6"
 _MOST_LINES = 6
 _MOST_PANELS = 4
 # Relative to the largest value: below this a curve is the rounding of zero.
@@ -47,11 +35,11 @@ STYLE = {
     "font.family": "sans-serif",
     "font.size": 9.0,
     "axes.linewidth": 0.7,
-    "axes.edgecolor": _INK,
-    "axes.labelcolor": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "text.color": _INK,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
     "lines.linewidth": 1.5,
     "legend.frameon": False,
     "legend.fontsize": 8.0,
@@ -192,7 +180,7 @@ def _draw_panel(ax: Axes, panel: _Panel, samples: Samples) -> None:
     # Broken at jumps, which take no time: a vertical line would be no part of the motion.
     breaks = np.flatnonzero(np.diff(samples.j)) + 1
     t = np.insert(samples.t, breaks, np.nan)
-    ax.axhline(0.0, color=_INK, linewidth=0.6, zorder=1)
+    ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)
     values = {name: samples.columns[name] for name in panel.names}
     for name, colour in zip(panel.names[:_MOST_LINES], LINES, strict=False):
         ax.plot(t, np.insert(values[name], breaks, np.nan), color=colour, label=name, zorder=3)
@@ -213,7 +201,7 @@ def _draw_panel(ax: Axes, panel: _Panel, samples: Samples) -> None:
         low, high = min(low, -1.08 * reach), max(high, 1.08 * reach)
     ax.set_ylim(low, high)
     ax.set_ylabel(panel.title)
-    ax.grid(visible=True, color=_GRID, linewidth=0.6)
+    ax.grid(visible=True, color=GRID, linewidth=0.6)
     ax.set_axisbelow(True)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
@@ -238,7 +226,7 @@ def _draw_bands(ax: Axes, automaton: Automaton, trace: Trace) -> None:
     unnamed: dict[str, Patch | Line2D] = {}
     for row, region in enumerate(automaton.regions):
         y = rows - 1 - row
-        colours = _colours(region.states)
+        colours = state_colours(region.states)
         for state, stretches in _stretches(trace, row).items():
             ax.broken_barh(
                 [(start, end - start) for start, end in stretches],
@@ -260,7 +248,7 @@ def _draw_bands(ax: Axes, automaton: Automaton, trace: Trace) -> None:
                 markersize=4.5,
                 clip_on=False,
                 color=colours[state],
-                markeredgecolor=_INK,
+                markeredgecolor=INK,
                 markeredgewidth=0.7,
                 label=f"{state} for no time",
             )[0]
@@ -283,11 +271,6 @@ def _draw_bands(ax: Axes, automaton: Automaton, trace: Trace) -> None:
 def _room(text: str) -> float:
     """Return the width of a label as a part of the axis."""
     return 0.0125 * (len(text) + 1)
-
-
-def _colours(states: Sequence[str]) -> Mapping[str, str]:
-    rest = iter(_REST * (len(states) // len(_REST) + 1))
-    return {state: _MODES.get(state) or next(rest) for state in states}
 
 
 def _stretches(trace: Trace, row: int) -> dict[str, list[tuple[float, float]]]:
@@ -330,7 +313,7 @@ def _draw_events(axes: Sequence[Axes], trace: Trace) -> None:
             0.0,
             1.0,
             transform=ax.get_xaxis_transform(),
-            color=_INK,
+            color=INK,
             alpha=faint,
             linewidth=0.6,
             linestyle=(0, (1, 2)),
@@ -354,7 +337,7 @@ def _draw_events(axes: Sequence[Axes], trace: Trace) -> None:
             jump.cause,
             transform=top,
             fontsize=8,
-            color=_INK,
+            color=INK,
             ha="left" if left == place else "right",
             va="bottom",
         )

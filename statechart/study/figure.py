@@ -14,7 +14,8 @@ import numpy as np
 
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
-from statechart.reporting.figure import LINES, STYLE, render
+from statechart.palette import GRID, INK, LINES
+from statechart.reporting.figure import STYLE, render
 from statechart.study.point import Point
 from statechart.study.record import Study
 from statechart.study.slopes import Slope, fitted, slopes
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 
 _MARKERS = "osD^vPX"
-_INK, _GRID = "#333333", "#E6E6E6"
 _LABELS = (
     "time of a run, s (dots: cold)",
     "evaluations of the rates (impulse: steps)",
@@ -71,19 +71,19 @@ def figure(study: Study) -> Figure:
             for once in (False, True):
                 _front(times, study, once=once)
             promises.axline(
-                (1e-6, 1e-6), slope=1.0, color=_INK, linewidth=0.6, linestyle=(0, (1, 2))
+                (1e-6, 1e-6), slope=1.0, color=INK, linewidth=0.6, linestyle=(0, (1, 2))
             )
             for ax in (times, works, promises):
                 ax.set_ylabel("relative error")
                 ax.set_yscale("log")
                 if study.least > 0.0:
-                    ax.axhspan(study.least / 10.0, study.least, color=_GRID, zorder=0)
+                    ax.axhspan(study.least / 10.0, study.least, color=GRID, zorder=0)
         else:
             for ax in (times, works, promises):
                 ax.set_ylabel("time of leaving the reference")
                 ax.axhline(
                     study.parted,
-                    color=_INK,
+                    color=INK,
                     linewidth=0.8,
                     linestyle=(0, (1, 2)),
                     label="the check leaves it",
@@ -168,7 +168,7 @@ def _dress(ax: Axes, label: str) -> None:
         if axis.get_scale() == "log" and 0.0 < low < high < _SHORT * low:
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.set_major_formatter("{x:g}")
-    ax.grid(visible=True, color=_GRID, linewidth=0.6)
+    ax.grid(visible=True, color=GRID, linewidth=0.6)
     ax.set_axisbelow(True)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
@@ -217,7 +217,7 @@ def _front(ax: Axes, study: Study, *, once: bool) -> None:
         [point.cost(once=once) for point in front],
         [_height(study, point) for point in front],
         where="post",
-        color=_INK,
+        color=INK,
         linewidth=0.9,
         linestyle=(0, (1, 1.5)) if once else (0, (3, 2)),
         label="front, cold (dots)" if once else "front, warm",

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Bools
 from statechart.automaton.trace import Outcome
 from statechart.errors import DeclarationError
-from statechart.reporting.figure import LINES, STYLE
+from statechart.palette import GRID, LINES
+from statechart.reporting.figure import STYLE
 from statechart.sweeps.plan import Plan
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ _COLOURS = (
     "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2",
     "#D55E00", "#882255", "#999933", "#AA4499", "#332288", "#117733",
 )  # fmt: skip
-_OTHERS, _NOTHING, _BLANK, _GRID = "#BBBBBB", "#FFFFFF", "#E6E6E6", "#E6E6E6"
+_OTHERS, _NOTHING, _BLANK = "#BBBBBB", "#FFFFFF", "#E6E6E6"
 # A second axis of so few values is lines beside each other, where the first has so many times more.
 _FEW, _DENSER = 7, 3
 # An axis may be logarithmic where the largest value is so many times the least.
@@ -249,7 +250,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
             else:
                 _joined(ax, x.at[chosen], values.ravel()[chosen], cells.modes[chosen], colour)
         ax.set_ylabel(name)
-        ax.grid(visible=True, color=_GRID, linewidth=0.6)
+        ax.grid(visible=True, color=GRID, linewidth=0.6)
         ax.set_axisbelow(True)
         for side in ("top", "right"):
             ax.spines[side].set_visible(False)

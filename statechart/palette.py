@@ -1,0 +1,35 @@
+"""Colours of states, lines and ink: one palette for diagrams and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Of curves and arrows: Okabe and Ito (2008), told apart by everybody, colour-blind or not."""
+
+INK, FRAME, FAINT, GRID = "#333333", "#5B6670", "#8A939C", "#E6E6E6"
+"""Of text and arrows; of boxes and what is said besides; of what is not possible; of grids."""
+
+RUN = LINES[0]
+"""Of what a run did."""
+
+PAPER, CLOSED = "#FFFFFF", "#F6F8FA"
+"""Of the background, and of boxes that hold others."""
+
+# A state keeps its colour from picture to picture, whatever the others of its region are.
+_NAMED = {
+    "free": "#A6D8F5",
+    "slide+": "#F3C14B",
+    "slide-": "#E88A4A",
+    "slide": "#F3C14B",
+    "pin": "#6CC4A4",
+    "off": "#E6E6E6",
+}
+# States of other names; none of these looks like a named one.
+_OTHERS = ("#CDBBE8", "#F2B8C6", "#D3C1A0", "#B7C4D6", "#D5E08F", "#D99A9A", "#B9A3B5", "#BDBDBD")
+
+
+def state_colours(states: Sequence[str]) -> Mapping[str, str]:
+    """Return the colour of every state of a region, by its name or in order."""
+    others = [state for state in states if state not in _NAMED]
+    return {s: _NAMED.get(s) or _OTHERS[others.index(s) % len(_OTHERS)] for s in states}
