@@ -232,7 +232,9 @@ def flow_to_event(
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
     lift(follows, initial, watch.parameters, start)
-    ready = ready_along(code, constants, reads, n_fixed, times, coeffs, watch.parameters, start)
+    ready = ready_along(
+        code, constants, reads, n_fixed, times, coeffs, watch.parameters, start, margins
+    )
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:

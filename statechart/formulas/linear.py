@@ -20,6 +20,9 @@ Definition = tuple[sp.Symbol, sp.Expr]
 # Laplace expansion grows as n!, and is exact in structure; beyond this, fraction by fraction. One
 # body with a pinned point makes a system of 5.
 _CRAMER_LIMIT = 5
+# A force that follows from an acceleration is a difference: of weight and what moves, say, of which
+# little is left where it is small. By Cramer's rule it is not, where systems are as small as this.
+_TOGETHER = 3
 # A pivot that is a number must not be small: the symbols beside it are of unknown size. The ones of
 # mechanics (a force in its own equation, an acceleration in a constraint) are 1.
 _SMALLEST = 0.5
@@ -79,9 +82,12 @@ def solve_linear(
     """
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     given: list[Equation] = [(*_row(e, place), i) for i, e in enumerate(equations)]
-    first, rows, last = _reduced(given, unknowns, before)
-    if paired and max((len(c) for c in _components(rows)), default=0) > 2 * _CRAMER_LIMIT:
-        first, rows, last = _reduced(given, unknowns, before, _mirrors(given, unknowns, paired))
+    first, rows, last = _reduced(given, unknowns, before, paired)
+    if paired and _largest(rows) > 2 * _TOGETHER:
+        first, rows, last = _reduced(given, unknowns, before)
+    if paired and _largest(rows) > 2 * _CRAMER_LIMIT:
+        mirrors = _mirrors(given, unknowns, paired)
+        first, rows, last = _reduced(given, unknowns, before, mirrors=mirrors)
     block = _blocks(rows, place, (paired, len(unknowns)) if paired else ())
     solved = {u for u, _ in (*first, *block, *last)}
     missing = [u for u in unknowns if u not in solved]
@@ -94,12 +100,15 @@ def _reduced(
     rows: list[Equation],
     unknowns: Sequence[sp.Symbol],
     before: Collection[sp.Symbol],
+    motions: int = 0,
     mirrors: Collection[int] | None = None,
 ) -> tuple[list[Definition], list[Equation], list[Definition]]:
     """Eliminate by pivots that are numbers, or alone in their row or column.
 
     Parameters
     ----------
+    motions : int, optional
+        Unknowns behind so many are eliminated by their own equations only.
     mirrors : collection of int, optional
         Pairs that are symmetric: no number of another equation is a pivot, so that what is left is
         definite where it was.
@@ -117,7 +126,7 @@ def _reduced(
     swapped: set[int] = set()
     while True:
         rows = [equation for equation in rows if equation[0]]
-        pivot = _pivot(rows, place, sizes, swapped, before, mirrors)
+        pivot = _pivot(rows, place, sizes, swapped, before, motions, mirrors)
         if pivot is None:
             return first, rows, last
         index, unknown, where = pivot
@@ -187,13 +196,14 @@ def _pivot(
     sizes: dict[sp.Expr, float],
     wanted: Collection[int],
     before: Collection[sp.Symbol],
+    motions: int,
     mirrors: Collection[int] | None,
 ) -> tuple[int, sp.Symbol, str] | None:
     """Choose the cheapest pivot that divides by a factor of the determinant only.
 
     `sizes` keeps those of the coefficients seen so far: 0 where they are not numbers; `wanted` are
-    the pairs that come before others of their kind, `before` such unknowns; `mirrors`: see
-    `_reduced`.
+    the pairs that come before others of their kind, `before` such unknowns; `motions`, `mirrors`:
+    see `_reduced`.
     """
 
     def size(coefficient: sp.Expr) -> float:
@@ -216,6 +226,8 @@ def _pivot(
                 return index, unknown, "column"
             partner = place[unknown]
             if mirrors is not None and origin != partner and not {origin, partner} <= {*mirrors}:
+                continue
+            if 0 < motions <= partner and (origin != partner or origin in wanted):
                 continue
             if size(coefficient) >= max(_SMALLEST, 0.1 * largest):
                 # Markowitz: the fill that the elimination can make.
@@ -282,6 +294,11 @@ def _components(rows: list[Equation]) -> list[list[int | sp.Symbol]]:
     edges = [(index, unknown) for index, (row, _, _) in enumerate(rows) for unknown in row]
     vertices = [*range(len(rows)), *dict.fromkeys(unknown for _, unknown in edges)]
     return connected_components((vertices, edges))
+
+
+def _largest(rows: list[Equation]) -> int:
+    """Return how many equations and unknowns belong together at most."""
+    return max((len(component) for component in _components(rows)), default=0)
 
 
 def _by_pairs(

@@ -68,12 +68,17 @@ def place(
             q2 = q2 * m + q1
             q1 = q1 * m + q0
             q0 = q0 * m + abs(coeffs[step, v, k])
+        b3 = bounds[v]
+        if q0 + q1 + q2 + b3 == 0.0:
+            for c in range(6):
+                row[c] = 0.0
+            continue
         p2 *= 2.0
         q2 *= 2.0
         r0 = EPS * (q0 + 2.0 * m * q1) + TINY
         r1 = EPS * (4.0 * q1 + 2.0 * m * q2) + TINY
         r2 = EPS * (8.0 + 2.0 * coeffs.shape[2]) * q2 + TINY
-        b3, grow = bounds[v], 1.0 + 64.0 * EPS
+        grow = 1.0 + 64.0 * EPS
         d1, d2 = abs(p1) + r1, abs(p2) + r2
         radius = grow * (r0 + w * (d1 + w * (0.5 * d2 + w * b3 / 6.0)))
         row[0], row[1] = whole(wide((p0 - radius, p0 + radius), EPS))

@@ -6,7 +6,8 @@ of a function into each of its callers, where LLVM optimises it again, level by 
 
 - a function has one signature: a literal is a number, and a whole number has 64 bits;
 - the code of a part is taken into kernels as it was written, and LLVM sees it there alone;
-- a kernel that another kernel calls is called, not taken in: its machine code stands beside.
+- a kernel that another kernel calls is called, not taken in: its machine code stands beside;
+- what makes no array counts no references: whoever called it holds all that it sees.
 
 The last makes what is on disk of a kernel depend on what is there of others (`Callee`).
 """
@@ -17,10 +18,12 @@ import importlib
 from typing import Any, NamedTuple
 
 from numba import _dynfunc, types
+from numba.core import ir
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.environment import lookup_environment
+from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
 
 Signature = tuple[Any, ...]
@@ -121,13 +124,61 @@ def _callers_first(libraries: list[Any]) -> list[Any]:
     return found[::-1]
 
 
+# What gives an array, or a tuple of arrays, that somebody holds already.
+_VIEWS = ("getitem", "static_getitem", "getattr", "build_tuple", "cast", "exhaust_iter", "getiter",
+          "iternext", "pair_first", "pair_second", "phi")  # fmt: skip
+
+
+def _makes_arrays(state: Any) -> bool:
+    """Whether a function that has been typed may make an array, or gives one back."""
+    models, kinds = state.targetctx.data_model_manager, state.typemap
+
+    def counted(kind: Any) -> bool:
+        return bool(models[kind].contains_nrt_meminfo())
+
+    if counted(state.return_type):
+        return True
+    for block in state.func_ir.blocks.values():
+        for assigned in block.find_insts(ir.Assign):
+            made = assigned.value
+            if not isinstance(made, ir.Expr) or not counted(kinds[assigned.target.name]):
+                continue
+            at = made.index if made.op == "getitem" else None
+            if made.op not in _VIEWS or (at is not None and counted(kinds[at.name])):
+                return True
+    return False
+
+
+class _Borrowing(Lower):
+    """Lowers a function that holds no references to arrays of its own."""
+
+    def lower(self) -> None:
+        counting = self.context
+        self.context = counting.subtarget(enable_nrt=False)
+        super().lower()
+        # What Python calls it through holds the arguments.
+        self.context = counting
+
+
+class _Lowering(NativeLowering):
+    """Lowers a function, without counting references where that can be."""
+
+    @property
+    def lowering_class(self) -> type[Lower]:
+        return self._class
+
+    def run_pass(self, state: Any) -> bool:
+        self._class = Lower if _makes_arrays(state) else _Borrowing
+        return bool(super().run_pass(state))
+
+
 def _begin_library(state: Any, kind: type[JITCodeLibrary]) -> None:
     state.library = kind(state.targetctx.codegen(), state.func_id.func_qualname)
     state.library.enable_object_caching()
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class _KernelLowering(NativeLowering):
+class _KernelLowering(_Lowering):
     _name = "kernel_lowering"
 
     def run_pass(self, state: Any) -> bool:
@@ -142,7 +193,7 @@ class _KernelLowering(NativeLowering):
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class _PartLowering(NativeLowering):
+class _PartLowering(_Lowering):
     _name = "part_lowering"
 
     def run_pass(self, state: Any) -> bool:

@@ -2,7 +2,8 @@
 
 Intervals are pairs (low, high) that contain every real value of the operation. Each result is
 widened outwards by one ulp, four where libm is called (its functions are within 1 to 2 ulp), and
-by `TINY` where a product may underflow. A bound that is lost (overflow, inf - inf, a point outside
+by `TINY` where a product may underflow. What is exactly zero stays so: with `TINY` for it, as the
+derivative of all that does not change, roundings would be subnormal. A bound that is lost (overflow, inf - inf, a point outside
 the domain) is not a number or infinite, and ends as the whole line: never as a proof.
 """
 
@@ -74,6 +75,8 @@ def _hull4(p: float, q: float, r: float, s: float) -> Interval:
 @part
 def mul(a: Interval, b: Interval) -> Interval:
     """Product."""
+    if (a[0] == 0.0 == a[1] and b[1] - b[0] < INF) or (b[0] == 0.0 == b[1] and a[1] - a[0] < INF):
+        return ZERO
     return _hull4(a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1])
 
 
@@ -89,6 +92,8 @@ def div(a: Interval, b: Interval) -> Interval:
 def even(a: Interval, p: float, q: float, ulps: float) -> Interval:
     """Range of an even power over `a`, from its values p and q at the ends."""
     small = 0.0 if a[0] <= 0.0 <= a[1] else min(p, q)
+    if a[0] == 0.0 == a[1]:
+        return ZERO
     low, high = wide((small, max(p, q)), ulps)
     return max(0.0, low), high
 

@@ -2,7 +2,7 @@
 
 numba's cache looks only at the file of the function that is called: where that calls kernels of
 another file, an edit there would silently run the old code. Here a kernel's cache is as old as the
-newest of all files whose kernels it can see.
+newest of all files whose kernels it can see, and of what says how kernels are compiled.
 
 A file of the cache that was cut off or damaged, or that cannot be written, must not end a run: each
 carries a digest of its content, and what does not agree with its own is compiled again.
@@ -83,6 +83,7 @@ class _Cache(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         stamps: dict[str, tuple[float, int]] = {}
+        _collect(plain, stamps)
         _collect(function, stamps)
         self._cache_file: Any = _DigestedFile(
             self._cache_path, self._impl.filename_base, tuple(sorted(stamps.items()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import Along, enclose, judge, prepare, unclear_by_slopes
@@ -18,15 +19,11 @@ NARROW = 2.0**-48  # of a step: narrower boxes tell nothing new in float64
 
 FLAT = 2.0**-12  # likewise: nothing that a step resolves is within rounding of zero thrice in it
 
+# Boxes still to see, at most: halves of halves down to the narrowest.
+_BOXES = 64
+
 Scratch = tuple[Array, Array, Array, Array]
 """Memory to evaluate in: bounds of third derivatives, registers, jets, evidence on one output."""
-
-
-@part
-def _alone(along: Along, output: int) -> Along:
-    """Evaluate no operation behind the one that gives an output."""
-    code, base, first, _, reads, times, coeffs, start = along
-    return code, base, first, max(first, output - base + 1), reads, times, coeffs, start
 
 
 @part
@@ -193,9 +190,10 @@ def _clear_at_edge(
     return jets[output, 0] + tolerance > 0.0
 
 
-Ready = tuple[Along, Array, Array, Array]
+Ready = tuple[Along, Array, Array, Array, Array, Array, NDArray[np.uint8]]
 """A tape that is evaluated along steps, with what depends on parameters alone: see `Along`;
-bounds of third derivatives, registers, jets."""
+bounds of third derivatives, registers, jets; evidence on the outputs; boxes still to see, and the
+outputs that are undecided in them."""
 
 
 @part
@@ -208,6 +206,7 @@ def ready_along(
     coeffs: Array,
     parameters: Array,
     start: float,
+    outputs: int,
 ) -> Ready:
     """Evaluate what depends on parameters alone."""
     n = coeffs.shape[1]
@@ -220,7 +219,9 @@ def ready_along(
         if not abs(regs[r, 0]) < INF:
             jets[r, 0], jets[r, 1] = -INF, INF
     run_jets(code, 0, n_fixed, base, jets, 2)
-    return along, np.zeros(n), regs, jets
+    work, ends = np.empty((outputs + 1, 11)), np.empty((2, _BOXES))
+    marks = np.empty((_BOXES + 1, outputs), dtype=np.uint8)
+    return along, np.zeros(n), regs, jets, work, ends, marks
 
 
 @kernel
@@ -248,7 +249,9 @@ def search(
     for i in range(outputs.shape[0]):
         if not tolerances[i] >= 0.0:
             raise ValueError("the tolerances of margins are numbers >= 0")
-    ready = ready_along(code, constants, reads, n_fixed, times, coeffs, parameters, start)
+    ready = ready_along(
+        code, constants, reads, n_fixed, times, coeffs, parameters, start, outputs.shape[0]
+    )
     return search_along(ready, outputs, tolerances, first, last, budget)
 
 
@@ -257,14 +260,12 @@ def search_along(
     ready: Ready, outputs: Ints32, tolerances: Array, first: int, last: int, budget: int
 ) -> tuple[int, int, int, float, float, float, int]:
     """Search steps (see `search`)."""
-    along, bounds, regs, jets = ready
-    _, _, _, _, reads, times, coeffs, start = along
+    along, bounds, regs, jets, work, ends, marks = ready
+    code, base, fixed, _, reads, times, coeffs, start = along
     n_out = outputs.shape[0]
-    work, aside = np.empty((n_out, 11)), np.empty((1, 11))
+    aside, state = work[n_out:], marks[_BOXES]
     scratch = (bounds, regs, jets, aside)
-    lefts, rights = np.empty(64), np.empty(64)  # boxes still to see, the leftmost on top
-    marks = np.empty((64, n_out), dtype=np.uint8)  # the guards that are undecided in them
-    state = np.empty(n_out, dtype=np.uint8)
+    lefts, rights = ends[0], ends[1]  # the leftmost on top
     boxes = 0
     for step in range(first, last):
         finite = prepare(coeffs, step, reads, bounds) and abs(start) < INF
@@ -304,6 +305,9 @@ def search_along(
             for i in range(n_out):
                 if state[i] == 0:
                     continue
+                # No operation behind the one that gives the output.
+                last_op = max(fixed, outputs[i] - base + 1)
+                alone = (code, base, fixed, last_op, reads, times, coeffs, start)
                 tolerance = tolerances[i]
                 below = a == 0.0 and work[i, 10] + tolerance < 0.0
                 # It rises: positive up to a, as the boxes before are clear; or zero there to
@@ -316,7 +320,7 @@ def search_along(
                 if below:
                     here = far = 0.0
                 elif work[i, 7] < 0.0:
-                    guard, alone = outputs[i : i + 1], _alone(along, outputs[i])
+                    guard = outputs[i : i + 1]
                     aside[0, 7] = work[i, 7]
                     falls, end = _falls(alone, guard, tolerance, step, a, b, scratch)
                     if falls == 0:
@@ -338,7 +342,6 @@ def search_along(
                                 near = here + 2.0 * (near - here)
                 bounded = work[i, 4] > -INF and work[i, 5] < INF
                 if here == INF and b - a <= FLAT and not bounded:
-                    alone = _alone(along, outputs[i])
                     if _clear_at_edge(alone, outputs[i], tolerance, step, a, b, bounds, jets):
                         state[i] = 0
                         continue
@@ -384,9 +387,9 @@ def search_along(
                 marks[max(top - 2, 0), i] = marks[top - 1, i] = state[i]
         if found >= 0:
             guard = outputs[found : found + 1]
-            event_step, event = _descent(
-                _alone(along, guard[0]), guard, step, found_left, root, scratch
-            )
+            last_op = max(fixed, guard[0] - base + 1)
+            alone = (code, base, fixed, last_op, reads, times, coeffs, start)
+            event_step, event = _descent(alone, guard, step, found_left, root, scratch)
             at = local_time(times, event_step, event)
             return CROSSING, found, event_step, event, at, local_time(times, step, sure), boxes
     return NONE, -1, 0, 0.0, 0.0, 0.0, boxes
