@@ -85,7 +85,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
         )
         for name, contact in scene.contacts.items()
     )
-    return (*of_contacts, *(controller(n, r, mechanics) for n, r in scene.regions.items()))
+    return (*of_contacts, *(controller(n, r, mechanics) for n, r in scene.controlled.flat.items()))
 
 
 SCENE = Kind("scene", Scene, automaton, Path(__file__).with_name("starter.yaml"))

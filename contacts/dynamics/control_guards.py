@@ -9,36 +9,37 @@ import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.controls import Controller, Transition
 from statechart.arrays import Array
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
 from statechart.charts.firing import Guard, GuardWatch, guard_margins, guards
+from statechart.charts.flatten import FlatRegion, FlatTransition
 
 
-def controller(name: str, declared: Controller, mechanics: Mechanics) -> Region:
+def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     """Return the region of a controller."""
 
     def build(role: Role) -> State:
         return State(
-            margins=guard_margins(name, declared, role.state, mechanics.observables),
+            margins=guard_margins(name, flat, role.state, mechanics.observables),
             values=mechanics.sets(name, role.state),
         )
 
-    sets = {state: mechanics.scene.controlled.values(name, state) for state in declared.states}
+    sets = {state: mechanics.scene.controlled.values(name, state) for state in flat.states}
 
-    def edge(transition: Transition) -> Edge:
+    def edge(transition: FlatTransition) -> Edge:
         before, after = sets[transition.source], sets[transition.target]
-        changed = [control for control in after if after[control] != before[control]]
+        changed = [f"{c} := {after[c]}" for c in after if after[c] != before[c]]
         return Edge(
             transition.name,
             transition.source,
             transition.target,
-            transition.guard or f"on {transition.on}",
-            ", ".join(f"{control} := {after[control]}" for control in changed),
+            transition.trigger,
+            ", ".join(filter(None, (transition.reset, *changed))),
         )
 
-    return Region(name, declared.ordered, build, tuple(map(edge, declared.transitions)))
+    edges = tuple(map(edge, flat.transitions))
+    return Region(name, flat.ordered, build, edges, flat.superstates, nesting=flat.nesting)
 
 
 class Controllers:
@@ -81,7 +82,7 @@ class ControlGuards:
         for control, value in mechanics.controlled(states):
             set_[control] = value.xreplace(set_)
         watched: list[Guard] = []
-        for place, (name, region) in enumerate(mechanics.scene.regions.items()):
+        for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
             watched += guards(place, name, region.transitions, states[name])
         names = set().union(*(guard.relation.names for guard in watched))
         forces = [force for pair in mechanics.forces.values() for force in pair]

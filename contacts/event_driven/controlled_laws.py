@@ -55,7 +55,7 @@ class ControlledLaws:
     ) -> None:
         self._contacts = contacts
         self._mechanics = mechanics
-        self._controllers = mechanics.scene.regions
+        self._controllers = mechanics.scene.controlled.flat
         self._names = tuple(self._controllers)
         self._count = len(regions) - len(self._names)
         self._under: dict[Key, SceneLaws] = {}
@@ -68,7 +68,7 @@ class ControlledLaws:
             for text in (contact.friction, contact.restitution)
         )
         self._considered = {r.name: considered(r) for r in regions if r.name in self._controllers}
-        self._listening = Listening(regions, mechanics.scene.regions)
+        self._listening = Listening(regions, self._controllers)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode; transitions that are due there are taken at once."""
@@ -103,13 +103,13 @@ class ControlledLaws:
             name,
             taken.name,
             (*flow.mode[: self._count], *states),
-            path=() if taken.on is None else (f"on {taken.on}",),
+            path=() if taken.guard is not None else (taken.trigger,),
             considered=self._considered[name][firing.transition],
             energy=(energy, energy),
         )
         pending = self._listening.heard(firing.pending, jump)
         following = self._parted(flow)
-        if taken.on is None:
+        if taken.guard is not None:
             watch = self._states.guards(own).watch
             early = watch.early(rows, firing.place, firing.transition, fired)
             following = following._replace(warning=early or following.warning)

@@ -219,11 +219,8 @@ def _forces(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, Text]]
     values: dict[str, list[tuple[Loc, Text]]] = {
         name: [(("controls", name), text)] for name, text in controls.declared.items()
     }
-    for region, declared in controls.regions.items():
-        for state, content in declared.states.items():
-            for name, text in content.sets.items():
-                at = ("regions", region, "states", state, "sets", name)
-                values.setdefault(name, []).append((at, text))
+    for _, _, name, text, at in controls.sets():
+        values.setdefault(name, []).append((at, text))
     for name in controls.order:
         if any(parse(text).names & changing for _, text in values[name]):
             changing.add(name)

@@ -10,31 +10,35 @@ from typing import TypeVar
 
 from pydantic import Field
 
-from statechart.charts.transitions import BaseRegion, BaseTransition
-from statechart.documents.fields import FormulaText, NameText, Part, check_names
+from statechart.charts.flatten import FlatRegion, flatten
+from statechart.charts.transitions import BaseRegion, BaseState, Loc, nested
+from statechart.documents.fields import FormulaText, NameText, check_names
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import Formula, parse
 
 Value = TypeVar("Value")
 
 
-class ControlState(Part):
+class ControlState(BaseState):
     """One state of a controller, and what it sets."""
 
     sets: dict[str, FormulaText] = Field(
-        default={}, description="Control to its value as long as the state is active."
+        default={},
+        description="Control to its value as long as the state is active; inner states may set "
+        "another.",
     )
+    states: dict[NameText, ControlState] = Field(default={})
+    regions: dict[NameText, ControlRegion] = Field(default={})
 
 
-class Transition(BaseTransition):
-    """A transition of a controller: forces and coefficients jump at it, positions do not."""
-
-
-class Controller(BaseRegion):
-    """A region of the scene beside its contacts: exactly one of its states is active."""
+class ControlRegion(BaseRegion):
+    """States of which exactly one is active, and the transitions between them."""
 
     states: dict[NameText, ControlState] = Field(min_length=1)
-    transitions: tuple[Transition, ...] = ()
+
+
+class Controller(ControlRegion):
+    """A region of the scene beside its contacts: forces and coefficients jump with its state."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +57,14 @@ class Controls:
     regions: Mapping[str, Controller]
 
     @cached_property
+    def flat(self) -> Mapping[str, FlatRegion]:
+        """The controllers as the executor knows them."""
+        return {name: flatten(name, r, "regions", name) for name, r in self.regions.items()}
+
+    @cached_property
     def owners(self) -> Mapping[str, str]:
         """Control -> the region whose states set it."""
-        return {
-            control: region
-            for region, declared in self.regions.items()
-            for state in declared.states.values()
-            for control in state.sets
-        }
+        return {control: region for region, _, control, _, _ in self.sets()}
 
     @cached_property
     def order(self) -> tuple[str, ...]:
@@ -84,11 +88,16 @@ class Controls:
     @property
     def initial(self) -> Mapping[str, str]:
         """Region -> the state that it starts in."""
-        return {name: region.initial for name, region in self.regions.items()}
+        return {name: region.initial for name, region in self.flat.items()}
 
     def values(self, region: str, state: str) -> dict[str, FormulaText]:
         """Return the values of a region's controls in one of its states, in their order."""
-        sets = self.regions[region].states[state].sets
+        sets = {
+            control: text
+            for content in self.flat[region].states[state]
+            if isinstance(content, ControlState)
+            for control, text in content.sets.items()
+        }
         return {
             control: sets.get(control, self.declared[control])
             for control in self.order
@@ -123,7 +132,7 @@ class Controls:
         if region is None:
             yield "", known
             return
-        for state in self.regions[region].states:
+        for state in self.flat[region].states:
             sets = self.values(region, state)
             used = parse(text).names.intersection(sets)
             yield state, {**known, **{name: value(parse(sets[name]), known) for name in used}}
@@ -140,27 +149,36 @@ class Controls:
         names = {*known, *self.declared}
         for control, text in self.declared.items():
             check_names(parse(text), names, "controls", control)
-        for region, declared in self.regions.items():
-            for state, content in declared.states.items():
-                for control, text in content.sets.items():
-                    loc = ("regions", region, "states", state, "sets", control)
-                    if control not in self.declared:
-                        raise DeclarationProblem(
-                            f"no control {control!r}",
-                            advice=close_matches(control, self.declared),
-                            loc=loc,
-                            key=True,
-                        )
-                    check_names(parse(text), names, *loc)
-                    owner, in_state = owners.setdefault(control, (region, state))
-                    if owner != region:
-                        raise DeclarationProblem(
-                            f"region {region!r} in state {state!r} and region {owner!r} in state "
-                            f"{in_state!r} both set {control!r}",
-                            advice="let one region set it; give the other a control of its own",
-                            loc=loc,
-                            key=True,
-                        )
+        for region, state, control, text, loc in self.sets():
+            if control not in self.declared:
+                raise DeclarationProblem(
+                    f"no control {control!r}",
+                    advice=close_matches(control, self.declared),
+                    loc=loc,
+                    key=True,
+                )
+            check_names(parse(text), names, *loc)
+            owner, in_state = owners.setdefault(control, (region, state))
+            if owner != region:
+                raise DeclarationProblem(
+                    f"region {region!r} in state {state!r} and region {owner!r} in state "
+                    f"{in_state!r} both set {control!r}",
+                    advice="let one region set it; give the other a control of its own",
+                    loc=loc,
+                    key=True,
+                )
+        for region, flat in self.flat.items():
+            shared = flat.shared(
+                lambda state: state.sets if isinstance(state, ControlState) else ()
+            )
+            if shared is not None:
+                raise DeclarationProblem(
+                    f"{shared.one!r} and {shared.other!r}, which may be active together, both "
+                    f"set {shared.what!r}",
+                    advice="let one of their regions set it",
+                    loc=("regions", region),
+                    key=True,
+                )
         for control in self.declared:
             if control not in owners:
                 raise DeclarationProblem(
@@ -212,9 +230,15 @@ class Controls:
 
     def _texts(self, control: str) -> list[FormulaText]:
         """Return every formula that a control may be."""
-        region = self.regions.get(self.owners.get(control, ""))
-        states = region.states.values() if region is not None else ()
         return [
             self.declared[control],
-            *(state.sets[control] for state in states if control in state.sets),
+            *(text for _, _, other, text, _ in self.sets() if other == control),
         ]
+
+    def sets(self) -> Iterator[tuple[str, str, str, FormulaText, Loc]]:
+        """Yield region, state, control, its value and the place of that, of all that are set."""
+        for region, declared in self.regions.items():
+            for name, state, at in nested(declared, "regions", region):
+                if isinstance(state, ControlState):
+                    for control, text in state.sets.items():
+                        yield region, name, control, text, (*at, "sets", control)

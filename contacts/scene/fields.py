@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Literal, Self
 
 from pydantic import Field
@@ -120,7 +121,7 @@ class SceneFields(Declaration):
         beside = sum(other.point.body == declared.point.body for other in self.contacts.values())
         return "free" in declared.kinds and (declared.restitution != 0 or beside > 1)
 
-    @property
+    @cached_property
     def controlled(self) -> Controls:
         """The controls and the regions that set them."""
         return Controls(self.controls, self.regions)

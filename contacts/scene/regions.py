@@ -91,7 +91,7 @@ def region(
 
     names = states(contact, gate=gate)
     arrows = edges(contact, jams=jams, bounces=bounces, gate=gate)
-    return Region(name, names, build, arrows, superstates_of(names), ("slide",), forces)
+    return Region(name, names, build, arrows, superstates_of(names), ("slide",), forces=forces)
 
 
 def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Edge, ...]:

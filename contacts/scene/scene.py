@@ -15,7 +15,7 @@ from contacts.scene.parts import Contact, Path, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.scene.shapes import INDEX
 from contacts.states import declared_state, superstates_of
-from statechart.charts.transitions import check_listening
+from statechart.charts.transitions import check_listening, declared_transitions
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText, check_names
 from statechart.errors import DeclarationProblem, close_matches
@@ -248,17 +248,17 @@ class Scene(SceneFields):
                 for edge in edges(x, jams=self.jams(c), bounces=self.bounces(c), gate=gates[c])
             }
             for c, x in self.contacts.items()
-        } | {name: {t.name for t in region.transitions} for name, region in self.regions.items()}
+        } | {name: {*region.causes} for name, region in self.controlled.flat.items()}
         if self.collisions:
             found |= {body: {*_active(BODY_STATES)} for body in self.single_bodies()}
             causes |= {body: {*BODY_CAUSES} for body in self.single_bodies()}
         self.check_uses(names, found, causes)
         for name, region in self.regions.items():
-            check_listening(name, region.transitions, causes, found)
-            for index, transition in enumerate(region.transitions):
+            found_here = list(declared_transitions(region, "regions", name))
+            check_listening(name, found_here, causes, found)
+            for transition, at in found_here:
                 if transition.guard is not None:
-                    loc = ("regions", name, "transitions", index, "guard")
-                    check_names(parse_relation(transition.guard), names, *loc)
+                    check_names(parse_relation(transition.guard), names, *at, "guard")
         return self
 
     @model_validator(mode="after")

@@ -76,10 +76,10 @@ class StepControl:
         scene: SteppedScene,
         regions: Sequence[Region],
     ) -> None:
-        self._controllers = mechanics.scene.regions
+        self._controllers = mechanics.scene.controlled.flat
         self._names = tuple(self._controllers)
         self._tapes, self._numbers, self._setup, self._scene = tapes, numbers, setup, scene
-        self._listening = Listening(regions, mechanics.scene.regions)
+        self._listening = Listening(regions, self._controllers)
         n, r = len(mechanics.q), len(mechanics.joint_rows)
         c = 2 * len(mechanics.scene.contacts)
         # Guards take the forces of joints after those of contacts.

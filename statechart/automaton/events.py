@@ -29,20 +29,20 @@ def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
     return any(
         event.region in (None, region.name)
         and (
-            event.cause == _cause(region, jump, before, after)
+            event.cause in _causes(region, jump, before, after)
             or (event.region is not None and _entered(region, before, after, event.cause))
         )
         for region, before, after in zip(regions, jump.source, jump.target, strict=True)
     )
 
 
-def _cause(region: Region, jump: Jump, before: str, after: str) -> str | None:
+def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, ...]:
     if region.name == jump.region:
-        return jump.cause
+        return region.causes(jump.cause)
     if before == after and region.name not in jump.impulse:
-        return None
+        return ()
     causes = [e.cause for e in region.edges if (e.source, e.target) == (before, after)]
-    return jump.cause if jump.cause in causes else next(iter(causes), None)
+    return (jump.cause,) if jump.cause in causes else tuple(causes[:1])
 
 
 def _entered(region: Region, before: str, after: str, state: str) -> bool:

@@ -8,65 +8,20 @@ under one guard are one that enters it, with a choice.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
+from statechart.automaton.nesting import Choice, HierarchicalEdge
 from statechart.automaton.regions import Edge, Region
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A state that an edge may lead to, and what is reset on the way.
-
-    Attributes
-    ----------
-    target : str
-        A state that holds no others.
-    reset : str
-        As of an `Edge`.
-    """
-
-    target: str
-    reset: str
-
-
-@dataclass(frozen=True)
-class HierarchicalEdge:
-    """Edges of a region that a person draws as one.
-
-    Attributes
-    ----------
-    cause : str
-        As of an `Edge`.
-    source, target : str
-        States or superstates. The edge leaves every state in `source`.
-    guard : str
-        As of an `Edge`.
-    choices : tuple of Choice
-        Where it leads: `target` itself, or one of the states in it, which the laws choose.
-    on_zeno : bool
-        As of an `Edge`.
-    """
-
-    cause: str
-    source: str
-    target: str
-    guard: str
-    choices: tuple[Choice, ...]
-    on_zeno: bool = False
-
-    @property
-    def reset(self) -> str:
-        """What it resets whatever is chosen, and "" where that depends on the choice."""
-        resets = {choice.reset for choice in self.choices}
-        return resets.pop() if len(resets) == 1 else ""
 
 
 def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
     """Return the edges of a region with as few arrows as its superstates allow.
 
     Edges out of all states of a superstate into one state are one; then those from one source, by
-    one cause and guard, into all states of a superstate. `flat_edges` undoes it.
+    one cause and guard, into all states of a superstate. `flat_edges` undoes it. Of a region that
+    was declared with nested states they are those of its declaration.
     """
+    if region.nesting.edges:
+        return region.nesting.edges
     superstates = _outermost_first(region)
     leaves = {name: region.within(name) for name in (*region.states, *superstates)}
     alike: dict[tuple[str, str, str, str, bool], list[str]] = {}

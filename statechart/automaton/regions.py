@@ -8,6 +8,7 @@ from typing import Literal
 
 import sympy as sp
 
+from statechart.automaton.nesting import Nesting
 from statechart.automaton.trace import Role
 from statechart.formulas.formula import parse_relation
 from statechart.formulas.linear import Definition
@@ -159,6 +160,8 @@ class Region:
     listed : tuple of str
         Superstates that the declaration lists as states of their own: slide, which runs know by
         its directions alone.
+    nesting : Nesting
+        What else its declaration says of states in states.
     forces : tuple of Symbol
         Unknowns that are zero for others while the region is captured (see `Role`).
     """
@@ -169,6 +172,7 @@ class Region:
     edges: tuple[Edge, ...]
     superstates: Mapping[str, str] = field(default_factory=dict)
     listed: tuple[str, ...] = ()
+    nesting: Nesting = field(default_factory=Nesting)
     forces: tuple[sp.Symbol, ...] = ()
 
     def declared(self, state: str) -> str:
@@ -176,11 +180,21 @@ class Region:
         return next((name for name in self.active(state) if name in self.listed), state)
 
     def active(self, state: str) -> tuple[str, ...]:
-        """Return what is active with a state: itself and its superstates, inner first."""
-        found = [state]
-        while found[-1] in self.superstates:
-            found.append(self.superstates[found[-1]])
+        """Return what is active with a state: itself and its superstates, inner first.
+
+        Of a configuration of several, each of them with its superstates.
+        """
+        found: dict[str, None] = {}
+        for name in self.nesting.configurations.get(state, (state,)):
+            found[name] = None
+            while name in self.superstates:
+                name = self.superstates[name]
+                found[name] = None
         return tuple(found)
+
+    def causes(self, cause: str) -> tuple[str, ...]:
+        """Return what a cause of jumps stands for: itself, or transitions taken together."""
+        return self.nesting.joint.get(cause, (cause,))
 
     def within(self, name: str) -> tuple[str, ...]:
         """Return the states in which a state or superstate is active."""

@@ -1,5 +1,7 @@
 """The kind `chart`: hybrid statecharts without mechanics.
 
-`chart` is what is declared, `transitions` its transitions (those of any kind of model), `firing`
-decides when they fire, `laws` composes the automaton, and `kind` offers it all to `loading`.
+`chart` is what is declared, `transitions` the states and transitions of any kind of model; a
+`tree` holds the states of a region, `microstep` says what transitions leave and enter, and
+`flatten` makes flat regions of them. `firing` decides when transitions fire, `laws` composes the
+automaton, and `kind` offers it all to `loading`.
 """

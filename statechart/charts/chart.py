@@ -2,65 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from functools import cached_property
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from statechart.charts.transitions import BaseRegion, BaseTransition, check_listening
+from statechart.charts.flatten import FlatRegion, flatten
+from statechart.charts.transitions import (
+    BaseRegion,
+    BaseState,
+    Loc,
+    check_listening,
+    check_periods,
+    declared_transitions,
+    nested,
+)
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.fields import (
     FiniteText,
     Label,
     NameText,
-    Part,
     RelationText,
     check_names,
     value_of,
 )
-from statechart.documents.outputs import Event
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import parse, parse_relation
 
 
-class State(Part):
+class State(BaseState):
     """One state of a region: how variables change in it, and what holds in it."""
 
     flows: dict[str, FiniteText] = Field(
-        default={}, description="Variable to its time derivative; without one it is constant."
+        default={},
+        description="Variable to its time derivative; without one it is constant. Inner states "
+        "may give another.",
     )
     invariants: dict[Label, RelationText] = Field(
         default={}, description="Named relations that hold as long as the state is active."
     )
-
-
-class Transition(BaseTransition):
-    """A transition of a chart, and what it sets.
-
-    ``on: zeno`` waits for no other region: it fires where jumps out of the state accumulate.
-    """
-
-    updates: dict[str, FiniteText] = Field(
-        default={}, description="Variable to its new value, of the values before the jump."
-    )
-
-    @property
-    def on_zeno(self) -> bool:
-        """Whether the accumulation of jumps out of the state fires it."""
-        return self.on == "zeno"
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """Those of other regions."""
-        return () if self.on_zeno else super().events
+    states: dict[NameText, State] = Field(default={})
+    regions: dict[NameText, Region] = Field(default={})
 
 
 class Region(BaseRegion):
     """States of which exactly one is active, and the transitions between them."""
 
     states: dict[NameText, State] = Field(min_length=1)
-    transitions: tuple[Transition, ...] = ()
 
 
 class Chart(Declaration):
@@ -77,9 +67,15 @@ class Chart(Declaration):
     )
     regions: dict[NameText, Region] = Field(min_length=1)
 
+    @cached_property
+    def flat(self) -> Mapping[str, FlatRegion]:
+        """The regions as the executor knows them."""
+        return {name: flatten(name, r, "regions", name) for name, r in self.regions.items()}
+
     def check_values(self, values: Mapping[str, float]) -> None:
-        """Check the initial values, too."""
+        """Check the initial values and the times that transitions wait for, too."""
         super().check_values(values)
+        check_periods(self.regions, values, self.parameters)
         for name, text in self.variables.items():
             value = value_of(text, values, "variables", name)
             if abs(value) == float("inf"):
@@ -102,44 +98,53 @@ class Chart(Declaration):
     @model_validator(mode="after")
     def _formulas_use_declared_names(self) -> Self:
         names = {TIME, *self.parameters, *self.variables}
-        for region, state, name, flow in self._flows():
-            loc = ("regions", region, "states", state, "flows", name)
+        for name, flow, loc in self._flows():
             self._check_variable(name, *loc)
             check_names(parse(flow), names, *loc)
             changing = {TIME, *self.variables}
             check_derived(parse(flow).root, changing, loc, order=1)
             check_smooth(flow, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
+        for state, at in self._states():
+            for label, relation in state.invariants.items():
+                check_names(parse_relation(relation), names, *at, "invariants", label)
+            for key in ("entry", "exit"):
+                self._check_updates(getattr(state, key), names, (*at, key))
         for region, declared in self.regions.items():
-            for state, content in declared.states.items():
-                for label, relation in content.invariants.items():
-                    loc = ("regions", region, "states", state, "invariants", label)
-                    check_names(parse_relation(relation), names, *loc)
-            for index, transition in enumerate(declared.transitions):
-                at = ("regions", region, "transitions", index)
+            for transition, at in declared_transitions(declared, "regions", region):
                 if transition.guard is not None:
                     check_names(parse_relation(transition.guard), names, *at, "guard")
-                for name, update in transition.updates.items():
-                    self._check_variable(name, *at, "updates", name)
-                    check_names(parse(update), names, *at, "updates", name)
-        states = {name: region.states for name, region in self.regions.items()}
-        causes = {name: {t.name for t in r.transitions} for name, r in self.regions.items()}
+                self._check_updates(transition.updates, names, (*at, "updates"))
+        states = {name: region.named for name, region in self.flat.items()}
+        causes = {name: region.causes for name, region in self.flat.items()}
         for name, declared in self.regions.items():
-            check_listening(name, declared.transitions, causes, states, alone=("zeno",))
-        self.check_uses(names, states, causes)
+            found = list(declared_transitions(declared, "regions", name))
+            check_listening(name, found, causes, states, alone=("zeno",))
+        clocks = {clock for region in self.flat.values() for clock in region.clocks}
+        self.check_uses(names | clocks, states, causes)
         return self
 
     @model_validator(mode="after")
     def _regions_do_not_contradict(self) -> Self:
         # Any state of one region can be active together with any state of another.
-        owners: dict[str, tuple[str, str]] = {}
-        for region, state, name, _ in self._flows():
-            owner, in_state = owners.setdefault(name, (region, state))
-            if owner != region:
+        owners: dict[str, Loc] = {}
+        for name, _, loc in self._flows():
+            owner = owners.setdefault(name, loc)
+            if owner[1] != loc[1]:
                 raise DeclarationProblem(
-                    f"region {region!r} in state {state!r} and region {owner!r} in state "
-                    f"{in_state!r} both give {name!r} a flow",
+                    f"region {loc[1]!r} in state {loc[-3]!r} and region {owner[1]!r} in state "
+                    f"{owner[-3]!r} both give {name!r} a flow",
                     advice="let one region own the variable",
-                    loc=("regions", region, "states", state, "flows", name),
+                    loc=loc,
+                    key=True,
+                )
+        for region, flat in self.flat.items():
+            shared = flat.shared(lambda state: state.flows if isinstance(state, State) else ())
+            if shared is not None:
+                raise DeclarationProblem(
+                    f"{shared.one!r} and {shared.other!r}, which may be active together, both "
+                    f"give {shared.what!r} a flow",
+                    advice="let one region own the variable",
+                    loc=("regions", region),
                     key=True,
                 )
         return self
@@ -149,13 +154,23 @@ class Chart(Declaration):
         self.check_ranges()
         return self
 
-    def _flows(self) -> list[tuple[str, str, str, FiniteText]]:
-        return [
-            (region, state, name, flow)
-            for region, declared in self.regions.items()
-            for state, content in declared.states.items()
-            for name, flow in content.flows.items()
-        ]
+    def _states(self) -> Iterator[tuple[State, Loc]]:
+        for name, region in self.regions.items():
+            for _, state, at in nested(region, "regions", name):
+                if isinstance(state, State):
+                    yield state, at
+
+    def _flows(self) -> Iterator[tuple[str, FiniteText, Loc]]:
+        for state, at in self._states():
+            for name, flow in state.flows.items():
+                yield name, flow, (*at, "flows", name)
+
+    def _check_updates(
+        self, updates: Mapping[str, FiniteText], names: Collection[str], loc: Loc
+    ) -> None:
+        for name, update in updates.items():
+            self._check_variable(name, *loc, name)
+            check_names(parse(update), names, *loc, name)
 
     def _check_variable(self, name: str, *loc: str | int) -> None:
         if name not in self.variables:

@@ -12,7 +12,8 @@ one by one in their order, before its guards are judged; one that its state does
 passed.
 
 Transitions due at one instant are taken one after another, each judged by the state that those
-before it left: regions in their order, in a region the first one declared.
+before it left: regions in their order, in a region those of inner states first, then the first one
+declared. What one event fires in the regions inside a state is taken together.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from statechart.automaton.events import happened
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Jump, Key
-from statechart.charts.transitions import BaseRegion, BaseTransition
+from statechart.charts.flatten import FlatRegion, FlatTransition
 from statechart.formulas.formula import Relation, parse_relation
 from statechart.formulas.writer import compile_tape
 
@@ -54,7 +55,7 @@ class Guard:
     relation : Relation
         As declared.
     transition : int
-        Place of its transition in the region's declaration.
+        Place of its transition in the flattened region.
     """
 
     place: int
@@ -72,7 +73,7 @@ class Firing:
     place : int
         Of its region.
     transition : int
-        Its place in the region's declaration.
+        Its place in the flattened region.
     pending : mapping
         What is left for every region to hear.
     """
@@ -82,7 +83,7 @@ class Firing:
     pending: Mapping[str, tuple[Jump, ...]]
 
 
-def guards(place: int, name: str, transitions: Sequence[BaseTransition], state: str) -> list[Guard]:
+def guards(place: int, name: str, transitions: Sequence[FlatTransition], state: str) -> list[Guard]:
     """Return the guards out of `state`, with names for their margins that differ."""
     found = [
         (index, transition, parse_relation(transition.guard))
@@ -103,7 +104,7 @@ def guards(place: int, name: str, transitions: Sequence[BaseTransition], state: 
 
 
 def guard_margins(
-    name: str, declared: BaseRegion, state: str, known: Mapping[str, sp.Expr]
+    name: str, declared: FlatRegion, state: str, known: Mapping[str, sp.Expr]
 ) -> tuple[Margin, ...]:
     """Return the margins of the guards out of `state`."""
     return tuple(
@@ -167,6 +168,8 @@ class GuardWatch:
         What the guards depend on.
     time : Symbol
         Time.
+    clocks : collection of Symbol
+        Inputs that are instants of time, and as exact.
     """
 
     def __init__(
@@ -178,6 +181,7 @@ class GuardWatch:
         inputs: Sequence[sp.Symbol],
         parameters: Sequence[sp.Symbol],
         time: sp.Symbol,
+        clocks: Collection[sp.Symbol] = (),
     ) -> None:
         self.guards = tuple(watched)
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in inputs}
@@ -185,7 +189,7 @@ class GuardWatch:
         timed: list[bool] = []
         for guard in self.guards:
             margin = guard.relation.margin(known)
-            timed.append(margin.free_symbols <= {time, *parameters})
+            timed.append(margin.free_symbols <= {time, *clocks, *parameters})
             first = _along(margin, rates, time)
             second = _along(first, rates, time)
             outputs += [margin, first, second]
@@ -292,16 +296,13 @@ class Listening:
     regions : sequence of Region
         All, in the order of the keys.
     declared : mapping
-        Those of them that may wait, as they are declared.
+        Those of them that may wait, flattened.
     """
 
-    def __init__(self, regions: Sequence[Region], declared: Mapping[str, BaseRegion]) -> None:
+    def __init__(self, regions: Sequence[Region], declared: Mapping[str, FlatRegion]) -> None:
         self._regions = regions
-        # Place in the declaration, state left, events.
         self._waiting = {
-            name: [(i, t.source, t.events) for i, t in enumerate(region.transitions) if t.events]
-            for name, region in declared.items()
-            if any(t.events for t in region.transitions)
+            name: region for name, region in declared.items() if any(region.waiting.values())
         }
 
     def heard(
@@ -316,9 +317,8 @@ class Listening:
     def waits(self, names: Sequence[str], mode: Key) -> bool:
         """Tell whether some of the regions wait for an event in their states."""
         return any(
-            source == state
+            name in self._waiting and bool(self._waiting[name].waiting[state])
             for name, state in zip(names, mode, strict=True)
-            for _, source, _ in self._waiting.get(name, ())
         )
 
     def first(
@@ -344,11 +344,14 @@ class Listening:
         for place, (name, state) in enumerate(zip(names, mode, strict=True)):
             queue = pending.get(name, ())
             for k, jump in enumerate(queue):
-                for transition, source, events in self._waiting[name]:
-                    if source == state and any(
-                        happened(self._regions, jump, event) for event in events
-                    ):
-                        return Firing(place, transition, {**pending, name: queue[k + 1 :]})
+                enabled = [
+                    arrow
+                    for arrow, events in self._waiting[name].waiting[state]
+                    if any(happened(self._regions, jump, event) for event in events)
+                ]
+                if enabled:
+                    transition = self._waiting[name].answer(state, enabled)
+                    return Firing(place, transition, {**pending, name: queue[k + 1 :]})
             if place in guarded:
                 left = {**pending, name: ()} if queue else pending
                 return Firing(place, guarded[place], left)

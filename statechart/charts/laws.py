@@ -21,10 +21,10 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
-from statechart.automaton.regions import Edge, Margin, Region, State, stop_margins
+from statechart.automaton.regions import Margin, Region, State, stop_margins
 from statechart.automaton.trace import Clock, Jump, Role, Roles, between
-from statechart.charts.chart import Chart, Transition
-from statechart.charts.chart import Region as DeclaredRegion
+from statechart.charts.chart import Chart
+from statechart.charts.chart import State as DeclaredState
 from statechart.charts.firing import (
     Guard,
     GuardWatch,
@@ -34,7 +34,9 @@ from statechart.charts.firing import (
     guards,
     size_of,
 )
+from statechart.charts.flatten import FlatRegion, Updates
 from statechart.documents.declaration import TIME
+from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.parameters import Parameters
@@ -59,11 +61,11 @@ def automaton(chart: Chart) -> Automaton:
         The unknowns are one rate for each variable; a rate that no state sets is zero.
     """
     symbols = _Symbols(chart)
-    regions = tuple(_region(name, region, symbols) for name, region in chart.regions.items())
+    regions = tuple(_region(name, region, symbols) for name, region in chart.flat.items())
     return Automaton(
         name=chart.name,
         declaration=chart,
-        names=tuple(chart.variables),
+        names=tuple(symbols.variables),
         variables=tuple(symbols.variables.values()),
         parameter_names=symbols.parameters.names,
         parameters=symbols.parameters.ordered,
@@ -84,15 +86,16 @@ class _Symbols:
     """Neutral symbols of a chart: SymPy gives names such as I or beta a meaning of its own."""
 
     def __init__(self, chart: Chart) -> None:
-        self.variables = {
-            name: sp.Symbol(f"v{i}", real=True) for i, name in enumerate(chart.variables)
-        }
-        self.rates = {name: sp.Symbol(f"r{i}", real=True) for i, name in enumerate(chart.variables)}
+        clocks = [clock for region in chart.flat.values() for clock in region.clocks]
+        starts = {**chart.variables, **dict.fromkeys(clocks, 0)}
+        self.variables = {name: sp.Symbol(f"v{i}", real=True) for i, name in enumerate(starts)}
+        self.rates = {name: sp.Symbol(f"r{i}", real=True) for i, name in enumerate(starts)}
+        self.clocks = tuple(self.variables[clock] for clock in clocks)
         self.time = sp.Symbol("t", real=True)
         self.parameters = Parameters(
             chart.parameters,
             lambda known: {},
-            lambda known: [parse(text).to_sympy(known) for text in chart.variables.values()],
+            lambda known: [parse(text).to_sympy(known) for text in starts.values()],
         )
         self.known: Mapping[str, sp.Symbol] = {
             **self.variables,
@@ -111,36 +114,33 @@ class _Symbols:
         return Setup(values, initial, {"plain": 0.0}, math.sqrt(relative))
 
 
-def _region(name: str, declared: DeclaredRegion, symbols: _Symbols) -> Region:
+def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
     def build(role: Role) -> State:
         if role.state == HELD:
             return State()
-        content = declared.states[role.state]
         return State(
             tuple(
                 symbols.rates[variable] - parse(flow).to_sympy(symbols.known)
-                for variable, flow in content.flows.items()
+                for variable, flow in _flows(flat, role.state).items()
             ),
-            guard_margins(name, declared, role.state, symbols.known),
+            guard_margins(name, flat, role.state, symbols.known),
             tuple(
                 Margin(f"{name}.{label}", -parse_relation(text).margin(symbols.known))
+                for content in _contents(flat, role.state)
                 for label, text in content.invariants.items()
             ),
         )
 
-    return Region(name, declared.ordered, build, tuple(map(_edge, declared.transitions)))
+    return Region(name, flat.ordered, build, flat.edges, flat.superstates, nesting=flat.nesting)
 
 
-def _edge(transition: Transition) -> Edge:
-    waited = "jumps accumulate" if transition.on_zeno else f"on {transition.on}"
-    return Edge(
-        transition.name,
-        transition.source,
-        transition.target,
-        transition.guard or waited,
-        ", ".join(f"{name} := {update}" for name, update in transition.updates.items()),
-        on_zeno=transition.on_zeno,
-    )
+def _contents(flat: FlatRegion, state: str) -> list[DeclaredState]:
+    return [content for content in flat.states[state] if isinstance(content, DeclaredState)]
+
+
+def _flows(flat: FlatRegion, state: str) -> dict[str, FiniteText]:
+    """Return the flows of a configuration: those of inner states in the place of outer ones."""
+    return {n: flow for content in _contents(flat, state) for n, flow in content.flows.items()}
 
 
 class ChartLaws:
@@ -163,29 +163,33 @@ class ChartLaws:
         self._chart = chart
         self._symbols = symbols
         self._regions = tuple(chart.regions)
+        self._flat = chart.flat
         self._watches: dict[Roles, GuardWatch] = {}
-        self._updates: dict[tuple[int, int], Tape] = {}
+        self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
         self._courses = Courses(
             tuple(symbols.variables.values()),
             symbols.parameters.ordered,
             symbols.time,
         )
         self._considered = tuple(map(considered, regions))
-        self._listening = Listening(regions, chart.regions)
+        self._listening = Listening(regions, chart.flat)
 
     @cached_property
     def _zeno(self) -> tuple[Mapping[str, int], ...]:
         """Per region: state -> place of its transition on: zeno; the first of several."""
         return tuple(
             {t.source: i for i, t in reversed(list(enumerate(region.transitions))) if t.on_zeno}
-            for region in self._chart.regions.values()
+            for region in self._flat.values()
         )
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
-        """Return the initial states; guards that are true there fire at once."""
-        key = tuple(region.initial for region in self._chart.regions.values())
-        flow = Flow(key, roles_in(key), terms=setup.initial[:, None])
-        return self._with_tolerances(setup, Clock(), flow, setup.initial), setup.initial
+        """Return the initial states, entered; guards that are true there fire at once."""
+        key = tuple(region.initial for region in self._flat.values())
+        state, sizes = setup.initial, np.abs(setup.initial)
+        for name, region in self._flat.items():
+            state, sizes = self._updated(setup, Clock(), name, region.begins, state, sizes)
+        flow = Flow(key, roles_in(key), terms=state[:, None])
+        return self._with_tolerances(setup, Clock(), flow, state), state
 
     def jump(self, at: Instant) -> tuple[Jump, Flow] | None:
         """Take the first transition that is due; see the module for which are."""
@@ -211,15 +215,15 @@ class ChartLaws:
                 return None
             place, index, pending = firing.place, firing.transition, firing.pending
         name = self._regions[place]
-        transitions = self._chart.regions[name].transitions
+        transitions = self._flat[name].transitions
         sizes = _summed(flow, state)
-        after, summed = self._updated(setup, clock, place, index, state, sizes)
-        if transitions[index].source == transitions[index].target and (after == state).all():
-            limit = self._zeno[place].get(transitions[index].source)
-            if limit is not None:
-                index = limit
-                after, summed = self._updated(setup, clock, place, limit, state, sizes)
         taken = transitions[index]
+        after, summed = self._updated(setup, clock, taken.name, taken.blocks, state, sizes)
+        if taken.source == taken.target and (after == state).all():
+            limit = self._zeno[place].get(taken.source)
+            if limit is not None:
+                index, taken = limit, transitions[limit]
+                after, summed = self._updated(setup, clock, taken.name, taken.blocks, state, sizes)
         target = (*flow.mode[:place], taken.target, *flow.mode[place + 1 :])
         considered = self._considered[place][index]
         jump = at.jump(name, taken.name, target, after, considered=considered)
@@ -244,9 +248,7 @@ class ChartLaws:
         place = self._regions.index(jump.region)
         edge = (jump.cause, jump.source[place], jump.target[place])
         waiting = [
-            t
-            for t in self._chart.regions[jump.region].transitions
-            if t.guard is None and not t.on_zeno
+            t for t in self._flat[jump.region].transitions if t.guard is None and not t.on_zeno
         ]
         if any((t.name, t.source, t.target) == edge for t in waiting):
             return None  # what it waits for accumulates, and is recognised there
@@ -287,11 +289,11 @@ class ChartLaws:
             watched: list[Guard] = []
             rates: dict[sp.Symbol, sp.Expr] = {}
             for place, (state, (name, region)) in enumerate(
-                zip(moving_mode(roles), self._chart.regions.items(), strict=True)
+                zip(moving_mode(roles), self._flat.items(), strict=True)
             ):
                 if state == HELD:
                     continue
-                for variable, text in region.states[state].flows.items():
+                for variable, text in _flows(region, state).items():
                     rates[variables[variable]] = parse(text).to_sympy(known)
                 watched += guards(place, name, region.transitions, state)
             self._watches[roles] = GuardWatch(
@@ -301,38 +303,43 @@ class ChartLaws:
                 inputs=tuple(variables.values()),
                 parameters=self._symbols.parameters.ordered,
                 time=self._symbols.time,
+                clocks=self._symbols.clocks,
             )
         return self._watches[roles]
 
     def _updated(
-        self, setup: Setup, clock: Clock, place: int, index: int, state: Array, sizes: Array
+        self,
+        setup: Setup,
+        clock: Clock,
+        cause: str,
+        blocks: tuple[Updates, ...],
+        state: Array,
+        sizes: Array,
     ) -> tuple[Array, Array]:
-        """Return the state after a transition, and the sizes of what it was summed from."""
-        transition = self._chart.regions[self._regions[place]].transitions[index]
-        if not transition.updates:
+        """Return the state after updates, and the sizes of what it was summed from."""
+        if not blocks:
             return state, sizes
-        tape = self._updates.get((place, index))
+        key = tuple(tuple(block.items()) for block in blocks)
+        tape = self._updates.get(key)
         if tape is None:
-            known = self._symbols.known
-            variables = tuple(self._symbols.variables.values())
-            before = {v: sp.Symbol(f"size_{v}", real=True) for v in variables}
-            values = [
-                parse(transition.updates[name]).to_sympy(known)
-                if name in transition.updates
-                else symbol
-                for name, symbol in self._symbols.variables.items()
-            ]
-            tape = self._updates[place, index] = compile_tape(
+            variables = self._symbols.variables
+            before = {v: sp.Symbol(f"size_{v}", real=True) for v in variables.values()}
+            found: dict[str, sp.Expr] = dict(variables)
+            for block in blocks:
+                known = {**self._symbols.known, **found}
+                found |= {name: parse(text).to_sympy(known) for name, text in block.items()}
+            values = list(found.values())
+            tape = self._updates[key] = compile_tape(
                 [*values, *(size_of(value, before) for value in values)],
-                variables=(*variables, *before.values()),
+                variables=(*variables.values(), *before.values()),
                 parameters=self._symbols.parameters.ordered,
                 time=self._symbols.time,
             )
-        found = tape.values(np.concatenate([state, sizes]), setup.values, clock.high)
-        after, summed = found[: len(state)], found[len(state) :]
-        for name, value in zip(self._chart.variables, after, strict=True):
+        values_after = tape.values(np.concatenate([state, sizes]), setup.values, clock.high)
+        after, summed = values_after[: len(state)], values_after[len(state) :]
+        for name, value in zip(self._symbols.variables, after, strict=True):
             if not np.isfinite(value):
-                raise NonFinite(f"{transition.name} sets {name} to {value}")
+                raise NonFinite(f"{cause} sets {name} to {value}")
         return after, np.where(np.isfinite(summed), summed, np.abs(after))
 
 

@@ -1,15 +1,26 @@
-"""What transitions and regions of every kind of document have in common, as declared."""
+"""What states, transitions and regions of every kind of document have in common, as declared."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import Annotated, Self
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from statechart.documents.fields import NameText, Part, RelationText
+from statechart.documents.fields import (
+    FiniteText,
+    FormulaText,
+    NameText,
+    Part,
+    RelationText,
+    check_names,
+    value_of,
+)
 from statechart.documents.outputs import Event, check_event, parse_events
-from statechart.errors import DeclarationProblem, close_matches
+from statechart.errors import DeclarationProblem
+from statechart.formulas.formula import parse
+
+Loc = tuple[str | int, ...]
 
 
 def _checked(text: str) -> str:
@@ -21,73 +32,160 @@ EventText = Annotated[str, AfterValidator(_checked)]
 """An event, or several joined by `or`; kept as written."""
 
 
-class BaseTransition(Part):
+class Transition(Part):
     """A way from one state of a region to another (or the same), and what fires it."""
 
     name: NameText
     source: str = Field(alias="from")
-    target: str = Field(alias="to")
+    target: str | None = Field(
+        default=None, alias="to", description="Without it no state is left: updates alone."
+    )
     guard: RelationText | None = Field(default=None, description="Fires when this becomes true.")
     on: EventText | None = Field(
         default=None, description="Fires at an event of another region, such as foot.touchdown."
     )
+    after: FormulaText | None = Field(
+        default=None, description="Fires so long after its source was entered."
+    )
+    every: FormulaText | None = Field(
+        default=None, description="Fires at every multiple of this after its source was entered."
+    )
+    updates: dict[str, FiniteText] = Field(
+        default={}, description="Variable to its new value, of the values before."
+    )
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """What `on` says."""
-        return parse_events(self.on) if self.on is not None else ()
+        """What `on` says, of other regions."""
+        return parse_events(self.on) if self.on is not None and not self.on_zeno else ()
+
+    @property
+    def on_zeno(self) -> bool:
+        """Whether the accumulation of jumps out of the state fires it."""
+        return self.on == "zeno"
+
+    @property
+    def period(self) -> FormulaText | None:
+        """How long it waits, where it is a time that fires it."""
+        return self.after if self.after is not None else self.every
+
+    @property
+    def trigger(self) -> str:
+        """What fires it, in words."""
+        if self.period is not None:
+            return f"{'after' if self.every is None else 'every'} {self.period}"
+        return self.guard or ("jumps accumulate" if self.on_zeno else f"on {self.on}")
 
     @model_validator(mode="after")
     def _one_trigger(self) -> Self:
-        if (self.guard is None) == (self.on is None):
+        triggers = (self.guard, self.on, self.after, self.every)
+        if sum(trigger is not None for trigger in triggers) != 1:
             raise DeclarationProblem(
-                f"transition {self.name!r} needs a guard or an on, and not both",
-                advice="write guard: x <= 0, or on: region.event",
+                f"transition {self.name!r} needs one of guard, on, after, every",
+                advice="write guard: x <= 0, on: region.event, after: DURATION or every: PERIOD",
             )
         return self
+
+
+class BaseState(Part):
+    """A state, and the states in it: one of `states` is active with it, or one of each region.
+
+    With `history` it is none, but a target in the place of its siblings: those last active.
+    """
+
+    initial: str | None = Field(
+        default=None, description="The state in it that is entered with it."
+    )
+    states: Mapping[str, BaseState] = {}
+    regions: Mapping[str, BaseRegion] = {}
+    transitions: tuple[Transition, ...] = ()
+    history: Literal["shallow", "deep"] | None = Field(
+        default=None,
+        description="A target: what was last active of the state that this stands in; "
+        "shallow: of its own states, deep: of those in them, too.",
+    )
+    entry: dict[str, FiniteText] = Field(
+        default={}, description="Variable to its value once the state is entered."
+    )
+    exit: dict[str, FiniteText] = Field(
+        default={}, description="Variable to its value once the state is left."
+    )
 
 
 class BaseRegion(Part):
     """States of which exactly one is active, and the transitions between them."""
 
     initial: str
-    states: Mapping[str, Part]
-    transitions: tuple[BaseTransition, ...] = ()
+    states: Mapping[str, BaseState]
+    transitions: tuple[Transition, ...] = ()
 
-    @property
-    def ordered(self) -> tuple[str, ...]:
-        """The states; the first is where the region starts."""
-        return tuple(sorted(self.states, key=lambda state: state != self.initial))
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        """Check that states exist, and that transitions can be told apart."""
-        named: list[tuple[str, tuple[str | int, ...]]] = [(self.initial, ("initial",))]
-        for index, transition in enumerate(self.transitions):
-            named.append((transition.source, ("transitions", index, "from")))
-            named.append((transition.target, ("transitions", index, "to")))
-        for state, loc in named:
-            if state not in self.states:
+Holder = BaseRegion | BaseState
+
+
+def nested(holder: Holder, *loc: str | int) -> Iterator[tuple[str, Holder, Loc]]:
+    """Yield the states in a region or state with their names and places, outer before inner."""
+    for name, state in holder.states.items():
+        at = (*loc, "states", name)
+        yield name, state, at
+        yield from nested(state, *at)
+    if isinstance(holder, BaseState):
+        for name, region in holder.regions.items():
+            at = (*loc, "regions", name)
+            yield name, region, at
+            yield from nested(region, *at)
+
+
+def declared_transitions(holder: Holder, *loc: str | int) -> Iterator[tuple[Transition, Loc]]:
+    """Yield the transitions declared in a region and its states: inner before outer, in order."""
+    for name, state in holder.states.items():
+        yield from declared_transitions(state, *loc, "states", name)
+    if isinstance(holder, BaseState):
+        for name, region in holder.regions.items():
+            yield from declared_transitions(region, *loc, "regions", name)
+    for index, transition in enumerate(holder.transitions):
+        yield transition, (*loc, "transitions", index)
+
+
+def check_periods(
+    regions: Mapping[str, BaseRegion], values: Mapping[str, float] | None, known: Collection[str]
+) -> None:
+    """Check that every time that transitions wait for is a formula of parameters above zero.
+
+    Parameters
+    ----------
+    regions : mapping
+        Name -> region.
+    values : mapping, optional
+        Parameter -> number; without it names alone are checked.
+    known : collection of str
+        The parameters.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first that is not.
+    """
+    for name, region in regions.items():
+        for transition, at in declared_transitions(region, "regions", name):
+            if transition.period is None:
+                continue
+            loc = (*at, "after" if transition.every is None else "every")
+            check_names(parse(transition.period), known, *loc)
+            if values is None:
+                continue
+            found = value_of(transition.period, values, *loc)
+            if not 0.0 < found < float("inf"):
                 raise DeclarationProblem(
-                    f"no state {state!r}", advice=close_matches(state, self.states), loc=loc
+                    f"must be a finite time above 0, not {found:g}",
+                    advice="write a number, or a formula of parameters, such as 0.02",
+                    loc=loc,
                 )
-        seen: set[tuple[str, str, str]] = set()
-        for index, transition in enumerate(self.transitions):
-            edge = (transition.name, transition.source, transition.target)
-            if edge in seen:
-                raise DeclarationProblem(
-                    f"a second transition {transition.name!r} from {transition.source!r} "
-                    f"to {transition.target!r}",
-                    advice="give it another name",
-                    loc=("transitions", index, "name"),
-                )
-            seen.add(edge)
-        return self
 
 
 def check_listening(
     region: str,
-    transitions: Sequence[BaseTransition],
+    transitions: Sequence[tuple[Transition, Loc]],
     causes: Mapping[str, Collection[str]],
     states: Mapping[str, Collection[str]],
     *,
@@ -99,8 +197,8 @@ def check_listening(
     ----------
     region : str
         Whose they are.
-    transitions : sequence of BaseTransition
-        In the order of the declaration.
+    transitions : sequence of (Transition, tuple)
+        With their places.
     causes, states : mapping
         Of every region, as for `Declaration.check_uses`.
     alone : collection of str
@@ -112,9 +210,11 @@ def check_listening(
         At the first that does not.
     """
     others = {name: found for name, found in causes.items() if name != region}
-    for index, transition in enumerate(transitions):
-        loc = ("regions", region, "transitions", index, "on")
-        for event in transition.events:
+    for transition, at in transitions:
+        loc = (*at, "on")
+        if transition.on_zeno and "zeno" in alone:
+            continue
+        for event in parse_events(transition.on) if transition.on is not None else ():
             if event.region == region:
                 raise DeclarationProblem(
                     f"{region!r} waits for an event of its own",

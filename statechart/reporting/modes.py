@@ -7,7 +7,8 @@ from typing import Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import MOST_MODES, Feasibility
-from statechart.automaton.hierarchy import HierarchicalEdge, hierarchical_edges
+from statechart.automaton.hierarchy import hierarchical_edges
+from statechart.automaton.nesting import HierarchicalEdge
 from statechart.automaton.product import graph
 from statechart.automaton.regions import Region
 from statechart.errors import DeclarationError, close_matches

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, model_validator
 
-from statechart.charts.chart import Chart, Region, State, Transition
+from statechart.charts.chart import Chart, Region, State
 from statechart.charts.kind import CHART
+from statechart.charts.transitions import Transition
 from statechart.documents.declaration import Settings, Stop
 from statechart.documents.document import Document
 from statechart.documents.outputs import Count, Event, Integral, Moment, Value
@@ -207,14 +208,19 @@ def test_positions_are_those_of_the_text() -> None:
         ("initial: flight", "initial: fligt", "8:14", "no state 'fligt'; did you mean 'flight'?"),
         ("x: v,", "y: v,", "11:17", "no variable 'y'"),
         ("v: -g", "v: -G", "11:27", "unknown name 'G'"),
-        ("rest: {}", "rest: {flow: {}}", "12:14", "did you mean 'flows'? known keys: flows, inv"),
+        ("rest: {}", "rest: {flow: {}}", "12:14", "did you mean 'flows'? known keys: entry"),
         ("rest: {}", "rest:", "12:7", "must be a mapping, not nothing"),
         ("rest: {}", "rest: {invariants: {low: x <= y}}", "12:37", "unknown name 'y'"),
         ("to: rest", "to: rset", "15:40", "no state 'rset'; did you mean 'rest'?"),
-        ("to: rest", "target: rest", "15:7", "'to' is missing"),
+        ("to: rest", "target: rest", "15:36", "unknown key 'target'"),
         ("guard: x <= 0", "guard: x + 0", "14:60", "a comparison is missing"),
-        ("guard: x <= 0", "guard: x <= 0, on: zeno", "14:7", "a guard or an on, and not both"),
-        ("guard: x <= 0, ", "", "14:7", "needs a guard or an on"),
+        (
+            "guard: x <= 0",
+            "guard: x <= 0, on: zeno",
+            "14:7",
+            "needs one of guard, on, after, every",
+        ),
+        ("guard: x <= 0, ", "", "14:7", "needs one of guard, on, after, every"),
         ("on: zeno", "on: zen", "15:50", "no cause or state 'zen'; did you mean 'zeno'?"),
         ("{v: -k*v}", "{w: -k*v}", "14:73", "no variable 'w'"),
         ("time: 10", "time: -10", "16:14", "must be a finite time from 0 on"),

@@ -424,7 +424,7 @@ def test_a_transition_has_one_trigger() -> None:
     text = SPRINT.replace(", guard: cart.dx <= 0", "")
     error = refused(text)
     assert error.startswith(place(text, "{name", after="x >= 1}")), error
-    assert "transition 'halt' needs a guard or an on" in error
+    assert "transition 'halt' needs one of guard, on" in error
 
 
 def test_two_regions_that_set_one_quantity_are_named() -> None:

@@ -1,0 +1,101 @@
+"""What a declaration says of states in states that flat states and edges no longer show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A state that an edge may lead to, and what is reset on the way.
+
+    Attributes
+    ----------
+    target : str
+        A state that holds no others.
+    reset : str
+        As of an `Edge`.
+    """
+
+    target: str
+    reset: str
+
+
+@dataclass(frozen=True)
+class HierarchicalEdge:
+    """Edges of a region that a person draws as one.
+
+    Attributes
+    ----------
+    cause : str
+        As of an `Edge`.
+    source, target : str
+        States or superstates. The edge leaves every state in `source`.
+    guard : str
+        As of an `Edge`.
+    choices : tuple of Choice
+        Where it leads: `target` itself, or one of the states in it, which the laws choose.
+    on_zeno : bool
+        As of an `Edge`.
+    """
+
+    cause: str
+    source: str
+    target: str
+    guard: str
+    choices: tuple[Choice, ...]
+    on_zeno: bool = False
+
+    @property
+    def reset(self) -> str:
+        """What it resets whatever is chosen, and "" where that depends on the choice."""
+        resets = {choice.reset for choice in self.choices}
+        return resets.pop() if len(resets) == 1 else ""
+
+
+class History(NamedTuple):
+    """A target that stands for what was last active.
+
+    Attributes
+    ----------
+    depth : str
+        Whether it remembers states of `parent` alone, or those in them, too.
+    parent : str
+        Of which it remembers.
+    initial : str
+        What it stands for as long as nothing is remembered.
+    """
+
+    depth: Literal["shallow", "deep"]
+    parent: str
+    initial: str
+
+
+@dataclass(frozen=True, eq=False)
+class Nesting:
+    """What was declared of the states of a flattened region, beside its superstates.
+
+    Attributes
+    ----------
+    configurations : mapping
+        State of the region -> the innermost states that are active in it.
+    joint : mapping
+        Cause -> the causes that it stands for, where one jump takes several transitions.
+    initial : mapping
+        Superstate -> the state in it that it begins with; "" is the region.
+    parallel : frozenset of str
+        Superstates whose states are regions: all of them are active.
+    histories : mapping
+        Name -> history.
+    edges : tuple of HierarchicalEdge
+        As declared.
+    """
+
+    configurations: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    joint: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    initial: Mapping[str, str] = field(default_factory=dict)
+    parallel: frozenset[str] = frozenset()
+    histories: Mapping[str, History] = field(default_factory=dict)
+    edges: tuple[HierarchicalEdge, ...] = ()

@@ -1,0 +1,427 @@
+"""Flattening: nested states as one flat region, whose states are the reachable configurations.
+
+The executor knows flat regions. A configuration is what is active at once, with what histories
+remember of states that are not; only those are made that transitions lead to. A configuration of
+one innermost state has its name; several side by side are joined by ``|``, and what is remembered
+follows in brackets where it differs from what would be entered anyway: ``rest[memory=left]``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain, product
+from math import prod
+from typing import NamedTuple
+
+from statechart.automaton.nesting import Choice, HierarchicalEdge, History, Nesting
+from statechart.automaton.regions import Edge
+from statechart.charts.microstep import (
+    Memory,
+    Microstep,
+    Nodes,
+    beginning,
+    leaves,
+    microstep,
+    selected,
+)
+from statechart.charts.transitions import BaseRegion, BaseState, Transition
+from statechart.charts.tree import HISTORIES, ROOT, Sort, Tree, tree
+from statechart.documents.declaration import TIME
+from statechart.documents.fields import FiniteText
+from statechart.documents.outputs import Event
+from statechart.errors import DeclarationProblem
+
+MOST_CONFIGURATIONS = 4096
+"""Regions side by side multiply: what has more could not be looked at, nor kept."""
+
+Updates = Mapping[str, FiniteText]
+
+
+@dataclass(frozen=True, eq=False)
+class FlatTransition:
+    """Transitions that are taken together, from one configuration to another.
+
+    Attributes
+    ----------
+    name : str
+        Those of the transitions, joined by ``+``.
+    source, target : str
+        Configurations.
+    members : tuple of Transition
+        As declared, in the order of their updates.
+    guard : str or None
+        What fires it, also where that is a time.
+    blocks : tuple of mappings
+        Updates in their order: of states left, of transitions, of states entered. Those of one
+        block see the values that the blocks before it left.
+    """
+
+    name: str
+    source: str
+    target: str
+    members: tuple[Transition, ...]
+    guard: str | None
+    blocks: tuple[Updates, ...]
+
+    @property
+    def on_zeno(self) -> bool:
+        """Whether the accumulation of jumps fires it."""
+        return self.members[0].on_zeno
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Those of other regions that fire it."""
+        return tuple(dict.fromkeys(event for member in self.members for event in member.events))
+
+    @property
+    def trigger(self) -> str:
+        """What fires it, in words."""
+        return " and ".join(dict.fromkeys(member.trigger for member in self.members))
+
+    @property
+    def reset(self) -> str:
+        """What it sets, in words."""
+        return ", ".join(f"{n} := {update}" for block in self.blocks for n, update in block.items())
+
+
+class Shared(NamedTuple):
+    """What two states both give, and which these are."""
+
+    what: str
+    one: str
+    other: str
+
+
+@dataclass(frozen=True, eq=False)
+class FlatRegion:
+    """A region as the executor knows it.
+
+    Attributes
+    ----------
+    name : str
+        Of the region.
+    initial : str
+        The configuration that it starts in.
+    begins : tuple of mappings
+        Updates of the states entered there.
+    states : mapping
+        Configuration -> what is declared of the states active in it, outer ones first.
+    transitions : tuple of FlatTransition
+        From each configuration in the order in which they are asked: inner ones first, then as
+        declared; those taken together after those alone.
+    clocks : mapping
+        Variable of a transition that waits for a time -> that transition.
+    superstates : mapping
+        As of a `statechart.automaton.regions.Region`.
+    nesting : Nesting
+        What else was declared of the hierarchy.
+    """
+
+    name: str
+    initial: str
+    begins: tuple[Updates, ...]
+    states: Mapping[str, tuple[BaseState, ...]]
+    transitions: tuple[FlatTransition, ...]
+    clocks: Mapping[str, Transition]
+    superstates: Mapping[str, str]
+    nesting: Nesting
+    _tree: Tree
+    _configurations: Mapping[str, tuple[Nodes, Memory]]
+    _places: Mapping[tuple[str, tuple[int, ...]], int]
+
+    @property
+    def ordered(self) -> tuple[str, ...]:
+        """The configurations; the first is where the region starts."""
+        return tuple(self.states)
+
+    @property
+    def edges(self) -> tuple[Edge, ...]:
+        """The transitions as text for people, in their order."""
+        return tuple(
+            Edge(t.name, t.source, t.target, t.trigger, t.reset, on_zeno=t.on_zeno)
+            for t in self.transitions
+        )
+
+    @cached_property
+    def named(self) -> tuple[str, ...]:
+        """States and superstates, as declared: what outputs and events may ask for."""
+        return tuple(n.name for n in self._tree.nodes[1:] if n.sort not in HISTORIES)
+
+    @cached_property
+    def causes(self) -> tuple[str, ...]:
+        """The names of the transitions, as declared."""
+        return tuple(dict.fromkeys(arrow.declared.name for arrow in self._tree.arrows))
+
+    @cached_property
+    def waiting(self) -> Mapping[str, tuple[tuple[int, tuple[Event, ...]], ...]]:
+        """Configuration -> arrows out of it that wait for events of other regions."""
+        heard = [(i, arrow) for i, arrow in enumerate(self._tree.arrows) if arrow.declared.events]
+        return {
+            name: tuple((i, arrow.declared.events) for i, arrow in heard if arrow.source in active)
+            for name, (active, _) in self._configurations.items()
+        }
+
+    def shared(self, given: Callable[[BaseState], Collection[str]]) -> Shared | None:
+        """Return what two states that are active side by side both give, the first of it.
+
+        Parameters
+        ----------
+        given : callable
+            State -> names of what it gives.
+        """
+        owners: dict[str, list[int]] = {}
+        for index, node in enumerate(self._tree.nodes):
+            if not isinstance(node.declared, BaseState):
+                continue
+            for what in given(node.declared):
+                for other in owners.setdefault(what, []):
+                    if self._tree.beside(index, other):
+                        return Shared(what, self._tree.nodes[other].name, node.name)
+                owners[what].append(index)
+        return None
+
+    def answer(self, state: str, enabled: Collection[int]) -> int:
+        """Return the place of the transition taken where an event enables some arrows."""
+        active, memory = self._configurations[state]
+        return self._places[state, selected(self._tree, active, memory, enabled)]
+
+
+def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
+    """Flatten a declared region.
+
+    Parameters
+    ----------
+    name : str
+        Of the region.
+    region : BaseRegion
+        As declared.
+    *loc : str or int
+        Where it stands, from the validated value down.
+
+    Raises
+    ------
+    DeclarationProblem
+        If its states or transitions make no sense (see `tree`), or if there are more than
+        `MOST_CONFIGURATIONS`.
+    """
+    found = tree(region, *loc)
+    return _Flattening(name, found, loc).region()
+
+
+class _Flattening:
+    """What is gathered while configurations are followed."""
+
+    def __init__(self, name: str, found: Tree, loc: tuple[str | int, ...]) -> None:
+        self._name, self._tree, self._loc = name, found, loc
+        self._named: dict[str, tuple[Nodes, Memory]] = {}
+        self._clocks = {
+            place: f"{name}.{arrow.declared.name}_clock"
+            for place, arrow in enumerate(found.arrows)
+            if arrow.declared.period is not None
+        }
+        # Asked in this order: those of inner states first, then as declared.
+        self._ranks = _inner_first(found)
+        # What a history remembers while its parent is active matters to those inside alone.
+        self._recalled = {
+            arrow.target
+            for arrow in found.arrows
+            if arrow.target >= 0
+            and found.nodes[arrow.target].sort in HISTORIES
+            and found.holds(found.nodes[arrow.target].parent, arrow.source)
+        }
+
+    def region(self) -> FlatRegion:
+        """Follow all transitions from the beginning."""
+        found = self._tree
+        begin = beginning(found)
+        initial = self._name_of(begin.active, {})
+        if found.flat:
+            for node in found.nodes[ROOT].children:
+                self._name_of(frozenset((node,)), {})
+        transitions: list[tuple[int, FlatTransition]] = []
+        places: list[tuple[str, tuple[int, ...]]] = []
+        done: set[str] = set()
+        while todo := [name for name in self._named if name not in done]:
+            for name in todo:
+                done.add(name)
+                for taken in self._takeable(*self._named[name]):
+                    step = microstep(found, *self._named[name], taken)
+                    target = self._name_of(step.active, step.memory)
+                    transitions.append((taken[0], self._transition(name, target, step)))
+                    places.append((name, taken))
+        order = list(range(len(transitions)))
+        if found.flat:
+            # As they were declared: nothing is inside anything.
+            order.sort(key=lambda i: transitions[i][0])
+        ordered = tuple(transitions[i][1] for i in order)
+        nodes = found.nodes
+        return FlatRegion(
+            self._name,
+            initial,
+            tuple(filter(None, (self._entered(node, {}) for node in begin.entries))),
+            {name: self._contents(active) for name, (active, _) in self._named.items()},
+            ordered,
+            {self._clocks[i]: found.arrows[i].declared for i in self._clocks},
+            {
+                node.name: nodes[node.parent].name
+                for node in nodes
+                if node.parent > ROOT and node.sort not in HISTORIES
+            },
+            self._nesting(ordered),
+            found,
+            self._named,
+            {places[i]: place for place, i in enumerate(order)},
+        )
+
+    def _contents(self, active: Nodes) -> tuple[BaseState, ...]:
+        holders = (self._tree.nodes[node].declared for node in sorted(active))
+        return tuple(holder for holder in holders if isinstance(holder, BaseState))
+
+    def _takeable(self, active: Nodes, memory: Memory) -> Iterable[tuple[int, ...]]:
+        """Yield which arrows may be taken together, alone first."""
+        arrows = self._tree.arrows
+        out = [i for i in self._ranks if arrows[i].source in active]
+        yield from ((i,) for i in out)
+        # What is taken follows from the first that is enabled of each innermost state.
+        choices = [
+            [(), *((i,) for i in out if arrows[i].declared.events and arrows[i].source in holders)]
+            for leaf in leaves(self._tree, active)
+            if (holders := {leaf, *self._tree.above[leaf]})
+        ]
+        if prod(map(len, choices)) > MOST_CONFIGURATIONS:
+            raise self._too_many("sets of transitions that one event may fire together")
+        together = (
+            selected(self._tree, active, memory, set(chain.from_iterable(one)))
+            for one in product(*choices)
+        )
+        yield from dict.fromkeys(taken for taken in together if len(taken) > 1)
+
+    def _transition(self, source: str, target: str, step: Microstep) -> FlatTransition:
+        members = tuple(self._tree.arrows[place].declared for place in step.taken)
+        guard = members[0].guard
+        blocks: list[Updates] = []
+        for node in step.exits:
+            declared = self._tree.nodes[node].declared
+            blocks.append(declared.exit if isinstance(declared, BaseState) else {})
+        for place, member in zip(step.taken, members, strict=True):
+            clock = self._clocks.get(place)
+            updates = dict(member.updates)
+            if clock is not None:
+                guard = f"{TIME} >= {clock} + ({member.period})"
+                if member.every is not None:
+                    updates[clock] = f"{clock} + ({member.period})"
+            blocks.append(updates)
+        blocks += [self._entered(node, step.memory) for node in step.entries]
+        return FlatTransition(
+            "+".join(member.name for member in members),
+            source,
+            target,
+            members,
+            guard,
+            tuple(filter(None, blocks)),
+        )
+
+    def _entered(self, node: int, memory: Memory) -> Updates:
+        declared = self._tree.nodes[node].declared
+        clocks = {
+            clock: TIME
+            for place, clock in self._clocks.items()
+            if self._tree.arrows[place].source == node
+        }
+        return {**(declared.entry if isinstance(declared, BaseState) else {}), **clocks}
+
+    def _name_of(self, active: Nodes, memory: Memory) -> str:
+        """Return the name of a configuration, which is added where it is new."""
+        found = self._tree
+        kept = {
+            history: remembered
+            for history, remembered in sorted(memory.items())
+            if (found.nodes[history].parent not in active or history in self._recalled)
+            and remembered != self._default(history)
+        }
+        words = [
+            f"{found.nodes[history].name}={self._joined(remembered)}"
+            for history, remembered in kept.items()
+        ]
+        name = self._joined(leaves(found, active)) + (f"[{', '.join(words)}]" if words else "")
+        self._named.setdefault(name, (active, kept))
+        if len(self._named) > MOST_CONFIGURATIONS:
+            raise self._too_many("configurations")
+        return name
+
+    def _default(self, history: int) -> Nodes:
+        """Return what a history would remember after what is entered without it."""
+        node = self._tree.nodes[history]
+        if node.sort is Sort.SHALLOW:
+            return frozenset((node.initial,))
+        return frozenset((node.initial,)) if self._atomic(node.initial) else frozenset()
+
+    def _atomic(self, node: int) -> bool:
+        return self._tree.nodes[node].sort is Sort.ATOMIC
+
+    def _joined(self, nodes: Iterable[int]) -> str:
+        return "|".join(self._tree.nodes[node].name for node in sorted(nodes))
+
+    def _nesting(self, transitions: Iterable[FlatTransition]) -> Nesting:
+        nodes = self._tree.nodes
+        if self._tree.flat:
+            return Nesting()
+        return Nesting(
+            {
+                name: tuple(nodes[leaf].name for leaf in leaves(self._tree, active))
+                for name, (active, _) in self._named.items()
+            },
+            {
+                t.name: tuple(member.name for member in t.members)
+                for t in transitions
+                if len(t.members) > 1
+            },
+            {n.name: nodes[n.initial].name for n in nodes if n.sort is Sort.COMPOUND},
+            frozenset(n.name for n in nodes if n.sort is Sort.PARALLEL),
+            {
+                n.name: History(
+                    "deep" if n.sort is Sort.DEEP else "shallow",
+                    nodes[n.parent].name,
+                    nodes[n.initial].name,
+                )
+                for n in nodes
+                if n.sort in HISTORIES
+            },
+            tuple(self._drawn()),
+        )
+
+    def _drawn(self) -> Iterable[HierarchicalEdge]:
+        for arrow in self._tree.arrows:
+            declared = arrow.declared
+            target = declared.target or declared.source
+            reset = ", ".join(f"{name} := {update}" for name, update in declared.updates.items())
+            choice = Choice(target, reset)
+            yield HierarchicalEdge(
+                declared.name, declared.source, target, declared.trigger, (choice,),
+                declared.on_zeno,
+            )  # fmt: skip
+
+    def _too_many(self, what: str) -> DeclarationProblem:
+        return DeclarationProblem(
+            f"more than {MOST_CONFIGURATIONS} {what} of {self._name!r}",
+            advice="make regions of a state regions of the model: these are not multiplied",
+            loc=self._loc,
+            key=True,
+        )
+
+
+def _inner_first(found: Tree) -> list[int]:
+    """Return the arrows so that those of inner states come first, then as the document has them."""
+    last = {}
+    for node in range(len(found.nodes)):
+        inside = [n for n in range(len(found.nodes)) if found.holds(node, n)]
+        last[node] = max(inside, default=node)
+
+    # After all that it holds, before what follows it: a walk that leaves a node after its children.
+    def rank(place: int) -> tuple[int, int, int]:
+        source = found.arrows[place].source
+        return last[source], -source, place
+
+    return sorted(range(len(found.arrows)), key=rank)

@@ -1,0 +1,341 @@
+"""The states of a region as a tree, checked: what holds what, and where transitions lead.
+
+Words as in SCXML (W3C Recommendation of 1 September 2015): a state without states is atomic, one
+with states is compound, one with regions is parallel; its regions are compound states. Nodes are
+numbered in document order, so that outer ones come before inner ones.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from statechart.charts.transitions import (
+    BaseRegion,
+    BaseState,
+    Holder,
+    Loc,
+    Transition,
+    declared_transitions,
+    nested,
+)
+from statechart.errors import DeclarationProblem, close_matches
+
+
+class Sort(enum.Enum):
+    """What a node of the tree is."""
+
+    ATOMIC = enum.auto()
+    COMPOUND = enum.auto()
+    PARALLEL = enum.auto()
+    SHALLOW = enum.auto()
+    DEEP = enum.auto()
+
+
+HISTORIES = (Sort.SHALLOW, Sort.DEEP)
+
+ROOT = 0
+"""The region itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A state, a region in a state, or a history.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the region; that of the region itself is "".
+    sort : Sort
+        What it is.
+    parent : int
+        What holds it; of the region itself -1.
+    children : tuple of int
+        What it holds, histories besides.
+    histories : tuple of int
+        Those of its states.
+    initial : int
+        What is entered with it where nothing else is said; of a history where nothing is
+        remembered. -1 where there is no choice.
+    declared : BaseState or BaseRegion
+        As declared.
+    """
+
+    name: str
+    sort: Sort
+    parent: int
+    children: tuple[int, ...]
+    histories: tuple[int, ...]
+    initial: int
+    declared: Holder
+
+
+@dataclass(frozen=True, eq=False)
+class Arrow:
+    """A transition between nodes; `target` is -1 where it leaves no state."""
+
+    declared: Transition
+    source: int
+    target: int
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """The states of a region and the transitions between them.
+
+    Attributes
+    ----------
+    nodes : tuple of Node
+        In document order.
+    arrows : tuple of Arrow
+        In document order: those declared in a state before those of what holds it.
+    """
+
+    nodes: tuple[Node, ...]
+    arrows: tuple[Arrow, ...]
+
+    @cached_property
+    def flat(self) -> bool:
+        """Whether no state holds another."""
+        return all(node.parent <= ROOT for node in self.nodes)
+
+    @cached_property
+    def above(self) -> tuple[tuple[int, ...], ...]:
+        """What holds every node, from the inside to the region."""
+        found: list[tuple[int, ...]] = []
+        for node in self.nodes:
+            found.append((node.parent, *found[node.parent]) if node.parent >= 0 else ())
+        return tuple(found)
+
+    def holds(self, outer: int, inner: int) -> bool:
+        """Tell whether a node is inside another, and not that itself."""
+        return outer in self.above[inner]
+
+    def common(self, one: int, other: int) -> int:
+        """Return the innermost node that holds both, or that is one of them and holds the other."""
+        path = (one, *self.above[one])
+        return next(node for node in (other, *self.above[other]) if node in path)
+
+    def beside(self, one: int, other: int) -> bool:
+        """Tell whether two nodes are in different regions of a state, active side by side."""
+        meet = self.common(one, other)
+        return meet not in (one, other) and self.nodes[meet].sort is Sort.PARALLEL
+
+
+def tree(region: BaseRegion, *loc: str | int) -> Tree:
+    """Return the tree of a declared region.
+
+    Parameters
+    ----------
+    region : BaseRegion
+        As declared.
+    *loc : str or int
+        Where it stands, from the validated value down.
+
+    Raises
+    ------
+    DeclarationProblem
+        If names are not unique, a state that holds states has no initial one, a history has no
+        parent, or a transition leads to or from what there is not, or from one region of a state
+        into another.
+    """
+    entries: list[tuple[str, Holder, Loc]] = [("", region, loc), *nested(region, *loc)]
+    places: dict[str, int] = {}
+    for index, (name, holder, at) in enumerate(entries):
+        if name in places:
+            raise DeclarationProblem(
+                f"a second state {name!r} of the region",
+                advice="names of states are unique in a region; choose another",
+                loc=at,
+                key=True,
+            )
+        places[name] = index
+        if isinstance(holder, BaseState):
+            _check_state(name, holder, at)
+    by_place = {at: index for index, (_, _, at) in enumerate(entries)}
+    parents = [-1 if at == loc else by_place[at[:-2]] for _, _, at in entries]
+    sorts = [_sort(holder) for _, holder, _ in entries]
+    members: list[list[int]] = [[] for _ in entries]
+    for index, parent in enumerate(parents[1:], 1):
+        members[parent].append(index)
+    nodes = []
+    for index, (name, holder, at) in enumerate(entries):
+        if sorts[index] in HISTORIES and parents[index] == ROOT:
+            raise DeclarationProblem(
+                f"the history {name!r} has no state whose states it remembers",
+                advice="put it among the states of that state, or of a region in a state",
+                loc=(*at, "history"),
+            )
+        nodes.append(
+            Node(
+                name,
+                sorts[index],
+                parents[index],
+                tuple(i for i in members[index] if sorts[i] not in HISTORIES),
+                tuple(i for i in members[index] if sorts[i] in HISTORIES),
+                -1,
+                holder,
+            )
+        )
+    unnamed = Tree(tuple(nodes), ())
+    nodes = [_with_initial(unnamed, index, places, at) for index, (_, _, at) in enumerate(entries)]
+    bare = Tree(tuple(nodes), ())
+    written = list(declared_transitions(region, *loc))
+    arrows = [_arrow(bare, places, *found, by_place) for found in written]
+    _check_apart(arrows, [at for _, at in written])
+    return Tree(tuple(nodes), tuple(arrows))
+
+
+def _sort(holder: Holder) -> Sort:
+    if isinstance(holder, BaseState):
+        if holder.history is not None:
+            return Sort.SHALLOW if holder.history == "shallow" else Sort.DEEP
+        if holder.regions:
+            return Sort.PARALLEL
+        if not holder.states:
+            return Sort.ATOMIC
+    return Sort.COMPOUND
+
+
+def _check_state(name: str, state: BaseState, at: Loc) -> None:
+    """Check that what a state says of the states in it makes sense by itself."""
+    if state.history is not None:
+        said = sorted(state.model_fields_set - {"history", "initial"})
+        if said:
+            raise DeclarationProblem(
+                f"the history {name!r} is a target, and no state: it has no {said[0]!r}",
+                advice="leave it history, and initial where nothing is remembered",
+                loc=(*at, said[0]),
+                key=True,
+            )
+        return
+    if state.states and state.regions:
+        raise DeclarationProblem(
+            f"{name!r} has states and regions",
+            advice="put the states into a region of their own",
+            loc=(*at, "regions"),
+            key=True,
+        )
+    if state.states and state.initial is None:
+        raise DeclarationProblem(
+            f"{name!r} holds states and does not say with which it begins",
+            advice=f"write initial: {next(iter(state.states))}",
+            loc=at,
+            key=True,
+        )
+    if not state.states and state.initial is not None:
+        raise DeclarationProblem(
+            f"{name!r} holds no states of its own to begin with",
+            advice="write it in its regions" if state.regions else "write states, or leave it out",
+            loc=(*at, "initial"),
+            key=True,
+        )
+
+
+def _with_initial(bare: Tree, index: int, places: Mapping[str, int], at: Loc) -> Node:
+    node = bare.nodes[index]
+    if node.sort in (Sort.ATOMIC, Sort.PARALLEL):
+        return node
+    holder = node.parent if node.sort in HISTORIES else index
+    initial = node.declared.initial
+    if initial is None:
+        found = places[str(bare.nodes[holder].declared.initial)]
+    else:
+        inside = [n.name for i, n in enumerate(bare.nodes) if bare.holds(holder, i)]
+        if initial not in inside:
+            where = f" in {bare.nodes[holder].name!r}" if holder != ROOT else ""
+            raise DeclarationProblem(
+                f"no state {initial!r}{where}",
+                advice=close_matches(initial, inside),
+                loc=(*at, "initial"),
+            )
+        found = places[initial]
+        if bare.nodes[found].sort in HISTORIES:
+            raise DeclarationProblem(
+                f"{initial!r} is a history, and nothing begins with one",
+                advice="write a state",
+                loc=(*at, "initial"),
+            )
+    return Node(
+        node.name, node.sort, node.parent, node.children, node.histories, found, node.declared
+    )
+
+
+def _arrow(
+    bare: Tree,
+    places: Mapping[str, int],
+    declared: Transition,
+    at: Loc,
+    by_place: Mapping[Loc, int],
+) -> Arrow:
+    scope = by_place[at[:-2]]
+    states = [name for name in places if name]
+    for name, key in ((declared.source, "from"), (declared.target, "to")):
+        if name is not None and name not in states:
+            raise DeclarationProblem(
+                f"no state {name!r}", advice=close_matches(name, states), loc=(*at, key)
+            )
+    source = places[declared.source]
+    if bare.nodes[source].sort in HISTORIES:
+        raise DeclarationProblem(
+            f"{declared.source!r} is a history, which nothing leaves",
+            advice="let it leave the state that holds it",
+            loc=(*at, "from"),
+        )
+    if scope not in (source, *bare.above[source]):
+        raise DeclarationProblem(
+            f"{declared.source!r} is not in {bare.nodes[scope].name!r}",
+            advice="declare a transition where its source is, or further out",
+            loc=(*at, "from"),
+        )
+    if declared.target is None:
+        return Arrow(declared, source, -1)
+    target = places[declared.target]
+    if bare.beside(source, target):
+        meet = bare.common(source, target)
+        raise DeclarationProblem(
+            f"{declared.source!r} and {declared.target!r} are in regions of "
+            f"{bare.nodes[meet].name!r}, which are active side by side",
+            advice=f"leave it as a whole with from: {bare.nodes[meet].name}, or give each region "
+            "a transition of its own",
+            loc=(*at, "to"),
+        )
+    return Arrow(declared, source, target)
+
+
+def _check_apart(arrows: list[Arrow], locs: list[Loc]) -> None:
+    """Check that transitions can be told apart, and that none is always preceded by another."""
+    named: set[tuple[str, int, int]] = set()
+    timed: set[str] = set()
+    taken: dict[tuple[int, str], str] = {}
+    for arrow, at in zip(arrows, locs, strict=True):
+        declared = arrow.declared
+        key = (declared.name, arrow.source, arrow.target)
+        if key in named:
+            raise DeclarationProblem(
+                f"a second transition {declared.name!r} from {declared.source!r} "
+                f"to {declared.target!r}",
+                advice="give it another name",
+                loc=(*at, "name"),
+            )
+        named.add(key)
+        if declared.period is not None:
+            if declared.name in timed:
+                raise DeclarationProblem(
+                    f"a second transition {declared.name!r} that waits for a time",
+                    advice="give it another name: each has a clock of its name",
+                    loc=(*at, "name"),
+                )
+            timed.add(declared.name)
+        triggers = [(arrow.source, f"on {e.region}.{e.cause}") for e in declared.events]
+        triggers = triggers or [(arrow.source, declared.trigger)]
+        if all(trigger in taken for trigger in triggers):
+            raise DeclarationProblem(
+                f"{declared.name!r} never fires: {taken[triggers[0]]!r}, declared before it, is "
+                f"taken from {declared.source!r} whenever it could be ({declared.trigger})",
+                advice="let guards or events of the two differ, or leave one out",
+                loc=(*at, "name"),
+            )
+        taken = dict.fromkeys(triggers, declared.name) | taken
