@@ -22,6 +22,7 @@ def automaton(scene: Scene) -> Automaton:
         from contacts.collisions.bodies import bodies_automaton
 
         return bodies_automaton(scene)
+    from contacts.dynamics.control_guards import memory_rates
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup import SceneNumbers
@@ -43,20 +44,20 @@ def automaton(scene: Scene) -> Automaton:
     return Automaton(
         name=scene.name,
         declaration=scene,
-        names=mechanics.variable_names,
-        variables=mechanics.variables,
+        names=(*mechanics.variable_names, *mechanics.memory),
+        variables=(*mechanics.variables, *mechanics.memory.values()),
         parameter_names=parameters.names,
         parameters=parameters.ordered,
         time=mechanics.time,
         unknowns=(*mechanics.a, *mechanics.unknown_forces),
-        rates=(*mechanics.v, *mechanics.a),
+        rates=(*mechanics.v, *mechanics.a, *memory_rates(mechanics).values()),
         equations=mechanics.equations,
         regions=regions,
         stops=stops,
         observables=observables,
         setup=numbers.at,
         laws=laws,
-        controls=mechanics.controls,
+        controls=(*mechanics.controls, *(r for r in memory_rates(mechanics).values() if r != 0)),
         coordinates=coordinates(mechanics),
         stepper=lambda: SceneStepper(mechanics, stops, regions),
     )

@@ -13,7 +13,8 @@ from statechart.arrays import Array
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
 from statechart.charts.firing import Guard, GuardWatch, guard_margins, guards
-from statechart.charts.flatten import FlatRegion, FlatTransition
+from statechart.charts.flat_region import FlatRegion, FlatTransition
+from statechart.formulas.formula import parse
 
 
 def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
@@ -22,7 +23,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     def build(role: Role) -> State:
         return State(
             margins=guard_margins(name, flat, role.state, mechanics.observables),
-            values=mechanics.sets(name, role.state),
+            values=mechanics.sets(name, role.state) | _flows(mechanics, name, role.state),
         )
 
     sets = {state: mechanics.scene.controlled.values(name, state) for state in flat.states}
@@ -40,6 +41,22 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
 
     edges = tuple(map(edge, flat.transitions))
     return Region(name, flat.ordered, build, edges, flat.superstates, nesting=flat.nesting)
+
+
+def memory_rates(mechanics: Mechanics) -> dict[str, sp.Expr]:
+    """Return the rates of what controllers remember: symbols that states set, or 0."""
+    flowing = mechanics.scene.controlled.flowing
+    return {
+        name: sp.Symbol(f"d{symbol}", real=True) if name in flowing else sp.S.Zero
+        for name, symbol in mechanics.memory.items()
+    }
+
+
+def _flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
+    """Return what a state of a controller sets rates of its variables to."""
+    rates = memory_rates(mechanics)
+    flows = mechanics.scene.controlled.flows(region, state)
+    return {rates[v]: parse(text).to_sympy(mechanics.known) for v, text in flows.items()}
 
 
 class Controllers:
@@ -79,8 +96,10 @@ class ControlGuards:
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         set_: dict[sp.Symbol, sp.Expr] = {}
-        for control, value in mechanics.controlled(states):
+        flows = [f for name, at in states.items() for f in _flows(mechanics, name, at).items()]
+        for control, value in (*mechanics.controlled(states), *flows):
             set_[control] = value.xreplace(set_)
+        memory = {mechanics.memory[n]: r.xreplace(set_) for n, r in memory_rates(mechanics).items()}
         watched: list[Guard] = []
         for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
             watched += guards(place, name, region.transitions, states[name])
@@ -95,10 +114,12 @@ class ControlGuards:
                 **dict(zip(mechanics.q, mechanics.v, strict=True)),
                 **dict(zip(mechanics.v, mechanics.a, strict=True)),
                 **dict.fromkeys(forces, unknown),
+                **memory,
             },
-            inputs=(*mechanics.variables, *mechanics.a, *forces, unknown),
+            inputs=(*mechanics.variables, *memory, *mechanics.a, *forces, unknown),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
+            clocks=[mechanics.memory[clock] for clock in mechanics.scene.controlled.clocks],
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
 
@@ -123,7 +144,8 @@ class ControlGuards:
         return self.watch.table(setup, inputs, self._sizes(setup), times)
 
     def _sizes(self, setup: SceneSetup) -> Array:
-        return np.concatenate([setup.scales.sizes, self.typical(setup), [0.0]])
+        assert setup.sizes is not None
+        return np.concatenate([setup.sizes, self.typical(setup), [0.0]])
 
 
 def precision(setup: SceneSetup) -> float:

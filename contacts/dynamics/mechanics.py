@@ -40,6 +40,9 @@ class Mechanics(Geometry):
     controls : tuple of Symbol
         What states of controllers set, each after those that its values use: coefficients of
         contacts and the scene's controls.
+    memory : mapping
+        Variable that a controller remembers -> symbol. Contacts see them as they see parameters:
+        as numbers that do not change while an instant is judged.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -47,7 +50,8 @@ class Mechanics(Geometry):
         parameters = self.parameters.symbols
         controlled = scene.controlled
         controls = {n: sp.Symbol(f"c{i}", real=True) for i, n in enumerate(controlled.order)}
-        super().__init__(scene, {**parameters, **controls})
+        self.memory = {n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.memory)}
+        super().__init__(scene, {**parameters, **controls, **self.memory})
         cones = friction_cones(scene, parameters)
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
@@ -75,11 +79,14 @@ class Mechanics(Geometry):
         unknowns: Sequence[sp.Symbol] = (),
         definitions: Sequence[Definition] = (),
     ) -> Tape:
-        """Compile expressions of state, parameters and time, and of `unknowns` behind the state."""
+        """Compile expressions of state, parameters and time, and of `unknowns` behind the state.
+
+        What controllers remember stands before the parameters.
+        """
         return compile_tape(
             outputs,
             variables=(*self.variables, *unknowns),
-            parameters=self.parameters.ordered,
+            parameters=(*self.memory.values(), *self.parameters.ordered),
             time=self.time,
             definitions=definitions,
         )

@@ -69,7 +69,7 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
 
 
 def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
-    """Return positions and rates at the start, and the bodies' levers."""
+    """Return positions, rates and what controllers remember at the start; the bodies' levers."""
     positions: list[sp.Expr] = []
     rates: list[sp.Expr] = []
     for coordinate in scene.coordinates.values():
@@ -79,7 +79,8 @@ def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
         for name in body.coordinates:
             positions.append(parse(body.start.get(name, 0)).to_sympy(known))  # type: ignore[call-overload]
             rates.append(parse(body.start.get(f"d{name}", 0)).to_sympy(known))  # type: ignore[call-overload]
-    return [*positions, *rates, *(_lever(scene, name, known) for name in scene.bodies)]
+    memory = [parse(text).to_sympy(known) for text in scene.controlled.memory.values()]
+    return [*positions, *rates, *memory, *(_lever(scene, name, known) for name in scene.bodies)]
 
 
 def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:

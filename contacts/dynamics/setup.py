@@ -85,6 +85,7 @@ class SceneNumbers:
         scene = mechanics.scene
         self._scene = scene
         self._parameters = mechanics.parameters
+        self._remembered = len(mechanics.memory)
         self._places = {name: i for i, name in enumerate(mechanics.parameters.names)}
         self._scales = ScaleTape(mechanics)
         self.conditions = Conditions(mechanics)
@@ -127,20 +128,22 @@ class SceneNumbers:
         """
         values, further = self._parameters.values(overrides)
         values, warnings = self._point_masses(values, further[-len(self._inertias) :])
-        initial = further[: -len(self._inertias)]
-        if overrides and not self._physical(values, initial):
+        begins = further[: -len(self._inertias)]
+        initial, memory = np.split(begins, [len(begins) - self._remembered])
+        if overrides and not self._physical(np.concatenate([memory, values]), initial):
             check_physical(self._scene, self._scene.values(overrides))
         if not all(map(math.isfinite, initial.tolist())):
             check_finite(self._scene, self._scene.values(overrides))
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
-        values, implied = self._implied(values, initial)
+        values, implied = self._implied(values, initial, memory)
+        known = np.concatenate([memory, values])
         try:
-            scales = self._scales.at(values, initial)
+            scales = self._scales.at(known, initial)
         except DeclarationProblem:
             # It is a formula's fault where one has no finite value.
             check_finite(self._scene, self._scene.values(overrides))
             raise
-        margins = self._stop_tape.at(initial, values, 0.0).tolist()
+        margins = self._stop_tape.at(initial, known, 0.0).tolist()
         for name, margin in zip(self._stops, margins, strict=True):
             if math.isnan(margin) and name not in self._of_forces:
                 raise DeclarationProblem(
@@ -156,11 +159,12 @@ class SceneNumbers:
         }
         return SceneSetup(
             values=values,
-            initial=initial,
+            initial=begins,
             tolerances=tolerances,
             short=_SHORT,
             warnings=(*warnings, *implied),
-            sizes=scales.sizes,
+            # What begins at zero does not tell how large it gets.
+            sizes=np.concatenate([scales.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))]),
             horizon=_LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
@@ -170,7 +174,7 @@ class SceneNumbers:
                     n: _ROUNDING * abs(v) if math.isfinite(v) else 0.0
                     for n, v in zip(self._stops, margins, strict=True)
                 },
-                **self.conditions.bands(values, initial, scales.sizes),
+                **self.conditions.bands(known, initial, scales.sizes),
             },
         )
 
@@ -194,11 +198,15 @@ class SceneNumbers:
                 values[place] = 0.0
         return values, tuple(warnings)
 
-    def _implied(self, values: Array, initial: Array) -> tuple[Array, tuple[str, ...]]:
+    def _implied(
+        self, values: Array, initial: Array, memory: Array
+    ) -> tuple[Array, tuple[str, ...]]:
         """Mark the rows of joints that other rows imply: their forces are not determined."""
         if not self._redundant:
             return values, ()
-        rows = self._joint_tape.at(initial, values, 0.0).reshape(len(self._redundant), -1)
+        rows = self._joint_tape.at(initial, np.concatenate([memory, values]), 0.0).reshape(
+            len(self._redundant), -1
+        )
         found = implied(rows)
         if not found.any():
             return values, ()

@@ -8,7 +8,7 @@ make a pinned foot slip there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.control_guards import Controllers, precision
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.memory import Memory
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.laws import SceneLaws
@@ -60,7 +61,9 @@ class ControlledLaws:
         self._count = len(regions) - len(self._names)
         self._under: dict[Key, SceneLaws] = {}
         self._states = Controllers(mechanics)
-        self._courses = Courses(mechanics.variables, mechanics.parameters.ordered, mechanics.time)
+        self._memory = Memory(mechanics)
+        variables = (*mechanics.variables, *mechanics.memory.values())
+        self._courses = Courses(variables, mechanics.parameters.ordered, mechanics.time)
         region_of = mechanics.scene.controlled.region_of
         self._varying = any(
             region_of(text) is not None
@@ -71,10 +74,16 @@ class ControlledLaws:
         self._listening = Listening(regions, self._controllers)
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
-        """Return the first mode; transitions that are due there are taken at once."""
+        """Return the first mode, entered; transitions that are due there are taken at once."""
         assert isinstance(setup, SceneSetup)
-        flow, state = self._contacts.begin(setup)
-        return self._joined(setup, Clock(), flow, self._states.initial, state), state
+        state = setup.initial
+        for region in self._controllers.values():
+            state = self._memory.updated(setup, Clock(), region.name, region.begins, state)
+        own = self._states.initial
+        inner = self._within(setup, own, state)
+        flow, begun = self._at(own).begin(replace(inner, initial=self._memory.parted(state)))
+        state = self._memory.joined(begun, state)
+        return self._joined(setup, Clock(), flow, own, state), state
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify the contacts, then ask the controllers."""
@@ -82,15 +91,26 @@ class ControlledLaws:
         assert isinstance(setup, SceneSetup)
         own = flow.mode[self._count :]
         laws = self._at(own)
-        setup = self._within(setup, own)
-        made = laws.jump(at._replace(setup=setup, flow=self._parted(flow)))
+        inner = self._within(setup, own, state)
+        motion = self._memory.parted(state)
+        made = laws.jump(at._replace(setup=inner, flow=self._parted(flow), state=motion))
         if made is not None:
             jump, following = made
+            if following.start is not None:
+                start = self._memory.joined(following.start, state)
+                following = following._replace(start=start)
             if jump is None:
-                return None, self._joined(setup, clock, following, own, state, flow.pending)
-            jump = replace(jump, source=flow.mode, target=(*jump.target, *own))
-            pending = self._listening.heard(flow.pending, jump)
-            return jump, self._joined(setup, clock, following, own, jump.after, pending)
+                return None, self._joined(setup, clock, following, own, state, flow)
+            after = self._memory.joined(jump.after, state)
+            jump = replace(
+                jump,
+                source=flow.mode,
+                target=(*jump.target, *own),
+                before=self._memory.joined(jump.before, state),
+                after=after,
+            )
+            flow = flow._replace(pending=self._listening.heard(flow.pending, jump))
+            return jump, self._joined(setup, clock, following, own, after, flow)
         guarded, rows = self._due(setup, clock, flow, state, fired)
         firing = self._listening.first(self._names, own, flow.pending, guarded)
         if firing is None:
@@ -98,22 +118,24 @@ class ControlledLaws:
         name = self._names[firing.place]
         taken = self._controllers[name].transitions[firing.transition]
         states = (*own[: firing.place], taken.target, *own[firing.place + 1 :])
-        energy = laws.snapshot(setup, state, clock.high).energy
+        energy = laws.snapshot(inner, motion, clock.high).energy
+        after = self._memory.updated(setup, clock, taken.name, taken.blocks, state)
         jump = at.jump(
             name,
             taken.name,
             (*flow.mode[: self._count], *states),
+            after,
             path=() if taken.guard is not None else (taken.trigger,),
             considered=self._considered[name][firing.transition],
             energy=(energy, energy),
         )
-        pending = self._listening.heard(firing.pending, jump)
+        flow = flow._replace(pending=self._listening.heard(firing.pending, jump))
         following = self._parted(flow)
         if taken.guard is not None:
             watch = self._states.guards(own).watch
             early = watch.early(rows, firing.place, firing.transition, fired)
             following = following._replace(warning=early or following.warning)
-        return jump, self._joined(setup, clock, following, states, state, pending)
+        return jump, self._joined(setup, clock, following, states, after, flow)
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
@@ -123,22 +145,33 @@ class ControlledLaws:
         if jumps[-1].region in self._controllers:
             return None
         own = flow.mode[self._count :]
-        setup = self._within(setup, own)
-        made = self._at(own).accumulate(setup, clock, self._parted(flow), jumps, rest)
+        last = jumps[-1].after
+        inner = self._within(setup, own, last)
+        parted = self._memory.parted
+        motions = [replace(j, before=parted(j.before), after=parted(j.after)) for j in jumps]
+        made = self._at(own).accumulate(inner, clock, self._parted(flow), motions, rest)
         if made is None:
             return None
         jump, following = made
-        return jump, self._joined(setup, clock, following, own, jump.after, flow.pending)
+        joined = self._memory.joined
+        jump = replace(jump, before=joined(jump.before, last), after=joined(jump.after, last))
+        return jump, self._joined(setup, clock, following, own, jump.after, flow)
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return what keeps the closed contacts of `roles` closed, and pinned points in place."""
-        return self._contacts.constraints(setup, roles[: self._count], start, anchor)
+        assert isinstance(setup, SceneSetup)
+        inner = self._memory.within(setup, anchor)
+        motion = self._memory.parted(anchor)
+        found = self._contacts.constraints(inner, roles[: self._count], start, motion)
+        return self._memory.constraints(found)
 
     def feasibility(
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float
     ) -> Feasibility:
         """Judge every product mode by the velocities that it asks for; controllers ask for none."""
-        return self._contacts.feasibility(regions, setup, state, time)
+        assert isinstance(setup, SceneSetup)
+        inner, motion = self._memory.within(setup, state), self._memory.parted(state)
+        return self._contacts.feasibility(regions, inner, motion, time)
 
     def _at(self, states: Key) -> SceneLaws:
         """Return the contacts' laws as long as the controllers are in `states`."""
@@ -150,12 +183,13 @@ class ControlledLaws:
             )
         return self._under[states]
 
-    def _within(self, setup: SceneSetup, states: Key) -> SceneSetup:
-        """Return the setup with the contacts' coefficients in `states`."""
+    def _within(self, setup: SceneSetup, states: Key, state: Array) -> SceneSetup:
+        """Return the setup as contacts see it: with their coefficients, and what is remembered."""
+        inner = self._memory.within(setup, state)
         if not self._varying:
-            return setup
+            return inner
         named = self._states.named(states)
-        return replace(setup, contacts=self._contacts.numbers.contacts(setup.values, named))
+        return replace(inner, contacts=self._contacts.numbers.contacts(setup.values, named))
 
     def _due(
         self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array, fired: tuple[str, ...]
@@ -168,10 +202,11 @@ class ControlledLaws:
         rows = guarded.rows(setup, clock.high, state)
         if (rows[:, 0] > tolerances).all():
             return {}, rows
-        snapshot = self._at(own).snapshot(setup, state, clock.high)
+        inner = self._within(setup, own, state)
+        snapshot = self._at(own).snapshot(inner, self._memory.parted(state), clock.high)
         modes = moving_mode(flow.roles[: self._count])
         closed = [mode not in OPEN for mode in modes]
-        case = Case(snapshot, setup.contacts, closed, closed, setup.scales)
+        case = Case(snapshot, inner.contacts, closed, closed, setup.scales)
         (solved,) = candidates(case, [(mode,) for mode in modes])
         found = None
         if isinstance(solved, Candidate):
@@ -182,16 +217,23 @@ class ControlledLaws:
         rows = guarded.rows(setup, clock.high, state, found)
         relative = precision(setup)
 
+        assert setup.sizes is not None
+        sizes = setup.sizes
+
         def later(guard: Guard) -> float:
             return self._courses.sign(
-                setup, flow.roles, guard.margin, state, setup.scales.sizes, clock.high, relative
+                setup, flow.roles, guard.margin, state, sizes, clock.high, relative
             )
 
         return guarded.watch.due(rows, flow.tolerances, fired, relative, later), rows
 
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow as the contacts' laws know it."""
-        return flow._replace(mode=flow.mode[: self._count], roles=flow.roles[: self._count])
+        return flow._replace(
+            mode=flow.mode[: self._count],
+            roles=flow.roles[: self._count],
+            terms=None if flow.terms is None else self._memory.parted(flow.terms),
+        )
 
     def _joined(
         self,
@@ -200,9 +242,12 @@ class ControlledLaws:
         flow: Flow,
         states: Key,
         state: Array,
-        pending: Mapping[str, tuple[Jump, ...]] | None = None,
+        before: Flow | None = None,
     ) -> Flow:
-        """Return the flow of the contacts and controllers; whether it holds is to be asked."""
+        """Return the flow of the contacts and controllers; whether it holds is to be asked.
+
+        `before`: what has come here, and what is pending then.
+        """
         guarded = self._states.guards(states)
         # The size of a guard's terms is asked for, not its value: forces of the scene's size do.
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
@@ -212,5 +257,6 @@ class ControlledLaws:
             roles=(*flow.roles, *roles_in(states)),
             settled=False,
             tolerances={**setup.bands, **tolerances},
-            pending=pending or {},
+            terms=None if flow.terms is None or before is None else before.terms,
+            pending=before.pending if before is not None else {},
         )

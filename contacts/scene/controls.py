@@ -10,9 +10,16 @@ from typing import TypeVar
 
 from pydantic import Field
 
-from statechart.charts.flatten import FlatRegion, flatten
-from statechart.charts.transitions import BaseRegion, BaseState, Loc, nested
-from statechart.documents.fields import FormulaText, NameText, check_names
+from statechart.charts.flat_region import FlatRegion
+from statechart.charts.flatten import flatten
+from statechart.charts.transitions import (
+    BaseRegion,
+    BaseState,
+    Loc,
+    declared_transitions,
+    nested,
+)
+from statechart.documents.fields import FiniteText, FormulaText, NameText, check_names
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import Formula, parse
 
@@ -27,6 +34,10 @@ class ControlState(BaseState):
         description="Control to its value as long as the state is active; inner states may set "
         "another.",
     )
+    flows: dict[str, FiniteText] = Field(
+        default={},
+        description="Variable of the region to its time derivative; without one it is constant.",
+    )
     states: dict[NameText, ControlState] = Field(default={})
     regions: dict[NameText, ControlRegion] = Field(default={})
 
@@ -39,6 +50,10 @@ class ControlRegion(BaseRegion):
 
 class Controller(ControlRegion):
     """A region of the scene beside its contacts: forces and coefficients jump with its state."""
+
+    variables: dict[NameText, FiniteText] = Field(
+        default={}, description="What it remembers: variable to its initial value."
+    )
 
 
 @dataclass(frozen=True)
@@ -84,6 +99,47 @@ class Controls:
             for control in self.declared
         }
         return tuple(TopologicalSorter(uses).static_order())
+
+    @cached_property
+    def memory(self) -> Mapping[str, FiniteText]:
+        """What regions remember: their variables, and the clocks of their transitions.
+
+        Name -> initial value.
+        """
+        found: dict[str, FiniteText] = {}
+        for name, region in self.regions.items():
+            found |= {**region.variables, **dict.fromkeys(self.flat[name].clocks, 0)}
+        return found
+
+    @property
+    def clocks(self) -> tuple[str, ...]:
+        """Those of `memory` that are instants of time."""
+        return tuple(clock for region in self.flat.values() for clock in region.clocks)
+
+    @cached_property
+    def flowing(self) -> Mapping[str, str]:
+        """Variable of a region that some of its states let flow -> the region."""
+        return {
+            variable: name
+            for name, region in self.regions.items()
+            for state, _ in self.states(name)
+            for variable in state.flows
+            if variable in region.variables
+        }
+
+    def flows(self, region: str, state: str) -> dict[str, FiniteText]:
+        """Return the flows of the variables of a region in one of its states."""
+        flows: dict[str, FiniteText] = {}
+        for content in self.flat[region].states[state]:
+            if isinstance(content, ControlState):
+                flows |= content.flows
+        return {v: flows.get(v, 0) for v, owner in self.flowing.items() if owner == region}
+
+    def states(self, region: str) -> Iterator[tuple[ControlState, Loc]]:
+        """Yield the states of a region, those in others too, and their places."""
+        for _, state, at in nested(self.regions[region], "regions", region):
+            if isinstance(state, ControlState):
+                yield state, at
 
     @property
     def initial(self) -> Mapping[str, str]:
@@ -168,17 +224,16 @@ class Controls:
                     key=True,
                 )
         for region, flat in self.flat.items():
-            shared = flat.shared(
-                lambda state: state.sets if isinstance(state, ControlState) else ()
-            )
-            if shared is not None:
-                raise DeclarationProblem(
-                    f"{shared.one!r} and {shared.other!r}, which may be active together, both "
-                    f"set {shared.what!r}",
-                    advice="let one of their regions set it",
-                    loc=("regions", region),
-                    key=True,
-                )
+            for words, given in (("set", _set), ("give a flow to", _flowing)):
+                shared = flat.shared(given)
+                if shared is not None:
+                    raise DeclarationProblem(
+                        f"{shared.one!r} and {shared.other!r}, which may be active together, both "
+                        f"{words} {shared.what!r}",
+                        advice="let one of their regions do it",
+                        loc=("regions", region),
+                        key=True,
+                    )
         for control in self.declared:
             if control not in owners:
                 raise DeclarationProblem(
@@ -196,6 +251,37 @@ class Controls:
                 loc=("controls", error.args[1][0]),
                 key=True,
             ) from None
+
+    def check_memory(self, known: Collection[str]) -> None:
+        """Check that regions change variables of their own, by formulas over `known`.
+
+        Raises
+        ------
+        DeclarationProblem
+            At the first that is not so.
+        """
+        for name, region in self.regions.items():
+            changes: list[tuple[Mapping[str, FiniteText], Loc, Collection[str]]] = []
+            for state, at in self.states(name):
+                changes.append((state.flows, (*at, "flows"), {*known, *self.declared}))
+                changes += [
+                    (state.entry, (*at, "entry"), known),
+                    (state.exit, (*at, "exit"), known),
+                ]
+            for transition, at in declared_transitions(region, "regions", name):
+                changes.append((transition.updates, (*at, "updates"), known))
+            for texts, at, names in changes:
+                for variable, text in texts.items():
+                    loc = (*at, variable)
+                    if variable not in region.variables:
+                        raise DeclarationProblem(
+                            f"no variable {variable!r} of region {name!r}",
+                            advice=close_matches(variable, region.variables)
+                            or f"declare it: variables: {{{variable}: 0}}",
+                            loc=loc,
+                            key=True,
+                        )
+                    check_names(parse(text), names, *loc)
 
     def check_coefficient(
         self, text: FormulaText, parameters: Collection[str], *loc: str | int
@@ -237,8 +323,15 @@ class Controls:
 
     def sets(self) -> Iterator[tuple[str, str, str, FormulaText, Loc]]:
         """Yield region, state, control, its value and the place of that, of all that are set."""
-        for region, declared in self.regions.items():
-            for name, state, at in nested(declared, "regions", region):
-                if isinstance(state, ControlState):
-                    for control, text in state.sets.items():
-                        yield region, name, control, text, (*at, "sets", control)
+        for region in self.regions:
+            for state, at in self.states(region):
+                for control, text in state.sets.items():
+                    yield region, str(at[-1]), control, text, (*at, "sets", control)
+
+
+def _set(state: BaseState) -> Collection[str]:
+    return state.sets if isinstance(state, ControlState) else ()
+
+
+def _flowing(state: BaseState) -> Collection[str]:
+    return state.flows if isinstance(state, ControlState) else ()

@@ -130,7 +130,8 @@ class SceneFields(Declaration):
     def kinematic_names(self) -> frozenset[str]:
         """What formulas of controls, and with them those of forces, may use."""
         rates = map(self.rate_name, self.variables)
-        return frozenset((TIME, *self.parameters, *self.variables, *rates))
+        memory = self.controlled.memory
+        return frozenset((TIME, *self.parameters, *self.variables, *rates, *memory))
 
     def gate(self, contact: str) -> str:
         """Return the conditions without which a contact is off, as text; "" for none."""

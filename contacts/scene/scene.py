@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Self, get_args
 
@@ -15,9 +16,9 @@ from contacts.scene.parts import Contact, Path, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.scene.shapes import INDEX
 from contacts.states import declared_state, superstates_of
-from statechart.charts.transitions import check_listening, declared_transitions
+from statechart.charts.transitions import check_listening, check_periods, declared_transitions
 from statechart.documents.declaration import TIME
-from statechart.documents.fields import FormulaText, check_names
+from statechart.documents.fields import FormulaText, check_names, value_of
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse, parse_relation
 
@@ -68,6 +69,13 @@ class Scene(SceneFields):
         copies(self, values)
         check_physical(self, values)
         check_finite(self, values)
+        check_periods(self.regions, values, self.parameters)
+        for name, region in self.regions.items():
+            for variable, text in region.variables.items():
+                loc = ("regions", name, "variables", variable)
+                check_names(parse(text), self.parameters, *loc)
+                if not math.isfinite(value_of(text, values, *loc)):
+                    raise DeclarationProblem("must be finite", loc=loc)
         check_collisions(self, values)
 
     @model_validator(mode="after")
@@ -90,6 +98,7 @@ class Scene(SceneFields):
             "bodies": self.bodies,
             "controls": self.controls,
         }
+        remembered = {name: list(region.variables) for name, region in self.regions.items()}
         for section, names in sections.items():
             for name in names:
                 if name in formula_names:
@@ -97,6 +106,16 @@ class Scene(SceneFields):
                         f"{name!r} is declared twice",
                         advice="choose another name",
                         loc=(section, name),
+                        key=True,
+                    )
+        for region, variables in remembered.items():
+            for name in variables:
+                others = [v for other, v in remembered.items() if other != region]
+                if name in formula_names.union(*sections.values(), *others):
+                    raise DeclarationProblem(
+                        f"{name!r} is declared twice",
+                        advice="choose another name",
+                        loc=("regions", region, "variables", name),
                         key=True,
                     )
         taken = dict.fromkeys(self.bodies, "body")
@@ -149,6 +168,7 @@ class Scene(SceneFields):
     @model_validator(mode="after")
     def _formulas_of_what_moves_use_declared_names(self) -> Self:
         self.controlled.check(self.kinematic_names)
+        self.controlled.check_memory(self.kinematic_names)
         parameters = frozenset(self.parameters)
         positions, known = parameters | {*self.coordinates}, self.kinematic_names | {*self.controls}
         self._formulas(self.gravity, parameters, "gravity")

@@ -8,7 +8,8 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from statechart.charts.flatten import FlatRegion, flatten
+from statechart.charts.flat_region import FlatRegion
+from statechart.charts.flatten import flatten
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,

@@ -29,7 +29,7 @@ from statechart.automaton.events import happened
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Jump, Key
-from statechart.charts.flatten import FlatRegion, FlatTransition
+from statechart.charts.flat_region import FlatRegion, FlatTransition
 from statechart.formulas.formula import Relation, parse_relation
 from statechart.formulas.writer import compile_tape
 
@@ -66,17 +66,7 @@ class Guard:
 
 @dataclass(frozen=True, eq=False)
 class Firing:
-    """A transition that is due.
-
-    Attributes
-    ----------
-    place : int
-        Of its region.
-    transition : int
-        Its place in the flattened region.
-    pending : mapping
-        What is left for every region to hear.
-    """
+    """A transition that is due: its place and that of its region, and what is left to be heard."""
 
     place: int
     transition: int
@@ -316,10 +306,8 @@ class Listening:
 
     def waits(self, names: Sequence[str], mode: Key) -> bool:
         """Tell whether some of the regions wait for an event in their states."""
-        return any(
-            name in self._waiting and bool(self._waiting[name].waiting[state])
-            for name, state in zip(names, mode, strict=True)
-        )
+        asked = zip(names, mode, strict=True)
+        return any(n in self._waiting and self._waiting[n].waiting[state] for n, state in asked)
 
     def first(
         self,

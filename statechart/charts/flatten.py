@@ -8,15 +8,12 @@ follows in brackets where it differs from what would be entered anyway: ``rest[m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterable
 from itertools import chain, product
 from math import prod
-from typing import NamedTuple
 
 from statechart.automaton.nesting import Choice, HierarchicalEdge, History, Nesting
-from statechart.automaton.regions import Edge
+from statechart.charts.flat_region import FlatRegion, FlatTransition, Updates
 from statechart.charts.microstep import (
     Memory,
     Microstep,
@@ -26,166 +23,13 @@ from statechart.charts.microstep import (
     microstep,
     selected,
 )
-from statechart.charts.transitions import BaseRegion, BaseState, Transition
+from statechart.charts.transitions import BaseRegion, BaseState
 from statechart.charts.tree import HISTORIES, ROOT, Sort, Tree, tree
 from statechart.documents.declaration import TIME
-from statechart.documents.fields import FiniteText
-from statechart.documents.outputs import Event
 from statechart.errors import DeclarationProblem
 
 MOST_CONFIGURATIONS = 4096
 """Regions side by side multiply: what has more could not be looked at, nor kept."""
-
-Updates = Mapping[str, FiniteText]
-
-
-@dataclass(frozen=True, eq=False)
-class FlatTransition:
-    """Transitions that are taken together, from one configuration to another.
-
-    Attributes
-    ----------
-    name : str
-        Those of the transitions, joined by ``+``.
-    source, target : str
-        Configurations.
-    members : tuple of Transition
-        As declared, in the order of their updates.
-    guard : str or None
-        What fires it, also where that is a time.
-    blocks : tuple of mappings
-        Updates in their order: of states left, of transitions, of states entered. Those of one
-        block see the values that the blocks before it left.
-    """
-
-    name: str
-    source: str
-    target: str
-    members: tuple[Transition, ...]
-    guard: str | None
-    blocks: tuple[Updates, ...]
-
-    @property
-    def on_zeno(self) -> bool:
-        """Whether the accumulation of jumps fires it."""
-        return self.members[0].on_zeno
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """Those of other regions that fire it."""
-        return tuple(dict.fromkeys(event for member in self.members for event in member.events))
-
-    @property
-    def trigger(self) -> str:
-        """What fires it, in words."""
-        return " and ".join(dict.fromkeys(member.trigger for member in self.members))
-
-    @property
-    def reset(self) -> str:
-        """What it sets, in words."""
-        return ", ".join(f"{n} := {update}" for block in self.blocks for n, update in block.items())
-
-
-class Shared(NamedTuple):
-    """What two states both give, and which these are."""
-
-    what: str
-    one: str
-    other: str
-
-
-@dataclass(frozen=True, eq=False)
-class FlatRegion:
-    """A region as the executor knows it.
-
-    Attributes
-    ----------
-    name : str
-        Of the region.
-    initial : str
-        The configuration that it starts in.
-    begins : tuple of mappings
-        Updates of the states entered there.
-    states : mapping
-        Configuration -> what is declared of the states active in it, outer ones first.
-    transitions : tuple of FlatTransition
-        From each configuration in the order in which they are asked: inner ones first, then as
-        declared; those taken together after those alone.
-    clocks : mapping
-        Variable of a transition that waits for a time -> that transition.
-    superstates : mapping
-        As of a `statechart.automaton.regions.Region`.
-    nesting : Nesting
-        What else was declared of the hierarchy.
-    """
-
-    name: str
-    initial: str
-    begins: tuple[Updates, ...]
-    states: Mapping[str, tuple[BaseState, ...]]
-    transitions: tuple[FlatTransition, ...]
-    clocks: Mapping[str, Transition]
-    superstates: Mapping[str, str]
-    nesting: Nesting
-    _tree: Tree
-    _configurations: Mapping[str, tuple[Nodes, Memory]]
-    _places: Mapping[tuple[str, tuple[int, ...]], int]
-
-    @property
-    def ordered(self) -> tuple[str, ...]:
-        """The configurations; the first is where the region starts."""
-        return tuple(self.states)
-
-    @property
-    def edges(self) -> tuple[Edge, ...]:
-        """The transitions as text for people, in their order."""
-        return tuple(
-            Edge(t.name, t.source, t.target, t.trigger, t.reset, on_zeno=t.on_zeno)
-            for t in self.transitions
-        )
-
-    @cached_property
-    def named(self) -> tuple[str, ...]:
-        """States and superstates, as declared: what outputs and events may ask for."""
-        return tuple(n.name for n in self._tree.nodes[1:] if n.sort not in HISTORIES)
-
-    @cached_property
-    def causes(self) -> tuple[str, ...]:
-        """The names of the transitions, as declared."""
-        return tuple(dict.fromkeys(arrow.declared.name for arrow in self._tree.arrows))
-
-    @cached_property
-    def waiting(self) -> Mapping[str, tuple[tuple[int, tuple[Event, ...]], ...]]:
-        """Configuration -> arrows out of it that wait for events of other regions."""
-        heard = [(i, arrow) for i, arrow in enumerate(self._tree.arrows) if arrow.declared.events]
-        return {
-            name: tuple((i, arrow.declared.events) for i, arrow in heard if arrow.source in active)
-            for name, (active, _) in self._configurations.items()
-        }
-
-    def shared(self, given: Callable[[BaseState], Collection[str]]) -> Shared | None:
-        """Return what two states that are active side by side both give, the first of it.
-
-        Parameters
-        ----------
-        given : callable
-            State -> names of what it gives.
-        """
-        owners: dict[str, list[int]] = {}
-        for index, node in enumerate(self._tree.nodes):
-            if not isinstance(node.declared, BaseState):
-                continue
-            for what in given(node.declared):
-                for other in owners.setdefault(what, []):
-                    if self._tree.beside(index, other):
-                        return Shared(what, self._tree.nodes[other].name, node.name)
-                owners[what].append(index)
-        return None
-
-    def answer(self, state: str, enabled: Collection[int]) -> int:
-        """Return the place of the transition taken where an event enables some arrows."""
-        active, memory = self._configurations[state]
-        return self._places[state, selected(self._tree, active, memory, enabled)]
 
 
 def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:

@@ -34,7 +34,7 @@ from statechart.charts.firing import (
     guards,
     size_of,
 )
-from statechart.charts.flatten import FlatRegion, Updates
+from statechart.charts.flat_region import FlatRegion, Updates
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, Zeno

@@ -405,7 +405,7 @@ def place(text: str, token: str, after: str) -> str:
         ("guard: cart.dx <= 0", "on: driver.far", "driver", "waits for an event of its own"),
         ("guard: cart.dx <= 0", "on: a.b.c", "a.b.c", "'a.b.c' is not an event"),
         ("guard: cart.dx <= 0", "on: 3", "3", "must be text"),
-        ("guard: cart.dx <= 0", "updates: {x: 0}", "updates", "unknown key 'updates'"),
+        ("guard: cart.dx <= 0", "guard: cart.dx <= 0, updates: {x: 0}", "x: 0", "no variable 'x'"),
         ("{driver: go}", "{driver: gone}", "gone", "no state 'gone'"),
         ("each driver.far or", "each driver.fur or", "each", "no cause or state 'fur'"),
     ],
