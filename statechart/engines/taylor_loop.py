@@ -12,7 +12,7 @@ from statechart.engines.heyoka_step import call_step
 from statechart.kernels.constraints import off_by
 from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel, part
-from statechart.kernels.lift import Program, lift
+from statechart.kernels.lift import Program, lift_any
 from statechart.kernels.polynomials import horner
 from statechart.kernels.search import NONE, search
 
@@ -117,7 +117,7 @@ def _taylor_steps(
     longest, off, halvings, done, again = max_step, math.inf, 0, False, False
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
     while True:
-        lift(follows, state, values, start + times[first + taken])
+        lift_any(follows, state, values, start + times[first + taken])
         put(state, here)
         step[0] = 0.0 if done else min(left, longest)
         call_step(address, state, parameters, clock, step, series)
@@ -266,7 +266,7 @@ def taylor_flow(
         finished = finite == taken and h == left
         if finished:
             times[last] = until
-        lift(follows, end, parameters, start + times[last])
+        lift_any(follows, end, parameters, start + times[last])
         found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
         local = start + times[last]
         if (

@@ -22,7 +22,7 @@ from statechart.kernels.copies import put
 from statechart.kernels.defect import unseen
 from statechart.kernels.jit import part
 from statechart.kernels.lift import Program as Following
-from statechart.kernels.lift import lift
+from statechart.kernels.lift import lift_any
 from statechart.kernels.polynomials import cut_steps, horner
 from statechart.kernels.search import CROSSING, NONE, ready_along, search, search_along
 from statechart.kernels.tapes import tape_values
@@ -217,6 +217,8 @@ def flow_to_event(
     """
     row = program.modes[mode]
     times, coeffs, ended = memory.times, memory.coefficients, memory.ended
+    state, clock, series = memory.state, memory.clock, memory.series
+    parameters, address = watch.parameters, row[ADDRESS]
     code, constants, outputs, reads, n_fixed = tape_of(program, row[GUARDS : GUARDS + TAPE])
     off_code, off_constants, off_outputs, _, _ = tape_of(program, watch.off)
     pars, h = memory.pars[: row[PARS]], np.empty(1)
@@ -231,20 +233,18 @@ def flow_to_event(
     chunk, chunk_end, base, total, left = FIRST_CHUNK, FIRST_CHUNK, 0.0, 0.0, end
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
-    lift(follows, initial, watch.parameters, start)
-    ready = ready_along(
-        code, constants, reads, n_fixed, times, coeffs, watch.parameters, start, margins
-    )
+    lift_any(follows, initial, parameters, start)
+    ready = ready_along(code, constants, reads, n_fixed, times, coeffs, parameters, start, margins)
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:
             return UNUSUAL, -1, 0, boxes
         # After the last step before an end, one of no length: for the series alone.
         h[0] = min(left, pace.max_step)
-        lift(follows, memory.state, watch.parameters, start + times[made])
-        call_step(row[ADDRESS], memory.state, pars, memory.clock, h, memory.series)
+        lift_any(follows, state, parameters, start + times[made])
+        call_step(address, state, pars, clock, h, series)
         if pending:
-            if stray(coeffs[made - 1], length, memory.series) > allowed:
+            if stray(coeffs[made - 1], length, series) > allowed:
                 return UNUSUAL, -1, 0, boxes
             found = search_along(ready, outputs, tolerances, made - 1, made, BOXES)
             boxes += found[6]
@@ -261,9 +261,9 @@ def flow_to_event(
                 chunk_end = made + chunk
                 continue
         length = h[0]
-        if not expand(memory.series, length, coeffs[made]):
+        if not expand(series, length, coeffs[made]):
             return UNUSUAL, -1, 0, boxes
-        let_pass(memory.clock, length)
+        let_pass(clock, length)
         total += length
         made, pending = made + 1, True
         last = length == left
@@ -274,11 +274,11 @@ def flow_to_event(
         if last or made == chunk_end:
             for v in range(n):
                 ended[v] = horner(coeffs, made - 1, v, 1.0)
-            lift(follows, ended, watch.parameters, start + times[made])
+            lift_any(follows, ended, parameters, start + times[made])
             if (
                 off_by(
                     off_code, off_constants, off_outputs, watch.targets, watch.weights, ended,
-                    watch.parameters, start + times[made],
+                    parameters, start + times[made],
                 )
                 > NEAR
             ):  # fmt: skip
@@ -298,12 +298,12 @@ def flow_to_event(
     kind = program.ints[row[MARGINS_AT] + 2 * guard]
     if kind == PLAIN:
         begun = np.empty(margins)
-        tape_values(code, constants, outputs, initial, watch.parameters, start, begun)
+        tape_values(code, constants, outputs, initial, parameters, start, begun)
         if abs(begun[guard]) <= tolerances[guard]:
             return UNUSUAL, -1, 0, boxes
     cut = crossed if kind == FORCE else at
     count = cut_steps(times, coeffs, made, cut, initial)
-    lift(follows, initial, watch.parameters, start + times[count])
+    lift_any(follows, initial, parameters, start + times[count])
     return EVENT, guard, count, boxes
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.copies import put
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, part
 from statechart.kernels.tapes import tape_values
 
 Program = tuple[Ints32, Array, Ints32, Ints32, Array]
@@ -18,8 +18,6 @@ of the flow, which the tape reads behind the state."""
 def lift(program: Program, state: Array, parameters: Array, time: float) -> None:
     """Write what follows from the rest of `state` into it."""
     code, constants, outputs, places, anchors = program
-    if places.shape[0] == 0:
-        return
     n = state.shape[0]
     inputs = np.empty(n + anchors.shape[0])
     put(state, inputs)
@@ -29,3 +27,10 @@ def lift(program: Program, state: Array, parameters: Array, time: float) -> None
     tape_values(code, constants, outputs, inputs, parameters, time, values)
     for i in range(places.shape[0]):
         state[places[i]] = values[i]
+
+
+@part
+def lift_any(program: Program, state: Array, parameters: Array, time: float) -> None:
+    """Do what `lift` does where something follows, and nothing where nothing does."""
+    if program[3].shape[0] > 0:
+        lift(program, state, parameters, time)
