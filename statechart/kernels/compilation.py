@@ -152,6 +152,8 @@ def _makes_arrays(state: Any) -> bool:
 class _Borrowing(Lower):
     """Lowers a function that holds no references to arrays of its own."""
 
+    context: Any
+
     def lower(self) -> None:
         counting = self.context
         self.context = counting.subtarget(enable_nrt=False)

@@ -2,9 +2,10 @@
 
 Intervals are pairs (low, high) that contain every real value of the operation. Each result is
 widened outwards by one ulp, four where libm is called (its functions are within 1 to 2 ulp), and
-by `TINY` where a product may underflow. What is exactly zero stays so: with `TINY` for it, as the
-derivative of all that does not change, roundings would be subnormal. A bound that is lost (overflow, inf - inf, a point outside
-the domain) is not a number or infinite, and ends as the whole line: never as a proof.
+by `TINY` where a product may underflow. What is exactly zero stays so: with `TINY` for it, as for
+the derivatives of what does not change, roundings would be subnormal. A bound that is lost
+(overflow, inf - inf, a point outside the domain) is not a number or infinite, and ends as the whole
+line: never as a proof.
 """
 
 from __future__ import annotations
@@ -148,6 +149,8 @@ def extrema(a: Interval, offset: float) -> tuple[float, float]:
 @kernel
 def wave(a: Interval, sine: bool) -> Interval:
     """Sine or cosine."""
+    if sine and a[0] == 0.0 == a[1]:
+        return ZERO
     count, last = extrema(a, 0.5 if sine else 0.0)
     if count >= 2.0:
         return -1.0, 1.0

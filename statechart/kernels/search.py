@@ -341,10 +341,14 @@ def search_along(
                                     far = near
                                 near = here + 2.0 * (near - here)
                 bounded = work[i, 4] > -INF and work[i, 5] < INF
-                if here == INF and b - a <= FLAT and not bounded:
-                    if _clear_at_edge(alone, outputs[i], tolerance, step, a, b, bounds, jets):
-                        state[i] = 0
-                        continue
+                if (
+                    here == INF
+                    and b - a <= FLAT
+                    and not bounded
+                    and _clear_at_edge(alone, outputs[i], tolerance, step, a, b, bounds, jets)
+                ):
+                    state[i] = 0
+                    continue
                 if here == INF and b - a <= NARROW:
                     # A jump, say: positive at a, and negative at b or, where that is the place of
                     # the jump to within rounding, a little beyond.

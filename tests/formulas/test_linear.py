@@ -123,6 +123,26 @@ def test_a_point_mass_is_an_ordinary_value() -> None:
         assert found[alpha] == pytest.approx(expected, rel=1e-14)
 
 
+@pytest.mark.parametrize("moment", [1.0, 1e-6, 1e-12, 1e-18])
+def test_a_small_force_is_no_difference_of_large_ones(moment: float) -> None:
+    # A stick whose end slides: its normal force is a weight times I / (I + m L^2 s (s + mu c)).
+    ax, ay, alpha, normal, tangential = unknowns = system(5)
+    mass, inertia, length, gravity, sine, cosine, mu = known = system(7, "k")
+    equations = [
+        mass * ax - tangential,
+        mass * ay - normal + mass * gravity,
+        inertia * alpha - normal * length * sine + tangential * length * cosine,
+        ay + length * sine * alpha,
+        tangential + mu * normal,
+    ]
+    definitions = solve_linear(equations, unknowns, 3)
+    s, c = np.sin(0.4), np.cos(0.4)
+    numbers = (2.0, moment, 1.5, 9.81, s, c, 0.3)
+    found = values(definitions, dict(zip(known, numbers, strict=True)))
+    expected = 2.0 * 9.81 * moment / (moment + 2.0 * 1.5**2 * s * (s + 0.3 * c))
+    assert found[normal] == pytest.approx(expected, rel=1e-14, abs=0.0)
+
+
 def test_no_entry_that_vanishes_alone_is_divided_by() -> None:
     # The determinants are a^2 + b^2 and one of a 3 x 3 system: single entries may be zero.
     a, b, c = sp.symbols("a b c", real=True)

@@ -9,8 +9,10 @@ import sys
 import numpy as np
 import pytest
 from numba import njit
+from numba.core.caching import NullCache
 
-from statechart.kernels.jit import is_cached
+from statechart.arrays import Array
+from statechart.kernels.jit import is_cached, kernel
 
 LOWER = """\
 from statechart.kernels.jit import {decorator}
@@ -35,6 +37,44 @@ from statechart.kernels.jit import kernel
 def caller(whole):
     return lower(1) + lower(2) + lower(whole[0])
 """
+
+
+def _sum_of_rows(values: Array, pair: tuple[Array, Array]) -> float:
+    left, right = pair
+    total = 0.0
+    for i in range(values.shape[0]):
+        row = values[i]
+        for k in range(row.shape[0]):
+            total += row[k] * left[k] - right[k:][0]
+    return total
+
+
+def _of_a_copy(values: Array, pair: tuple[Array, Array]) -> float:
+    return values.copy()[0, 0] + pair[0][0]
+
+
+def _of_those_chosen(values: Array, pair: tuple[Array, Array]) -> float:
+    return pair[0][pair[1] > 0.0][0] + values[0, 0]
+
+
+def _first_row(values: Array, pair: tuple[Array, Array]) -> Array:
+    return values[0]
+
+
+@pytest.mark.parametrize(
+    ("function", "counts"),
+    [(_sum_of_rows, False), (_of_a_copy, True), (_of_those_chosen, True), (_first_row, True)],
+)
+def test_references_are_counted_where_arrays_are_made_or_given_back(function, counts):
+    compiled = kernel(function)
+    compiled._cache = NullCache()
+    values, pair = np.array([[1.0, 2.0], [3.0, 4.0]]), (np.array([5.0, 6.0]), np.ones(2))
+    references = sys.getrefcount(values), sys.getrefcount(pair[0])
+    assert np.array_equal(compiled(values, pair), function(values, pair))
+    assert (sys.getrefcount(values), sys.getrefcount(pair[0])) == references
+    (code,) = compiled.inspect_llvm().values()
+    body = code[code.index("define ") :].partition("\n}")[0]
+    assert ("@NRT_" in body) == counts
 
 
 @pytest.fixture
