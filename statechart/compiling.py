@@ -1,14 +1,15 @@
 """Compilation in this process: said while it lasts, and no part of the time that work takes.
 
-numba compiles a kernel and all below it when it is first called, in the middle of a run. What it
-takes has nothing to do with the run, and the next one does not take it: budgets, costs and progress
-are told by `working_time`.
+numba compiles a kernel and all below it when it is first called, heyoka the equations of a mode
+when it is first entered, both in the middle of a run. What that takes has nothing to do with the
+run, and the next one does not take it: budgets, costs and progress are told by `working_time`.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 _AFTER = 1.0  # seconds before it is said that something is compiled, and between one and the next
 
@@ -56,6 +57,16 @@ def begin(name: str, count: Callable[[], int]) -> None:
     _now.total = count() if _now.say is not None else 0
 
 
+@contextmanager
+def whole(name: str) -> Iterator[None]:
+    """Compile what tells nothing of how far it is."""
+    begin(name, lambda: 1)
+    try:
+        yield
+    finally:
+        end()
+
+
 def end(counts: bool = True) -> None:
     """End what was begun last; whether it `counts` as one of those to be compiled."""
     _now.depth -= 1
@@ -63,7 +74,7 @@ def end(counts: bool = True) -> None:
     now = time.perf_counter()
     if _now.depth == 0:
         _now.spent += now - _now.began
-        if _now.told:
+        if _now.told or now - _now.began >= _AFTER:
             _say(f"compiled {_now.name} in {now - _now.began:.0f} s; this happens once")
     elif now - _now.said >= _AFTER:
         _now.said, _now.told = now, True

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
+from statechart.compiling import whole
 from statechart.documents.setting import LONG_DOUBLE
 from statechart.engines.engine import (
     LONGEST_CHUNK,
@@ -119,16 +120,17 @@ class Taylor(Engine):
         system = [
             (variable, convert(rate)) for variable, rate in zip(states, mode.rates, strict=True)
         ]
-        integrator = hy.taylor_adaptive(
-            system,
-            [self._number(0)] * len(states),
-            tol=self._number(self.tolerance),
-            fp_type=self._number,
-            # Loops in the compiled code cost small modes up to half of their speed; without them
-            # the compiler needs half a minute for a mode of two thousand operations. Of long
-            # doubles it takes several times as long.
-            compact_mode=extended or _many(mode, rates),
-        )
+        with whole(f"the equations of a mode ({len(states)} variables)"):
+            integrator = hy.taylor_adaptive(
+                system,
+                [self._number(0)] * len(states),
+                tol=self._number(self.tolerance),
+                fp_type=self._number,
+                # Loops in the compiled code cost small modes up to half of their speed; without
+                # them the compiler needs half a minute for a mode of two thousand operations. Of
+                # long doubles it takes several times as long.
+                compact_mode=extended or _many(mode, rates),
+            )
         # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
         # cancel); the first is the start of the arc.
         used = np.array(convert.used[: max(len(integrator.pars) - 1, 0)], dtype=np.intp)

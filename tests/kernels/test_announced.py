@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import sys
 
+import heyoka
 import pytest
 
-from statechart import compiling
+from statechart import compiling, run
 from statechart.engines.budget import Allowance
 from statechart.errors import OutOfBudget
 
@@ -107,6 +108,20 @@ def test_what_takes_less_than_a_second_is_not_said(kernels, clock, lines, monkey
     slow(monkeypatch, clock, 0.2)
     kernels().upper_kernel(1.0)
     assert not lines
+
+
+def test_the_equations_of_a_mode_are_said_when_they_were_compiled(clock, lines, monkeypatch):
+    compiled = heyoka.taylor_adaptive
+
+    def slowly(*system, **options):
+        clock.now += 3.0
+        return compiled(*system, **options)
+
+    monkeypatch.setattr(heyoka, "taylor_adaptive", slowly)
+    began = compiling.working_time()
+    run("bouncing_ball", until=0.1, engine="taylor")
+    assert lines == ["compiled the equations of a mode (2 variables) in 3 s; this happens once"]
+    assert compiling.working_time() == began
 
 
 def test_a_failure_ends_what_was_begun(tmp_path, kernels, clock, lines):
