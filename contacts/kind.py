@@ -59,7 +59,8 @@ def automaton(scene: Scene) -> Automaton:
         laws=laws,
         controls=(*mechanics.controls, *(r for r in memory_rates(mechanics).values() if r != 0)),
         coordinates=coordinates(mechanics),
-        stepper=lambda: SceneStepper(mechanics, stops, regions),
+        # A step would have to carry what controllers remember through its impulses.
+        stepper=None if mechanics.memory else lambda: SceneStepper(mechanics, stops, regions),
     )
 
 

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from contacts.scene.controls import Controller, ControlState
+from contacts.scene.controls import Controller, ControlRegion, ControlState
 from contacts.scene.parts import Body, Contact, Force, Joint, Pair, Path, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import Shape
+from statechart.charts.transitions import Transition
 from statechart.documents.declaration import TIME, Stop
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
@@ -135,8 +137,8 @@ class _Change:
     def reading(self, states: Mapping[str, str]) -> Reading:
         """Return how to read the runs of the changed scene."""
         scene = self.declared
-        names = (*scene.variables, *map(scene.rate_name, scene.variables))
-        factors = np.array([1.0 / self._factors[name] for name in names])
+        names = (*scene.variables, *map(scene.rate_name, scene.variables), *scene.controlled.memory)
+        factors = np.array([1.0 / self._factors.get(name, 1.0) for name in names])
         return Reading(factors, 1.0 / self.time, states)
 
     def scene(self) -> Scene:
@@ -201,7 +203,7 @@ class _Change:
             found |= {f"{name}.V": self.normal, f"{name}.H": self.tangential}
         for name in old.joints:
             found |= {f"{name}.X": self.tangential, f"{name}.Y": self.normal}
-        return found
+        return found | dict.fromkeys(old.controlled.clocks, self.time)
 
     def _body(self, body: Body) -> Body:
         factors = {
@@ -288,19 +290,44 @@ class _Change:
         )
 
     def _controller(self, region: Controller) -> Controller:
-        states = {
-            name: ControlState(
-                sets={c: self._read(parse(text), self._factors) for c, text in state.sets.items()}
-            )
-            for name, state in region.states.items()
+        """Return a controller that remembers the same values."""
+        return region.model_copy(update=self._holder(region))
+
+    def _holder(self, holder: Controller | ControlRegion | ControlState) -> dict[str, Any]:
+        found: dict[str, Any] = {
+            "states": {
+                name: state.model_copy(update=self._state(state))
+                for name, state in holder.states.items()
+            },
+            "transitions": tuple(map(self._transition, holder.transitions)),
         }
-        transitions = [
-            t
-            if t.guard is None
-            else t.model_copy(update={"guard": self._read(parse_relation(t.guard), self._factors)})
-            for t in region.transitions
-        ]
-        return region.model_copy(update={"states": states, "transitions": tuple(transitions)})
+        if isinstance(holder, ControlState):
+            found["regions"] = {
+                name: region.model_copy(update=self._holder(region))
+                for name, region in holder.regions.items()
+            }
+        return found
+
+    def _state(self, state: ControlState) -> dict[str, Any]:
+        return {
+            **self._holder(state),
+            "sets": self._texts(state.sets),
+            "entry": self._texts(state.entry),
+            "exit": self._texts(state.exit),
+            "flows": {n: _times(t, 1.0 / self.time) for n, t in self._texts(state.flows).items()},
+        }
+
+    def _transition(self, transition: Transition) -> Transition:
+        changed: dict[str, Any] = {"updates": self._texts(transition.updates)}
+        if transition.guard is not None:
+            changed["guard"] = self._read(parse_relation(transition.guard), self._factors)
+        for key in ("after", "every"):
+            if (period := getattr(transition, key)) is not None:
+                changed[key] = _times(period, self.time)
+        return transition.model_copy(update=changed)
+
+    def _texts(self, texts: Mapping[str, FormulaText]) -> dict[str, FormulaText]:
+        return {name: self._read(parse(text), self._factors) for name, text in texts.items()}
 
     def _pair(self, pair: tuple[FormulaText, FormulaText]) -> tuple[FormulaText, FormulaText]:
         return _times(pair[0], self.x), _times(pair[1], self.y)

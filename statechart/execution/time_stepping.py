@@ -36,7 +36,8 @@ class SteppingSimulator:
         if automaton.stepper is None:
             raise SimulationError(
                 f"{automaton.name!r} cannot be stepped through time: only scenes of bodies in "
-                "contact can; take the engine taylor or scipy"
+                "contact can whose controllers have no variables and no clocks; take the engine "
+                "taylor or scipy"
             )
         self.automaton = automaton
         self.step = step
