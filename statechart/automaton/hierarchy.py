@@ -20,7 +20,7 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
     one cause and guard, into all states of a superstate. `flat_edges` undoes it. Of a region that
     was declared with nested states they are those of its declaration.
     """
-    if region.nesting.edges:
+    if region.nesting.configurations:
         return region.nesting.edges
     superstates = _outermost_first(region)
     leaves = {name: region.within(name) for name in (*region.states, *superstates)}

@@ -39,6 +39,12 @@ class HierarchicalEdge:
         Where it leads: `target` itself, or one of the states in it, which the laws choose.
     on_zeno : bool
         As of an `Edge`.
+    updates : mapping
+        Variable -> new value, of the values before.
+    events : tuple of str
+        Of other regions, that fire it.
+    internal : bool
+        Whether it leaves no state.
     """
 
     cause: str
@@ -47,6 +53,9 @@ class HierarchicalEdge:
     guard: str
     choices: tuple[Choice, ...]
     on_zeno: bool = False
+    updates: Mapping[str, str | int | float] = field(default_factory=dict)
+    events: tuple[str, ...] = ()
+    internal: bool = False
 
     @property
     def reset(self) -> str:
@@ -79,6 +88,8 @@ class Nesting:
 
     Attributes
     ----------
+    names : tuple of str
+        States and superstates in the order of the document.
     configurations : mapping
         State of the region -> the innermost states that are active in it.
     joint : mapping
@@ -89,13 +100,18 @@ class Nesting:
         Superstates whose states are regions: all of them are active.
     histories : mapping
         Name -> history.
+    entries, exits : mapping
+        State -> updates when it is entered, or left.
     edges : tuple of HierarchicalEdge
-        As declared.
+        As declared, of flat regions too.
     """
 
+    names: tuple[str, ...] = ()
     configurations: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     joint: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     initial: Mapping[str, str] = field(default_factory=dict)
     parallel: frozenset[str] = frozenset()
     histories: Mapping[str, History] = field(default_factory=dict)
+    entries: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
+    exits: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
     edges: tuple[HierarchicalEdge, ...] = ()

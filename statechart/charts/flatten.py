@@ -210,9 +210,14 @@ class _Flattening:
 
     def _nesting(self, transitions: Iterable[FlatTransition]) -> Nesting:
         nodes = self._tree.nodes
+        states = {n.name: n.declared for n in nodes if isinstance(n.declared, BaseState)}
+        names = tuple(n.name for n in nodes[1:] if n.sort not in HISTORIES)
+        entries = {name: state.entry for name, state in states.items() if state.entry}
+        exits = {name: state.exit for name, state in states.items() if state.exit}
         if self._tree.flat:
-            return Nesting()
+            return Nesting(names, entries=entries, exits=exits, edges=tuple(self._drawn()))
         return Nesting(
+            names,
             {
                 name: tuple(nodes[leaf].name for leaf in leaves(self._tree, active))
                 for name, (active, _) in self._named.items()
@@ -233,6 +238,8 @@ class _Flattening:
                 for n in nodes
                 if n.sort in HISTORIES
             },
+            entries,
+            exits,
             tuple(self._drawn()),
         )
 
@@ -243,9 +250,16 @@ class _Flattening:
             reset = ", ".join(f"{name} := {update}" for name, update in declared.updates.items())
             choice = Choice(target, reset)
             yield HierarchicalEdge(
-                declared.name, declared.source, target, declared.trigger, (choice,),
+                declared.name,
+                declared.source,
+                target,
+                declared.trigger,
+                (choice,),
                 declared.on_zeno,
-            )  # fmt: skip
+                declared.updates,
+                tuple(".".join(filter(None, (e.region, e.cause))) for e in declared.events),
+                declared.target is None,
+            )
 
     def _too_many(self, what: str) -> DeclarationProblem:
         return DeclarationProblem(

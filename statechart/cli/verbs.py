@@ -268,6 +268,7 @@ def modes(arguments: argparse.Namespace) -> int:
 
 def draw(arguments: argparse.Namespace) -> int:
     """Draw the statechart, with the path of a run where asked for or needed."""
+    from statechart.diagram.machine import lost
     from statechart.diagram.write import SUFFIXES, write
     from statechart.running.drawing import drawn
 
@@ -284,6 +285,8 @@ def draw(arguments: argparse.Namespace) -> int:
             _warn([f"the run ended early: {trace.outcome.name}, {trace.message}"])
             code = 1
     write(diagram, path)
+    if path.suffix.lower() == ".scxml" and diagram.machine is not None:
+        _warn([f"SCXML does not say {sentence}" for sentence in lost(diagram.machine)])
     print(path)
     return code
 

@@ -1,7 +1,8 @@
 """Statecharts as pictures and as text.
 
 `build` makes a `model` of a diagram, of an automaton and perhaps a run; `dot`, `mermaid` and
-`scxml` render it as text, `graphml` the graph that it shows, `write` as files and pictures.
+`scxml` render it as text, `graphml` the graph that it shows, `machine` the regions as what others'
+tools run, `write` as files and pictures.
 """
 
 from statechart.diagram.dot import dot

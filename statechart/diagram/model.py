@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,8 @@ from statechart.errors import StatechartError
 
 if TYPE_CHECKING:
     import networkx as nx
+
+    from statechart.diagram.machine import Machine
 
 # Words that Mermaid's lexer takes for its own wherever a state's id could stand (its
 # `stateDiagram.jison`), in any case; DOT and SCXML reserve none that matters here.
@@ -94,6 +97,8 @@ class Diagram:
         Names of nodes in the order a run took them.
     graph : MultiDiGraph or None
         The part of the product automaton that is shown, where it was made of one.
+    machine : Machine or None
+        The regions that it was made of, for the format that runs.
 
     Raises
     ------
@@ -107,6 +112,7 @@ class Diagram:
     notes: tuple[str, ...] = ()
     path: tuple[str, ...] = ()
     graph: nx.MultiDiGraph | None = field(default=None, compare=False, repr=False)
+    machine: Machine | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         names = [node.name for node in self.nodes]
@@ -160,6 +166,20 @@ def identifiers(diagram: Diagram) -> tuple[dict[str, str], dict[str, str]]:
         of its letters, and none begins with an underscore.
     """
     taken: set[str] = set()
+    groups = [group for group in diagram.groups if group is not None]
+    return named([node.name for node in diagram.nodes], taken), named(groups, taken)
+
+
+def named(names: Iterable[str], taken: set[str]) -> dict[str, str]:
+    """Return name -> identifier as `identifiers` gives them.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Each once.
+    taken : set of str
+        Identifiers that are taken, in small letters; those given are added.
+    """
 
     def claim(name: str) -> str:
         spelled = name.replace("+", "_plus").replace("-", "_minus")
@@ -173,9 +193,7 @@ def identifiers(diagram: Diagram) -> tuple[dict[str, str], dict[str, str]]:
         taken.add(identifier.lower())
         return identifier
 
-    states = {node.name: claim(node.name) for node in diagram.nodes}
-    groups = {group: claim(group) for group in diagram.groups if group is not None}
-    return states, groups
+    return {name: claim(name) for name in names}
 
 
 def printable(text: str) -> str:

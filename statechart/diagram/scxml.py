@@ -5,20 +5,17 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ET
 
+from statechart.diagram.machine import NOTES, SCXML, Written, lost
 from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
-
-SCXML = "http://www.w3.org/2005/07/scxml"
-"""Namespace of the elements."""
-
-NOTES = "urn:contact-statecharts:diagram"
-"""Namespace of the attributes that SCXML has no place for (labels, resets, invariants, visits)."""
 
 
 def scxml(diagram: Diagram) -> str:
     """Render a diagram as an SCXML document.
 
-    Guards go to ``cond`` as the formulas they are; resets, which are no SCXML expressions, and
-    all else that SCXML cannot say go to attributes of the namespace `NOTES`, as its schema allows.
+    One that was made of a model becomes a machine that runs (`statechart.diagram.machine`), with
+    comments on what SCXML cannot say. Of others guards go to ``cond`` as the formulas they are;
+    resets, which are no SCXML expressions, and all else go to attributes of the namespace `NOTES`,
+    as its schema allows.
 
     Parameters
     ----------
@@ -30,6 +27,15 @@ def scxml(diagram: Diagram) -> str:
     str
         An indented XML document, ending with a newline.
     """
+    if diagram.machine is not None:
+        written = Written(diagram.machine)
+        root = written.root
+        _annotate(root, title=diagram.title, notes="\n".join(diagram.notes))
+        for place, sentence in enumerate(lost(diagram.machine)):
+            # Two hyphens would end a comment.
+            words = f" not said: {printable(sentence).replace('--', '- -')} "
+            root.insert(place, ET.Comment(words))
+        return _text(root)
     states, groups = identifiers(diagram)
     root = ET.Element("scxml", {"xmlns": SCXML, "xmlns:diagram": NOTES, "version": "1.0"})
     if diagram.initial is not None:
@@ -46,6 +52,10 @@ def scxml(diagram: Diagram) -> str:
             _annotate(parent, label=group)
         for node in nodes:
             _state(parent, node, leaving[node.name], states)
+    return _text(root)
+
+
+def _text(root: ET.Element) -> str:
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 

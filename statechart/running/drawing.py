@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,9 +10,10 @@ from statechart.automaton.product import feasibility
 from statechart.automaton.product import graph as product
 from statechart.automaton.trace import Key, Trace
 from statechart.diagram.build import build, needs_run
+from statechart.diagram.machine import Machine
 from statechart.diagram.model import Diagram
 from statechart.diagram.write import write
-from statechart.documents.declaration import Declaration
+from statechart.documents.declaration import TIME, Declaration
 from statechart.running.runner import Runner
 
 if TYPE_CHECKING:
@@ -117,4 +119,9 @@ def drawn(runner: Runner, *, visited: bool = False) -> tuple[Diagram, Trace | No
         trace = runner.run(throw=False).trace
     setup = runner.setup()
     found = feasibility(runner.automaton, setup, setup.initial, 0.0)
-    return build(runner.automaton, start, trace, found), trace
+    diagram = build(runner.automaton, start, trace, found)
+    automaton = runner.automaton
+    values = dict(zip(automaton.parameter_names, setup.values.tolist(), strict=True))
+    values |= dict(zip(automaton.names, setup.initial.tolist(), strict=True))
+    machine = Machine(automaton.regions, start, {**values, TIME: 0.0})
+    return replace(diagram, machine=machine), trace

@@ -70,7 +70,7 @@ def test_twelve_edges_of_a_contact_are_drawn_as_seven() -> None:
 def test_flattening_the_drawn_edges_gives_those_of_the_executor(model: str) -> None:
     for region in Runner(model).automaton.regions:
         drawn = hierarchical_edges(region)
-        if region.nesting.edges:
+        if region.nesting.configurations:
             # As declared; what states do on entry and exit stands at the states.
             leaving = {(e.cause, source) for e in drawn for source in region.within(e.source)}
             assert leaving == {(e.cause, e.source) for e in region.edges}

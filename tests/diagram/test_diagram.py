@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from strategies import examples
 
 from statechart.diagram.dot import dot
+from statechart.diagram.machine import NOTES, SCXML
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
-from statechart.diagram.scxml import NOTES, SCXML, scxml
+from statechart.diagram.scxml import scxml
 from statechart.diagram.write import SUFFIXES, write
 from statechart.errors import StatechartError
 

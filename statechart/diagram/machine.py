@@ -1,0 +1,215 @@
+"""Regions as a machine that others' tools run: SCXML (W3C Recommendation of 1 September 2015).
+
+SCXML has states, events, conditions and assignments, and no motion. Who runs the machine sends the
+events: ``REGION.CAUSE``, with ``.STATE`` behind it where the state that is entered depends on an
+impact. Variables are data, which a host that knows the motion sets before it sends an event.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from statechart.automaton.hierarchy import hierarchical_edges
+from statechart.automaton.nesting import HierarchicalEdge
+from statechart.automaton.regions import Region
+from statechart.diagram.model import named, printable
+from statechart.errors import FormulaError
+from statechart.formulas.formula import Formula, Relation, parse, parse_relation
+from statechart.formulas.tree import Call, Constant, Node, nodes
+
+SCXML = "http://www.w3.org/2005/07/scxml"
+"""Namespace of the elements."""
+
+NOTES = "urn:contact-statecharts:diagram"
+"""Namespace of the attributes that SCXML has no place for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """What is written.
+
+    Attributes
+    ----------
+    regions : tuple of Region
+        Of an automaton.
+    start : tuple of str
+        The state of each at the start.
+    values : mapping
+        Parameters, variables and ``time`` at the start.
+    """
+
+    regions: tuple[Region, ...]
+    start: tuple[str, ...]
+    values: Mapping[str, float]
+
+
+class Written:
+    """A machine as elements, and what of it could not be written.
+
+    Parameters
+    ----------
+    machine : Machine
+        What is written.
+
+    Attributes
+    ----------
+    root : Element
+        ``scxml``.
+    lost : dict
+        What could not be written -> of which transitions and states.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self.lost: dict[str, list[str]] = {}
+        self.root = ET.Element("scxml", {"xmlns": SCXML, "xmlns:diagram": NOTES, "version": "1.0"})
+        self._data = dict.fromkeys([n for n in machine.values if n.isidentifier()])
+        self._used: dict[str, None] = {}
+        taken: set[str] = {name.lower() for name in self._data}
+        single = len(machine.regions) == 1
+        data = ET.SubElement(self.root, "datamodel")
+        parent = self.root
+        if not single:
+            (together,) = named(["all_regions"], taken).values()
+            self.root.set("initial", together)
+            parent = ET.SubElement(self.root, "parallel", {"id": together})
+        for region, start in zip(machine.regions, machine.start, strict=True):
+            self._region(parent, region, start, taken, single=single)
+        for name in self._used:
+            value = machine.values.get(name, 0.0)
+            ET.SubElement(data, "data", {"id": name, "expr": repr(float(value))})
+        if not self._used:
+            self.root.remove(data)
+
+    def _region(
+        self, parent: ET.Element, region: Region, start: str, taken: set[str], *, single: bool
+    ) -> None:
+        nesting, superstates = region.nesting, region.superstates
+        names = nesting.names or tuple(
+            dict.fromkeys([*region.states, *superstates, *superstates.values()])
+        )
+        prefix = "" if single else f"{region.name} "
+        found = named((f"{prefix}{name}" for name in (*names, *nesting.histories)), taken)
+        ids = {name.removeprefix(prefix): identifier for name, identifier in found.items()}
+        initial = nesting.initial.get("", start)
+        top = parent
+        if single:
+            self.root.set("initial", ids[initial])
+        else:
+            (identifier,) = named([region.name], taken).values()
+            top = ET.SubElement(parent, "state", {"id": identifier, "initial": ids[initial]})
+        leaving: dict[str, list[HierarchicalEdge]] = {}
+        for edge in nesting.edges or hierarchical_edges(region):
+            leaving.setdefault(edge.source, []).append(edge)
+        for name in names:
+            if name not in superstates:
+                self._state(top, region, name, ids, leaving)
+
+    def _state(
+        self,
+        parent: ET.Element,
+        region: Region,
+        name: str,
+        ids: Mapping[str, str],
+        leaving: Mapping[str, list[HierarchicalEdge]],
+    ) -> None:
+        nesting = region.nesting
+        inside = [inner for inner in ids if region.superstates.get(inner) == name]
+        parallel = name in nesting.parallel
+        element = ET.SubElement(parent, "parallel" if parallel else "state", {"id": ids[name]})
+        element.set("diagram:name", printable(name))
+        if inside and not parallel:
+            element.set("initial", ids[nesting.initial.get(name, inside[0])])
+        for tag, blocks in (("onentry", nesting.entries), ("onexit", nesting.exits)):
+            self._assign(element, tag, blocks.get(name, {}), f"{region.name}.{name} ({tag})")
+        for edge in leaving.get(name, ()):
+            self._edge(element, region, edge, ids)
+        for history, said in nesting.histories.items():
+            if said.parent == name:
+                kept = ET.SubElement(element, "history", {"id": ids[history], "type": said.depth})
+                ET.SubElement(kept, "transition", {"target": ids[said.initial]})
+        for inner in inside:
+            self._state(element, region, inner, ids, leaving)
+
+    def _edge(
+        self, parent: ET.Element, region: Region, edge: HierarchicalEdge, ids: Mapping[str, str]
+    ) -> None:
+        what = f"{region.name}.{edge.cause}"
+        edges = region.nesting.edges or hierarchical_edges(region)
+        alike = [e for e in edges if (e.cause, e.source) == (edge.cause, edge.source)]
+        several = len(edge.choices) > 1 or len(alike) > 1
+        for choice in edge.choices:
+            event = f"{what}.{ids[choice.target]}" if several else what
+            element = ET.SubElement(parent, "transition", {"event": event})
+            if edge.events:
+                element.set("event", " ".join(edge.events))
+            elif self._relation(edge.guard):
+                element.set("cond", edge.guard)
+            else:
+                element.set("diagram:guard", printable(edge.guard))
+                self._lose("guards, whose events who runs it has to send", what)
+            if not edge.internal:
+                element.set("target", ids[choice.target])
+            if edge.updates:
+                self._assign(element, None, edge.updates, what)
+            elif choice.reset:
+                element.set("diagram:reset", printable(choice.reset))
+                self._lose("what is reset of the motion", what)
+
+    def _assign(
+        self,
+        parent: ET.Element,
+        tag: str | None,
+        updates: Mapping[str, str | int | float],
+        what: str,
+    ) -> None:
+        """Write updates, which all see the values before them."""
+        if not updates:
+            return
+        if not all(name in self._data and self._formula(text) for name, text in updates.items()):
+            self._lose("updates with names or functions that are no data", what)
+            return
+        element = parent if tag is None else ET.SubElement(parent, tag)
+        later: list[tuple[str, str]] = []
+        for name, text in updates.items():
+            location = name
+            others = (parse(other).names for n, other in updates.items() if n != name)
+            if any(name in used for used in others):
+                location = f"new_{name}"
+                self._used[location] = None
+                later.append((name, location))
+            self._used[name] = None
+            ET.SubElement(element, "assign", {"location": location, "expr": str(text)})
+        for name, location in later:
+            ET.SubElement(element, "assign", {"location": name, "expr": location})
+
+    def _relation(self, text: str) -> bool:
+        """Tell whether a guard can be written as a condition, whose names become data."""
+        try:
+            relation = parse_relation(text)
+        except FormulaError:
+            return False
+        return self._known(relation, (relation.left.root, relation.right.root))
+
+    def _formula(self, text: str | int | float) -> bool:
+        formula = parse(text)
+        return self._known(formula, (formula.root,))
+
+    def _known(self, written: Formula | Relation, roots: Iterable[Node]) -> bool:
+        plain = not any(isinstance(node, Call | Constant) for root in roots for node in nodes(root))
+        if not (plain and written.names <= self._data.keys()):
+            return False
+        self._used |= dict.fromkeys(sorted(written.names))
+        return True
+
+    def _lose(self, what: str, whose: str) -> None:
+        found = self.lost.setdefault(what, [])
+        if whose not in found:
+            found.append(whose)
+
+
+def lost(machine: Machine) -> tuple[str, ...]:
+    """Return what of a machine SCXML cannot say, in sentences."""
+    return tuple(f"{what}: {', '.join(whose)}" for what, whose in Written(machine).lost.items())

@@ -1,0 +1,125 @@
+"""SCXML that is written is a machine that runs: loaded and driven by python-statemachine."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from statechart.cli.main import main
+from statechart.diagram.machine import NOTES, SCXML, lost
+from statechart.diagram.scxml import scxml
+from statechart.running.drawing import drawn
+from statechart.running.runner import Runner
+
+NESTED = """\
+kind: chart
+name: nested
+parameters: {D: 2}
+variables: {x: 0, y: 1, starts: 0}
+regions:
+  job:
+    initial: idle
+    states:
+      idle: {}
+      running:
+        initial: slow
+        entry: {starts: starts + 1}
+        exit: {x: y, y: x}
+        states:
+          slow: {flows: {x: 1}}
+          fast: {flows: {x: 3}}
+          last: {history: shallow}
+        transitions:
+          - {name: faster, from: slow, to: fast, guard: x >= D}
+      both:
+        regions:
+          left:
+            initial: l0
+            states: {l0: {}, l1: {}}
+            transitions: [{name: l, from: l0, to: l1, on: user.tick}]
+          right:
+            initial: r0
+            states: {r0: {}, r1: {}}
+            transitions: [{name: r, from: r0, to: r1, on: user.tick}]
+    transitions:
+      - {name: halt, from: running, to: idle, on: user.halt}
+      - {name: begin, from: idle, to: running, guard: time >= 1 + 99*starts}
+      - {name: resume, from: idle, to: last, guard: time*starts >= 6}
+      - {name: part, from: running, to: both, guard: time >= 7}
+  user:
+    initial: first
+    states: {first: {}, second: {}, third: {}}
+    transitions:
+      - {name: halt, from: first, to: second, guard: time >= 4}
+      - {name: tick, from: second, to: third, guard: time >= 7.5}
+stop: {time: 8}
+"""
+
+
+def test_a_machine_that_is_loaded_goes_through_the_states_of_the_run(tmp_path: Path) -> None:
+    io = pytest.importorskip("statemachine.io")
+    file = tmp_path / "nested.yaml"
+    file.write_text(NESTED, encoding="utf-8")
+    runner = Runner(file)
+    trace = runner.run().trace
+    written = tmp_path / "nested.scxml"
+    written.write_text(scxml(drawn(runner)[0]), encoding="utf-8")
+    named = {
+        element.get("id"): element.get(f"{{{NOTES}}}name") for element in ET.parse(written).iter()
+    }
+    machine = io.load(written)()
+    job = runner.automaton.regions[0]
+    heard = {edge.cause for edge in job.nesting.edges if edge.events}
+    seen = []
+    for jump in trace.jumps:
+        if jump.region != "job" or not heard.issuperset(job.causes(jump.cause)):
+            for name, value in zip(trace.variables, jump.before.tolist(), strict=True):
+                setattr(machine.model, name, value)
+            # A guard that falls is true but for rounding.
+            machine.model.time = jump.t + 1e-9
+            if jump.cause == "faster":
+                machine.model.x += 1e-9
+            machine.send(f"{jump.region}.{jump.cause}")
+        active = {named[state.id] for state in machine.configuration} - {None}
+        later = [other for other in trace.jumps if other.t == jump.t and other.j > jump.j]
+        if later:
+            continue
+        wanted = {*job.active(jump.target[0]), *runner.automaton.regions[1].active(jump.target[1])}
+        assert active == wanted
+        assert [machine.model.x, machine.model.y, machine.model.starts] == pytest.approx(
+            jump.after[:3].tolist(), abs=1e-8
+        )
+        seen.append(jump.target[0])
+    assert seen == [
+        "slow",
+        "fast",
+        "idle[last=fast]",
+        "fast",
+        "l0|r0[last=fast]",
+        "l1|r1[last=fast]",
+    ]
+
+
+def test_what_scxml_cannot_say_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "stick.scxml"
+    assert main(["draw", "toppling_stick", "-o", str(path)]) == 0
+    told = capsys.readouterr().err
+    assert "SCXML does not say guards, whose events who runs it has to send: tip.touchdown" in told
+    assert "what is reset of the motion: tip.touchdown, tip.stick" in told
+    assert path.read_text(encoding="utf-8").count("<!-- not said: ") == 2
+    machine = drawn(Runner("bouncing_ball_chart"))[0].machine
+    assert machine is not None
+    assert lost(machine) == ("guards, whose events who runs it has to send: ball.settle",)
+
+
+def test_a_contact_is_written_with_its_states_in_states() -> None:
+    root = ET.fromstring(scxml(drawn(Runner("toppling_stick"))[0]))
+    inside = root.findall(f"{{{SCXML}}}state[@id='closed']/{{{SCXML}}}state")
+    assert {element.get("id") for element in inside} == {"pin", "slide"}
+    (liftoff,) = root.findall(f".//{{{SCXML}}}transition[@event='tip.liftoff']")
+    assert liftoff.get("target") == "free"
+    events = [t.get("event") for t in root.iter(f"{{{SCXML}}}transition")]
+    # Who sends one says which state is entered, where that is open.
+    assert {f"tip.touchdown.{s}" for s in ("pin", "slide_plus", "slide_minus")} <= {*events}
