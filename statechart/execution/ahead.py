@@ -285,9 +285,9 @@ class Ahead:
         reason, margin, rest = self._call(
             record.memory, now, place, state, run.accumulation.series, self._entered
         )
-        for k in np.flatnonzero(self._entered).tolist():
+        for k, been in enumerate(self._entered.tolist()):
             roles = loop.kinds[k][1]
-            if roles not in run.entered:
+            if been and roles not in run.entered:
                 run.entered[roles] = self.modes.compiled(loop.kinds[k])
         if reason == FULL:
             record.seal()

@@ -123,7 +123,7 @@ class Simulator:
         setup = replace(setup, modes=partial(self.modes.mode, zeros=zeros))
         self.engine.sizes = setup.sizes
         kinds: list[Kind] = []
-        ahead, jump = self._ahead(setup), None
+        ahead, jump = self._ahead(setup, zeros), None
         if ahead is not None:
             kinds, jump = ahead.modes.kinds, partial(ahead.modes.jump, setup)
         record = Recording(len(self.automaton.variables), kinds, self._pad, jump)
@@ -131,16 +131,16 @@ class Simulator:
             self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, ahead
         )
 
-    def _ahead(self, setup: Setup) -> Ahead | None:
+    def _ahead(self, setup: Setup, zeros: frozenset[int]) -> Ahead | None:
         """Return what runs usual instants in compiled code; None where nothing can."""
         laws = self.automaton.laws
         ordinary = None if laws is None else laws.ordinary
         if ordinary is None:
             return None
-        modes = self._loops.get(setup.zeros)
+        modes = self._loops.get(zeros)
         if modes is None:
             stops = len(self.automaton.stops)
-            modes = self._loops[setup.zeros] = Modes(ordinary, self.engine, stops)
+            modes = self._loops[zeros] = Modes(ordinary, self.engine, stops)
         return Ahead(ordinary, modes, setup)
 
     def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
