@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from statechart.automaton.trace import Outcome, Trace
     from statechart.charts.chart import Chart
+    from statechart.diagram.model import Diagram
     from statechart.documents.declaration import Settings, Stop
     from statechart.documents.outputs import Count, Integral, Maximum, Minimum, Value
     from statechart.errors import (
@@ -48,6 +49,7 @@ __all__ = [
     "Chart",
     "Count",
     "DeclarationError",
+    "Diagram",
     "EventLoop",
     "FormulaError",
     "Integral",
@@ -86,6 +88,7 @@ __all__ = [
 _HOMES = {
     "automaton.trace": ("Outcome", "Trace"),
     "charts.chart": ("Chart",),
+    "diagram.model": ("Diagram",),
     "documents.declaration": ("Settings", "Stop"),
     "documents.outputs": ("Count", "Integral", "Maximum", "Minimum", "Value"),
     "loading.load": ("load",),

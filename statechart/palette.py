@@ -31,5 +31,5 @@ _OTHERS = ("#CDBBE8", "#F2B8C6", "#D3C1A0", "#B7C4D6", "#D5E08F", "#D99A9A", "#B
 
 def state_colours(states: Sequence[str]) -> Mapping[str, str]:
     """Return the colour of every state of a region, by its name or in order."""
-    others = [state for state in states if state not in _NAMED]
+    others = [state for state in dict.fromkeys(states) if state not in _NAMED]
     return {s: _NAMED.get(s) or _OTHERS[others.index(s) % len(_OTHERS)] for s in states}

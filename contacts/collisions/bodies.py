@@ -77,6 +77,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
                 lambda state: State(),
                 BODY_EDGES,
                 superstates_of(BODY_STATES),
+                default="free",
             )
             for name in bodies
         ),

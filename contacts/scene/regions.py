@@ -91,7 +91,16 @@ def region(
 
     names = states(contact, gate=gate)
     arrows = edges(contact, jams=jams, bounces=bounces, gate=gate)
-    return Region(name, names, build, arrows, superstates_of(names), ("slide",), forces=forces)
+    return Region(
+        name,
+        names,
+        build,
+        arrows,
+        superstates_of(names),
+        ("slide",),
+        forces=forces,
+        default="free",
+    )
 
 
 def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Edge, ...]:

@@ -67,7 +67,7 @@ def graph(
     """
     import networkx as nx
 
-    charts = [_chart(region, directions) for region in automaton.regions]
+    charts = [drawn_region(region, directions=directions) for region in automaton.regions]
     path = () if trace is None else visited(automaton, trace, directions=directions)
     begin = list(map(_naming(automaton, directions), around)) or path
     keys = _all(charts) if within is None else _near(charts, begin, within)
@@ -152,7 +152,7 @@ def _naming(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
     return shown
 
 
-def _chart(region: Region, directions: bool) -> Region:
+def drawn_region(region: Region, *, directions: bool) -> Region:
     """Return a region as the graph shows it: edges that differ in their guards alone are one."""
     named = (lambda state: state) if directions else region.declared
     alike: dict[tuple[str, str, str], list[Edge]] = {}

@@ -164,6 +164,9 @@ class Region:
         What else its declaration says of states in states.
     forces : tuple of Symbol
         Unknowns that are zero for others while the region is captured (see `Role`).
+    default : str
+        The state that goes without saying where a mode is named by its others: `free` of a
+        contact; "" where every state says something.
     """
 
     name: str
@@ -174,6 +177,7 @@ class Region:
     listed: tuple[str, ...] = ()
     nesting: Nesting = field(default_factory=Nesting)
     forces: tuple[sp.Symbol, ...] = ()
+    default: str = ""
 
     def declared(self, state: str) -> str:
         """Return the state as the declaration names it."""

@@ -202,7 +202,13 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         help=".svg .png .pdf .dot .mmd .scxml .graphml",
     )
-    draw.add_argument("--visited", action="store_true", help="run, and show the path it took")
+    draw.add_argument(
+        "--visited", action="store_true", help="run, and draw the modes and the path it took"
+    )
+    draw.add_argument(
+        "--guards", choices=("legend", "inline"), default="legend",
+        help="guards and resets once below, or at every arrow; legend",
+    )  # fmt: skip
     check = verb("check", "test a model's invariants over its ranges of parameters")
     check.add_argument(
         "--examples", metavar="N", type=_positive, default=50, help="per property; 50"

@@ -284,7 +284,7 @@ def draw(arguments: argparse.Namespace) -> int:
         if not trace.outcome.succeeded:
             _warn([f"the run ended early: {trace.outcome.name}, {trace.message}"])
             code = 1
-    write(diagram, path)
+    write(diagram, path, arguments.guards)
     if path.suffix.lower() == ".scxml" and diagram.machine is not None:
         _warn([f"SCXML does not say {sentence}" for sentence in lost(diagram.machine)])
     print(path)

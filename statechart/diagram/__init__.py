@@ -1,14 +1,17 @@
 """Statecharts as pictures and as text.
 
-`build` makes a `model` of a diagram, of an automaton and perhaps a run; `dot`, `mermaid` and
-`scxml` render it as text, `graphml` the graph that it shows, `machine` the regions as what others'
-tools run, `write` as files and pictures.
+`build` makes a `model` of a diagram, of an automaton and perhaps a run; a `region` is a chart of
+its own. `mermaid` and `scxml` render it as text, `graphml` the graph that it shows, `machine` the
+regions as what others' tools run. `dot` puts charts on a page with their `legend`: as a `flow` of
+boxes in boxes, the product of two as a `grid` (an `axis` each way, `rooms` for words), a run as a
+`ring`, with a dot at the `start`. `block` is a piece of a page, `markup` how it looks, `measure`
+how large it is. `write` makes files, and `graphviz_program` pictures.
 """
 
 from statechart.diagram.dot import dot
 from statechart.diagram.mermaid import mermaid
-from statechart.diagram.model import Diagram, Link, Node
+from statechart.diagram.model import Chart, Diagram, Link, Node
 from statechart.diagram.scxml import scxml
 from statechart.diagram.write import write
 
-__all__ = ["Diagram", "Link", "Node", "dot", "mermaid", "scxml", "write"]
+__all__ = ["Chart", "Diagram", "Link", "Node", "dot", "mermaid", "scxml", "write"]

@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.product import graph, visited
-from statechart.automaton.regions import Margin, Region
-from statechart.automaton.trace import Key, Role, Trace
-from statechart.diagram.model import Diagram, Link, Node
+from statechart.automaton.product import drawn_region, graph
+from statechart.automaton.product import visited as passed
+from statechart.automaton.regions import Region
+from statechart.automaton.trace import Key, Trace
+from statechart.diagram.model import Chart, Diagram, Link, Node
+from statechart.diagram.region import alike, cut, mode_label, region_chart
+from statechart.diagram.ring import MOST_STEPS
+from statechart.palette import state_colours
 
 if TYPE_CHECKING:
     import networkx as nx
 
-# Two contacts have nine modes as users count, and a product of more than this cannot be read.
-_MOST_MODES = 16
-# Of more regions alike than this not all are named.
-_MOST_NAMES = 8
-_NUMBER = re.compile(r"\d+(\.\d+)?")
+# Two contacts that may be off have so many modes as users count; more cells fit on no slide.
+_MOST_CELLS = 16
+# Of a run that went through more modes the first steps are drawn.
+_MOST_VISITED = 12
 
 
 def needs_run(automaton: Automaton) -> bool:
-    """Return whether the product is too large to draw, so that only what a run visited is."""
-    return len(automaton.regions) > 1 and automaton.modes_declared > _MOST_MODES
+    """Return whether the product is too large to draw, so that what a run visited is."""
+    moving = _moving(automaton)
+    return len(moving) > 2 or (len(moving) == 2 and automaton.modes_declared > _MOST_CELLS)
 
 
 def build(
@@ -34,12 +38,13 @@ def build(
     start: Key,
     trace: Trace | None = None,
     found: Feasibility | None = None,
+    *,
+    visited: bool = False,
 ) -> Diagram:
     """Return the diagram of an automaton, and the graph that it shows.
 
-    One region is drawn as its own chart. Several are drawn as their product, without the
-    directions of sliding; where that has too many modes, what the run visited is drawn instead,
-    and beside it the chart of every region.
+    One region is drawn as its own chart, two as the grid of their product, without the directions
+    of sliding. Of more, what a run visited is drawn, and the chart of every region.
 
     Parameters
     ----------
@@ -48,180 +53,187 @@ def build(
     start : Key
         The mode that it starts in.
     trace : Trace, optional
-        A run, whose path and counts are shown; needed where `needs_run`.
+        A run, needed where `needs_run`; else the modes that it visited are drawn instead.
     found : Feasibility, optional
         Which modes are possible where the run starts; the others are marked, with the reason.
+    visited : bool
+        Whether the run is shown without the chart of every region.
     """
-    if not needs_run(automaton):
-        single = len(automaton.regions) == 1
-        modes = graph(automaton, trace=trace, found=found, directions=single)
-        return _whole(automaton, start, trace, modes)
-    if trace is None:
+    moving = _moving(automaton)
+    if trace is not None:
+        modes = graph(automaton, within=0, trace=trace, found=found)
+        run, notes = _run(automaton, trace, modes)
+        charts = _charts(automaton, None)
+        shown = (run,) if visited else (run, *charts)
+        return Diagram(automaton.name, shown, notes, modes, explained=charts)
+    if needs_run(automaton):
         raise ValueError("a product of so many modes is drawn as a run visited it")
-    return _visited(automaton, trace, graph(automaton, within=0, trace=trace, found=found))
+    notes = _notes(automaton)
+    if len(moving) < 2:
+        modes = graph(automaton, found=found)
+        charts = _charts(automaton, start)
+        reasons = {key[0]: data.get("reason") for key, data in modes.nodes(data=True)}
+        if len(automaton.regions) == 1:
+            charts = tuple(_judged(chart, reasons) for chart in charts)
+        return Diagram(automaton.name, charts, notes, modes)
+    modes = graph(automaton, found=found, directions=False)
+    total = f"{automaton.modes_total} with the directions of sliding"
+    if automaton.modes_total != automaton.modes_declared:
+        notes = (*notes, f"{automaton.modes_declared} modes, {total}")
+    return Diagram(automaton.name, (_grid(automaton, start, modes),), notes, modes)
 
 
-def _whole(
-    automaton: Automaton, start: Key, trace: Trace | None, modes: nx.MultiDiGraph
-) -> Diagram:
-    """Draw all modes; directions of sliding are told apart where there is one region."""
-    single = len(automaton.regions) == 1
-    initial = start if single else _declared(automaton, start)
-    rank = {key: 0 if single else place for place, key in enumerate(modes)}
-    edges = sorted(
-        modes.edges(keys=True, data=True),
-        key=lambda edge: (rank[edge[0]] if edge[3]["guard"] else len(rank), edge[2]),
-    )
-    nodes = tuple(_node(automaton, key, data, key == initial) for key, data in modes.nodes.items())
-    return Diagram(
-        automaton.name,
-        nodes,
-        tuple(
-            Link(
-                _name(source),
-                _name(target),
-                # Of one region only a jump that it does not declare says whose it is.
-                data["event"] if single and data["guard"] else f"{data['region']} {data['event']}",
-                data["guard"],
-                data["reset"],
-                data.get("visits"),
+def _moving(automaton: Automaton) -> list[Region]:
+    """Return the regions that have a choice; all, if none has."""
+    return [r for r in automaton.regions if len(r.states) > 1] or list(automaton.regions)
+
+
+def _charts(automaton: Automaton, start: Key | None) -> tuple[Chart, ...]:
+    """Return the chart of every region, those alike once."""
+    charts = []
+    states = dict(zip((r.name for r in automaton.regions), start or (), strict=False))
+    moving = _moving(automaton)
+    for regions in alike(moving):
+        region = regions[0]
+        title = ", ".join(cut([r.name for r in regions]))
+        if any(other.edges != region.edges for other in regions):
+            title += f"; numbers of {region.name}"
+        charts.append(
+            region_chart(
+                automaton,
+                region,
+                prefix="" if len(moving) == 1 else f"{region.name}:",
+                title=title,
+                start=states.get(region.name),
             )
-            for source, target, _, data in edges
-        ),
-        _notes(automaton, any(node.infeasible for node in nodes)),
-        () if trace is None else tuple(map(_name, visited(automaton, trace, directions=single))),
-        modes,
-    )
+        )
+    return tuple(charts)
 
 
-def _visited(automaton: Automaton, trace: Trace, modes: nx.MultiDiGraph) -> Diagram:
-    """Draw the modes that a run visited, and the chart of every region, those alike once."""
-    changing = {
-        region.name
-        for region, states in zip(automaton.regions, zip(*modes, strict=True), strict=True)
-        if len(set(states)) > 1
-    } or {region.name for region in automaton.regions}
-    nodes = [
+def _judged(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
+    """Return a chart with why states are impossible."""
+    nodes = (replace(node, infeasible=reasons.get(node.name) or None) for node in chart.nodes)
+    return replace(chart, nodes=tuple(nodes))
+
+
+def _grid(automaton: Automaton, start: Key, modes: nx.MultiDiGraph) -> Chart:
+    """Return the product of the regions that have a choice of states, of which there are two."""
+    regions = automaton.regions
+    initial = tuple(r.declared(state) for r, state in zip(regions, start, strict=True))
+    names = [region.name for region in regions]
+    moving = {region.name for region in _moving(automaton)}
+    shown = [k for k, name in enumerate(names) if name in moving]
+    colours = [state_colours((*r.states, *_declared(r))) for r in regions]
+    nodes = tuple(
         Node(
             _name(key),
-            _lines(
-                (region, state)
-                for region, state in zip(automaton.regions, key, strict=True)
-                if region.name in changing
-            ),
-            group="modes of the run",
-            initial=key == trace.start_mode,
-            visits=visits,
+            "\n".join(f"{regions[k].name} {key[k]}" for k in shown),
+            initial=key == initial,
+            infeasible=data.get("reason") or None,
+            colours=tuple(colours[k][key[k]] for k in shown),
         )
-        for key, visits in modes.nodes(data="visits")
-    ]
-    resting: dict[str, list[str]] = {}
-    for region, state in zip(automaton.regions, trace.start_mode, strict=True):
-        if region.name not in changing:
-            resting.setdefault(state, []).append(region.name)
-    # Jumps that differ in their regions alone are one link.
-    taken: dict[tuple[Key, Key, str], Counter[str]] = {}
-    for source, target, data in modes.edges(data=True):
-        if data["visits"]:
-            made = taken.setdefault((source, target, data["event"]), Counter())
-            made[data["region"]] += data["visits"]
-    links = [
-        Link(_name(one), _name(other), f"{', '.join(_cut([*made]))} {event}", "", "", made.total())
-        for (one, other, event), made in taken.items()
-    ]
-    for regions in _alike(automaton.regions):
-        region = regions[0]
-        group = ", ".join(_cut([r.name for r in regions]))
-        if any(other.edges != region.edges for other in regions):
-            group += f"; numbers of {region.name}"
-        nodes += [Node(f"{region.name}:{s}", s, group=group) for s in region.states]
-        links += [
-            Link(
-                f"{region.name}:{edge.source}", f"{region.name}:{edge.target}",
-                edge.cause, edge.guard, edge.reset,
-            )
-            for edge in region.edges
-        ]  # fmt: skip
-    notes = [
-        *_notes(automaton),
-        "too many modes to draw: those that a run visited, and the chart of every region",
-        *(f"always {state}: {', '.join(_cut(names))}" for state, names in resting.items()),
-    ]
-    path = tuple(map(_name, visited(automaton, trace)))
-    return Diagram(automaton.name, tuple(nodes), tuple(links), tuple(notes), path, modes)
-
-
-def _alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
-    """Return regions together whose charts are the same but for numbers."""
-    found: dict[tuple[tuple[str, ...], tuple[tuple[str, ...], ...]], list[Region]] = {}
-    for region in regions:
-        edges = (
-            (e.cause, e.source, e.target, _NUMBER.sub("#", e.guard), _NUMBER.sub("#", e.reset))
-            for e in region.edges
-        )
-        found.setdefault((region.states, tuple(edges)), []).append(region)
-    return found.values()
-
-
-def _cut(names: list[str]) -> list[str]:
-    """Return names for a line of text: of many the first ones, and how many there are."""
-    if len(names) <= _MOST_NAMES:
-        return names
-    return [*names[:3], f"... {names[-1]} ({len(names)} in all)"]
-
-
-def _declared(automaton: Automaton, key: Key) -> Key:
-    return tuple(r.declared(state) for r, state in zip(automaton.regions, key, strict=True))
-
-
-def _sense(automaton: Automaton, margin: Margin) -> str:
-    """Return the sign of what the margin is named after, where that is its negative."""
-    named = automaton.observables.get(margin.name)
-    return "<=" if named is not None and margin.expression == -named else ">="
-
-
-def _node(automaton: Automaton, key: Key, data: Mapping[str, Any], initial: bool) -> Node:
-    visits = data.get("visits")
-    parts: dict[str, Any] = {"label": _lines(zip(automaton.regions, key, strict=True))}
-    if len(key) == 1:
-        (region,), (state,) = automaton.regions, key
-        parts = {"label": state, "invariants": _conditions(automaton, region, state)}
-        if region.declared(state) != state:
-            parts["group"] = region.declared(state)
-    return Node(
-        _name(key),
-        **parts,
-        initial=initial,
-        visits=visits,
-        # What a run visited became possible on its way.
-        infeasible=None if visits else data.get("reason") or None,
+        for key, data in modes.nodes(data=True)
     )
+    plain = [drawn_region(region, directions=False) for region in regions]
+    first, second = (
+        _of(
+            regions[k],
+            region_chart(
+                automaton, plain[k], prefix=f"{regions[k].name}:", start=initial[k], title=names[k]
+            ),
+        )
+        for k in shown
+    )
+    return Chart(nodes, _links(modes), axes=(first, second))
 
 
-def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, ...]:
-    built = region.build(Role(state))
-    prefix = f"{region.name}."
-    # A plain margin is the guard of a transition, which stands on its edge.
-    conditions = [
-        f"{m.name.removeprefix(prefix)} {_sense(automaton, m)} 0"
-        for m in built.margins
-        if m.kind != "plain"
-    ]
-    return (*conditions, *(m.name.removeprefix(prefix) for m in built.invariants))
+def _of(region: Region, chart: Chart) -> Chart:
+    """Return a chart whose frames say of which region they are."""
+    leaves = {node.name for node in chart.leaves}
+    nodes = (
+        node if node.name in leaves else replace(node, label=f"{region.name} {node.label}")
+        for node in chart.nodes
+    )
+    return replace(chart, nodes=tuple(nodes))
 
 
-def _notes(automaton: Automaton, refused: bool = False) -> tuple[str, ...]:
+def _declared(region: Region) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(map(region.declared, region.states)))
+
+
+def _links(modes: nx.MultiDiGraph) -> tuple[Link, ...]:
+    return tuple(
+        Link(
+            _name(source), _name(target), data["event"], data["guard"], data["reset"],
+            region=data["region"],
+        )
+        for source, target, data in modes.edges(data=True)
+    )  # fmt: skip
+
+
+def _run(
+    automaton: Automaton, trace: Trace, modes: nx.MultiDiGraph
+) -> tuple[Chart, tuple[str, ...]]:
+    """Return the modes that a run visited, named by what is not at its default; and notes."""
+    path = passed(automaton, trace)
+    told = path
+    if len(modes) > _MOST_VISITED:
+        told = path[:MOST_STEPS]
+    shown = list(dict.fromkeys(told))
+    regions = list(zip(automaton.regions, zip(*modes, strict=True), strict=True))
+    changing = [k for k, (_, states) in enumerate(regions) if len(set(states)) > 1]
+    changing = changing or [k for k, (r, _) in enumerate(regions) if len(r.states) > 1]
+    changing = changing or list(range(len(regions)))
+    nodes = []
+    for key in shown:
+        label, colours = mode_label([(automaton.regions[k], key[k]) for k in changing])
+        nodes.append(
+            Node(
+                _name(key),
+                label,
+                initial=key == trace.start_mode,
+                visits=modes.nodes[key]["visits"],
+                colours=colours,
+            )
+        )
+    notes = list(_notes(automaton))
+    if len(told) < len(path):
+        notes.append(
+            f"{len(modes)} modes in {len(path)} steps, of which the first {len(told)} are drawn"
+        )
+    resting: dict[str, list[str]] = {}
+    for k, (region, states) in enumerate(regions):
+        if k not in changing and len(region.states) > 1:
+            resting.setdefault(states[0], []).append(region.name)
+    notes += [f"always {state}: {', '.join(cut(names))}" for state, names in resting.items()]
+    links = _taken(automaton, modes, shown)
+    return Chart(tuple(nodes), links, "modes of the run", tuple(map(_name, told))), tuple(notes)
+
+
+def _taken(automaton: Automaton, modes: nx.MultiDiGraph, shown: Sequence[Key]) -> tuple[Link, ...]:
+    """Return the jumps of a run; those that differ in their regions alone are one link."""
+    known = set(shown)
+    made: dict[tuple[Key, Key, str, str, str], Counter[str]] = {}
+    for source, target, data in modes.edges(data=True):
+        if data["visits"] and source in known and target in known:
+            alike = source, target, data["event"], data["guard"], data["reset"]
+            made.setdefault(alike, Counter())[data["region"]] += data["visits"]
+    single = len(_moving(automaton)) == 1
+    return tuple(
+        Link(
+            _name(source), _name(target), event, guard, reset, counts.total(),
+            "" if single else ", ".join(cut([*counts])),
+        )
+        for (source, target, event, guard, reset), counts in made.items()
+    )  # fmt: skip
+
+
+def _notes(automaton: Automaton) -> tuple[str, ...]:
     notes = [automaton.declaration.doc] if automaton.declaration.doc else []
     if automaton.stops:
         notes.append(f"stops when: {', '.join(automaton.stops)}")
-    if refused:
-        notes.append("infeasible: no velocity agrees with the mode where the run starts")
     return tuple(notes)
 
 
-def _name(key: Key) -> str:
+def _name(key: Iterable[str]) -> str:
     return " ".join(key)
-
-
-def _lines(states: Iterable[tuple[Region, str]]) -> str:
-    return "\n".join(f"{region.name}: {state}" for region, state in states)

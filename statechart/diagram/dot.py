@@ -1,212 +1,193 @@
-"""A diagram as DOT, laid out to read like a figure of a textbook."""
+"""A diagram as DOT: charts laid out one by one, put on a page with their legend."""
 
 from __future__ import annotations
 
-import html
 import textwrap
-from collections.abc import Container, Iterable, Sequence
-from itertools import groupby
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
-from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
+from statechart.diagram.block import Block, Box, Point
+from statechart.diagram.flow import flow
+from statechart.diagram.grid import grid
+from statechart.diagram.legend import Guards, Legend, legend, number
+from statechart.diagram.markup import FONT, SMALL, TITLE, Style, plain, table, text
+from statechart.diagram.measure import measured
+from statechart.diagram.model import Chart, Diagram, identifiers
+from statechart.diagram.ring import ring
+from statechart.palette import FRAME, PAPER, RUN
 
-if TYPE_CHECKING:
-    import graphviz
-
-# DejaVu Sans comes with matplotlib, so it is there for png and pdf on a machine without fonts;
-# Verdana has its metrics, so the text of an svg fits where a browser has only that.
-_FONT = "DejaVu Sans,Verdana,sans-serif"
-_INK, _RUN, _FAINT, _FRAME = "#1f2933", "#0b5fa5", "#7b8794", "#52606d"
-_FILL, _FILL_RUN = "#f7f9fb", "#dcecf9"
-_WIDTH = 110
-# Edges a state, from which on their labels side by side would make a drawing too wide to read.
-_CROWDED = 3
+# Width of a page in points, where its charts allow it: a slide of 1000 pixels.
+_WIDTH = 740.0
+# Characters a line of what is below the title, and of a cell of the legend.
+_LINE, _CELL = 110, 44
+_GAP = 18.0
+# 3000 pixels at 144 a inch, which no picture is larger than.
+_LARGEST = "20.8,20.8"
 
 
-def dot(diagram: Diagram) -> str:
+def dot(diagram: Diagram, guards: Guards = "legend") -> str:
     """Render a diagram as DOT source.
 
-    Links between the same two states share one edge, each with its own lines of label. Where
-    a run is shown, what it visited is coloured and counted and what it did not is greyed, and so
-    is an infeasible state with all that leads to it and away.
+    Links between the same two states share one arrow. All places are fixed, so that programs of
+    Graphviz draw what was laid out (layout ``nop2``).
 
     Parameters
     ----------
     diagram : Diagram
         What to draw.
+    guards : str
+        Whether guards, resets and conditions stand once in a legend, or inline at every arrow.
 
     Returns
     -------
     str
-        Source of one directed graph, for the layout engine ``dot``.
+        Source of one directed graph.
+
+    Raises
+    ------
+    StatechartError
+        If Graphviz cannot lay it out.
     """
-    states, groups = identifiers(diagram)
-    graph = _sheet(diagram)
-    for group, nodes in diagram.groups.items():
-        # A frame round a single state would repeat what its label says.
-        if group is None or len(nodes) == 1:
-            for node in nodes:
-                graph.node(states[node.name], **_box(node, diagram))
-            continue
-        with graph.subgraph(name=f"cluster_{groups[group]}") as frame:
-            frame.attr(
-                label=_table([_text(group, size=10, colour=_FRAME)]),
-                style="rounded,dashed",
-                color=_FRAME,
-                # Most edges enter a group from above; below, they do not cross its name.
-                labelloc="b",
-                labeljust="l",
-                margin="14",
-                tooltip=_plain(group),
-            )
-            for node in nodes:
-                frame.node(states[node.name], **_box(node, diagram))
-    if diagram.initial is not None:
-        # No identifier of a state begins with an underscore.
-        graph.node(
-            "_start", label="", shape="circle", width="0.13", style="filled", fillcolor=_INK,
-            color=_INK, tooltip="start",
-        )  # fmt: skip
-        graph.edge("_start", states[diagram.initial.name], color=_INK)
-    refused = {node.name for node in diagram.nodes if node.infeasible is not None}
-    rank = {node.name: i for i, node in enumerate(diagram.nodes)}
-    ordered = sorted(diagram.links, key=lambda link: (rank[link.source], rank[link.target]))
-    for (source, target), links in groupby(ordered, key=lambda link: (link.source, link.target)):
-        graph.edge(states[source], states[target], **_arrow(tuple(links), refused))
-    return str(graph.source)
+    below = legend(diagram, guards)
+    style = Style(identifiers(diagram), guards, below.reasons)
+    several = len(diagram.charts) > 1
+    charts = [
+        _titled(_laid(chart, style, f"_{k}_"), chart.title if several else "", f"_{k}_title")
+        for k, chart in enumerate(diagram.charts)
+        if chart.nodes
+    ]
+    rows = [*_rows([_heading(diagram)]), *_rows(charts), *_rows(_tables(below))]
+    return _source(_stacked(rows, _GAP), diagram.title)
 
 
-def _sheet(diagram: Diagram) -> graphviz.Digraph:
-    """Return a graph with nothing on it but its title."""
-    import graphviz
+def _laid(chart: Chart, style: Style, prefix: str) -> Block:
+    if chart.axes is not None:
+        return grid(chart, style, prefix)
+    return ring(chart, style, prefix) or flow(chart, style, prefix)
 
-    pairs = {(link.source, link.target) for link in diagram.links if link.source != link.target}
-    return graphviz.Digraph(
-        graph_attr={
-            "label": _title(diagram),
-            "labelloc": "t",
-            "fontname": _FONT,
-            "fontcolor": _INK,
-            "rankdir": "LR" if len(pairs) > _CROWDED * len(diagram.nodes) else "TB",
-            "nodesep": "0.2",
-            "ranksep": "0.5",
-            # Else dot ranks a group by itself, puts its partners beside it, and the labels of the
-            # flat edges between them on top of one another.
-            "newrank": "true",
-            "pad": "0.25",
-            "bgcolor": "white",
-        },
-        node_attr={
-            "shape": "box",
-            "style": "rounded,filled",
-            "fontname": _FONT,
-            "fontsize": "12",
-            "margin": "0.18,0.09",
-        },
-        edge_attr={"fontname": _FONT, "fontsize": "9", "arrowsize": "0.7"},
+
+def _heading(diagram: Diagram) -> Block:
+    rows = [text(diagram.title, size=TITLE, bold=True)]
+    rows += [
+        text(line, colour=FRAME)
+        for note in diagram.notes
+        for line in textwrap.wrap(note, _LINE) or [""]
+    ]
+    rows += [text(route, colour=RUN) for route in diagram.routes]
+    return _written("_title", table(rows))
+
+
+def _titled(block: Block, title: str, name: str) -> Block:
+    if not title:
+        return block
+    above = _written(name, table([text(title, bold=True, colour=FRAME)]))
+    return _stacked([above, block], 4.0)
+
+
+def _tables(said: Legend) -> list[Block]:
+    """Return the legend: events, and beside them states and reasons."""
+    events = []
+    if said.events:
+        columns = [
+            ("event", [event.event for event in said.events]),
+            ("from → to", [event.route for event in said.events]),
+            ("when", [event.guard for event in said.events]),
+            ("does", [event.reset for event in said.events]),
+        ]
+        kept = [(head, cells) for head, cells in columns if any(cells)]
+        rows = list(zip(*(cells for _, cells in kept), strict=True))
+        events.append(_table("_events", [head for head, _ in kept], rows))
+    others = []
+    if said.states:
+        others.append(_table("_states", ["state", "while"], said.states))
+    if said.reasons:
+        rows = [(f"{number(k)} {reason}",) for k, reason in enumerate(said.reasons, 1)]
+        others.append(_table("_reasons", ["not possible where the run starts"], rows))
+    return [*events, *([_stacked(others, _GAP, centred=False)] if others else [])]
+
+
+def _table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Block:
+    lines = [[text(word, size=SMALL, italic=True, colour=FRAME) for word in head]]
+    lines += [[text(_wrapped(cell), size=SMALL) for cell in row] for row in rows]
+    # Graphviz knows no space between columns alone.
+    lines = [
+        [part for cell in row for part in (cell, text("   ", size=SMALL))][:-1] for row in lines
+    ]
+    return _written(name, table(lines, padding=2, align="LEFT"))
+
+
+def _wrapped(words: str) -> str:
+    lines = (textwrap.wrap(line, _CELL) or [""] for line in words.split("\n"))
+    return "\n".join(line for part in lines for line in part)
+
+
+def _written(name: str, label: str) -> Block:
+    look = {"shape": "plain", "label": label}
+    size = measured({name: look})[name]
+    return Block(size, (Box(name, (size[0] / 2, size[1] / 2), size, look),))
+
+
+def _rows(blocks: Iterable[Block]) -> list[Block]:
+    """Put blocks beside each other, as many as a page is wide; return the rows."""
+    rows: list[list[Block]] = []
+    for block in blocks:
+        width = block.size[0] + sum(b.size[0] + _GAP for b in rows[-1]) if rows else 0.0
+        if not rows or width > _WIDTH:
+            rows.append([])
+        rows[-1].append(block)
+    return [_beside(row) for row in rows]
+
+
+def _beside(blocks: Sequence[Block]) -> Block:
+    """Put blocks side by side, their tops at one height."""
+    height = max(block.size[1] for block in blocks)
+    placed, x = [], 0.0
+    for block in blocks:
+        placed.append(block.moved((x, height - block.size[1])))
+        x += block.size[0] + _GAP
+    return _joined((x - _GAP, height), placed)
+
+
+def _stacked(blocks: Sequence[Block], gap: float, *, centred: bool = True) -> Block:
+    """Put blocks below each other."""
+    width = max(block.size[0] for block in blocks)
+    placed, y = [], 0.0
+    for block in reversed(blocks):
+        placed.append(block.moved(((width - block.size[0]) / 2 if centred else 0.0, y)))
+        y += block.size[1] + gap
+    return _joined((width, y - gap), placed[::-1])
+
+
+def _joined(size: Point, blocks: Sequence[Block]) -> Block:
+    return Block(
+        size,
+        tuple(box for block in blocks for box in block.boxes),
+        tuple(arrow for block in blocks for arrow in block.arrows),
     )
 
 
-def _title(diagram: Diagram) -> str:
-    rows = [_text(diagram.title, size=16, bold=True)]
-    rows += [
-        _text(line, size=10, colour=_FRAME)
-        for note in diagram.notes
-        for line in textwrap.wrap(note, _WIDTH) or [""]
-    ]
-    run = textwrap.wrap(diagram.route, _WIDTH)
-    rows += [_text(line, size=10, colour=_RUN) for line in run]
-    return _table([*rows, _text(" ", size=6)])
-
-
-def _box(node: Node, diagram: Diagram) -> dict[str, str]:
-    visited = bool(node.visits)
-    faint = node.infeasible is not None or node.visits == 0
-    ink = _FAINT if faint else _INK
-    rows = [_text(node.label, bold=True, colour=ink)]
-    if visited:
-        rows.append(_text(f"x{node.visits}", size=10, colour=_RUN))
-    rows += [_text(line, size=9, colour=ink) for line in node.invariants]
-    loops = [link for link in diagram.links if link.source == link.target == node.name]
-    if loops:
-        rows += [_text(" ", size=3), *_lines(loops, node.infeasible is not None, mark="↻ ")]
-    if node.infeasible is not None:
-        reason = "infeasible: " + node.infeasible
-        rows += [
-            _text(line, size=8, italic=True, colour=_FAINT) for line in textwrap.wrap(reason, 32)
-        ]
-    return {
-        "label": _table(rows),
-        "tooltip": _plain(node.infeasible or node.name),
-        "color": _RUN if visited else _FAINT if faint else _FRAME,
-        "fillcolor": _FILL_RUN if visited else _FILL,
-        "style": "rounded,dashed,filled" if node.infeasible is not None else "rounded,filled",
-        "penwidth": "1.8" if visited else "1",
-        "peripheries": "2" if node.final else "1",
-    }
-
-
-def _arrow(links: Sequence[Link], refused: Container[str]) -> dict[str, str]:
-    source, target = links[0].source, links[0].target
-    faint = source in refused or target in refused
-    label = {}
-    # Other edges cross a label beside a loop, whatever dot is told: its lines are in the box.
-    if source != target:
-        label["label"] = _table(_lines(links, faint), padding=5)
-    visited = any(link.visits for link in links)
-    untaken = faint or all(link.visits == 0 for link in links)
-    return label | {
-        "tooltip": _plain("\n".join(f"{x.cause} [{x.guard}] / {x.reset}" for x in links)),
-        "color": _RUN if visited else _FAINT if untaken else _FRAME,
-        "penwidth": "1.8" if visited else "1",
-    }
-
-
-def _lines(links: Sequence[Link], faint: bool, mark: str = "") -> list[str]:
-    rows: list[str] = []
-    for link in links:
-        ink = _RUN if link.visits else _FAINT if faint or link.visits == 0 else _INK
-        count = f" x{link.visits}" if link.visits else ""
-        rows.append(_text(f"{mark}{link.cause}{count}", size=9, bold=True, colour=ink))
-        if link.guard:
-            rows.append(_text(f"[{link.guard}]", size=9, colour=ink))
-        if link.reset:
-            rows.append(_text(f"/ {link.reset}", size=9, colour=ink))
-    return rows
-
-
-def _table(rows: Iterable[str], padding: int = 0) -> str:
-    cells = "".join(f"<TR><TD>{row}</TD></TR>" for row in rows)
-    table = f'<TABLE BORDER="0" CELLSPACING="0" CELLPADDING="1">{cells}</TABLE>'
-    if padding:
-        # Clear of its own edge, and legible where dot lets another edge pass behind it.
-        table = table.replace("<TABLE", '<TABLE BGCOLOR="white"', 1)
-        frame = f'<TABLE BORDER="0" CELLSPACING="0" CELLPADDING="{padding}">'
-        table = f"{frame}<TR><TD>{table}</TD></TR></TABLE>"
-    return f"<{table}>"
-
-
-def _text(
-    text: str,
-    *,
-    size: int | None = None,
-    bold: bool = False,
-    italic: bool = False,
-    colour: str = _INK,
-) -> str:
-    """Text as part of an HTML-like label, every character of it literal."""
-    lines = printable(text).split("\n")
-    # Graphviz expands \N, \G, ... in HTML-like labels too, and refuses an empty element.
-    body = "<BR/>".join(html.escape(line).replace("\\", "&#92;&#8203;") or " " for line in lines)
-    body = f"<B>{body}</B>" if bold else body
-    body = f"<I>{body}</I>" if italic else body
-    points = f' POINT-SIZE="{size}"' if size else ""
-    return f'<FONT COLOR="{colour}"{points}>{body}</FONT>'
-
-
-def _plain(text: str) -> str:
+def _source(page: Block, title: str) -> str:
     import graphviz
 
-    # A plain copy would lose its type, by which graphviz knows that <...> is not markup.
-    literal: str = graphviz.escape(printable(text))
-    return literal
+    graph = graphviz.Digraph(
+        graph_attr={
+            "layout": "nop2",
+            "bb": f"0,0,{page.size[0]:.2f},{page.size[1]:.2f}",
+            "outputorder": "nodesfirst",
+            "size": _LARGEST,
+            "pad": "0.2",
+            "bgcolor": PAPER,
+            "tooltip": plain(title),
+        },
+        node_attr={"fontname": FONT, "fixedsize": "true"},
+    )
+    for box in page.boxes:
+        width, height = (f"{side / 72:.4f}" for side in box.size)
+        place = f"{box.centre[0]:.2f},{box.centre[1]:.2f}"
+        look = {**box.look, "width": width, "height": height}
+        if look["shape"] == "plain":
+            # A box as large as its text, which a fixed size would make nothing of.
+            look |= {"shape": "none", "margin": "0"}
+        graph.node(box.name, pos=place, **look)
+    for arrow in page.arrows:
+        graph.edge(arrow.source, arrow.target, pos=arrow.course, **arrow.look)
+    return str(graph.source)

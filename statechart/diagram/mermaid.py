@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 
-from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
+from statechart.diagram.legend import TIMES, Guards, Legend, events, legend
+from statechart.diagram.markup import nested
+from statechart.diagram.model import Chart, Diagram, Link, Node, identifiers, printable
+from statechart.palette import CLOSED, FAINT, FRAME, INK
 
 # What Mermaid's lexer acts on inside a label (`stateDiagram.jison`): separators, comments,
 # entities, quotes, and two phrases it looks for anywhere in a line.
@@ -15,51 +20,100 @@ _SPECIAL = re.compile(r"[^\w \n→….,()*/+=^'|!?-]|(?i:(?<=d)irection(?=\s))|(
 _BLANK = "#160;"  # the grammar has no empty label
 
 
-def mermaid(diagram: Diagram) -> str:
-    """Render a diagram as Mermaid text.
+def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
+    """Render a diagram as Mermaid text; a product of two regions as these, beside each other.
 
     Parameters
     ----------
     diagram : Diagram
         What to draw.
+    guards : str
+        Whether guards, resets and conditions stand once in a note, or inline at every arrow.
 
     Returns
     -------
     str
         A ``stateDiagram-v2``, ending with a newline.
     """
-    states, groups = identifiers(diagram)
+    states = identifiers(diagram)
     lines = [
         "---",
         f"title: {json.dumps(printable(diagram.title).replace(chr(10), ' '), ensure_ascii=False)}",
         "---",
         "stateDiagram-v2",
     ]
-    for group, nodes in diagram.groups.items():
-        block = [line for node in nodes for line in _state(node, states[node.name])]
-        if group is not None:
-            block = [f'state "{_escape(group)}" as {groups[group]} {{', *_indent(block), "}"]
-        lines += _indent(block)
-    if diagram.initial is not None:
-        lines.append(f"    [*] --> {states[diagram.initial.name]}")
-    lines += [
-        f"    {states[link.source]} --> {states[link.target]}{_label(link)}"
-        for link in diagram.links
-    ]
-    lines += [f"    {states[node.name]} --> [*]" for node in diagram.nodes if node.final]
-    notes = [*diagram.notes, *filter(None, [diagram.route])]
-    if notes and diagram.nodes:
-        anchor = diagram.initial or diagram.nodes[0]
-        lines.append(f"    note right of {states[anchor.name]}")
-        lines += [f"        {_escape(note)}" for note in notes]
-        lines.append("    end note")
-    lines += _classes(diagram, states)
+    pieces = diagram.pieces
+    for k, piece in enumerate(pieces, 1):
+        if len(pieces) > 1 and not piece.frames:
+            lines.append(f'    state "{_escape(piece.title)}" as {_fresh(f"chart{k}", states)} {{')
+            lines += [*_indent(_indent(_chart(piece, states, guards))), "    }"]
+        else:
+            # Mermaid fails at an arrow to a box in a box that nothing outside is linked to.
+            shown = _told_apart(piece) if len(pieces) > 1 else piece
+            lines += _indent(_chart(shown, states, guards))
+    notes = [*diagram.notes, *diagram.routes, *_told(legend(diagram, guards))]
+    if notes:
+        # A note would stand beside a state and push the others apart.
+        name = _fresh("legend", states)
+        lines.append(f'    state "{_escape(diagram.title)}" as {name}')
+        lines += [f"    {name} : {_escape(note)}" for note in notes]
+    lines += _classes([node for piece in pieces for node in piece.leaves], states)
     return "\n".join(lines) + "\n"
 
 
-def _state(node: Node, identifier: str) -> list[str]:
-    label = _escape(node.label) + _count(node.visits)
-    details = [_escape(line) for line in node.invariants]
+def _fresh(name: str, states: dict[str, str]) -> str:
+    """Return an identifier that no state has."""
+    taken = {identifier.lower() for identifier in states.values()}
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _told_apart(chart: Chart) -> Chart:
+    """Return a chart whose outermost states say which chart they are of."""
+    nodes = (
+        replace(node, label=f"{chart.title} {node.label}")
+        if node.inside is None and not node.label.startswith(chart.title)
+        else node
+        for node in chart.nodes
+    )
+    return replace(chart, nodes=tuple(nodes))
+
+
+def _chart(chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
+    lines = _inside(None, chart, states, guards)
+    arrows: dict[tuple[str, str], list[Link]] = {}
+    for link in chart.links:
+        source, target = link.source, link.target
+        if nested(chart, link) and source != target:
+            # Mermaid refuses an arrow between a state and one around it.
+            link = replace(link, cause=f"{link.cause} → {chart.node(target).label}")
+            target = source
+        arrows.setdefault((source, target), []).append(link)
+    lines += [
+        f"{states[source]} --> {states[target]}{_label(links, guards)}"
+        for (source, target), links in arrows.items()
+    ]
+    return [*lines, *(f"{states[node.name]} --> [*]" for node in chart.nodes if node.final)]
+
+
+def _inside(outer: str | None, chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
+    """Return the states right inside another, and where the chart starts among them."""
+    lines = [line for node in chart.within(outer) for line in _state(node, chart, states, guards)]
+    if chart.initial is not None:
+        active = (chart.initial.name, *chart.around(chart.initial.name))
+        started = next((n.name for n in chart.within(outer) if n.name in active), None)
+        lines += [f"[*] --> {states[started]}"] if started else []
+    return lines
+
+
+def _state(node: Node, chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
+    identifier = states[node.name]
+    label = _escape(node.label) + (f" {TIMES}{node.visits}" if node.visits else "")
+    if chart.within(node.name):
+        block = _indent(_inside(node.name, chart, states, guards))
+        return [f'state "{label}" as {identifier} {{', *block, "}"]
+    details = [_escape(line) for line in node.invariants] if guards == "inline" else []
     if node.infeasible is not None:
         details.append(f"infeasible#58; {_escape(node.infeasible)}")
     return [
@@ -68,34 +122,38 @@ def _state(node: Node, identifier: str) -> list[str]:
     ]
 
 
-def _label(link: Link) -> str:
-    parts = [_escape(link.cause) + _count(link.visits)] if link.cause or link.visits else []
-    if link.guard:
-        parts.append(f"[{_escape(link.guard)}]")
-    if link.reset:
-        parts.append(f"/ {_escape(link.reset)}")
-    return f" : {'<br/>'.join(parts)}" if parts else ""
+def _label(links: list[Link], guards: Guards) -> str:
+    parts: list[str] = []
+    for group in [links] if guards == "legend" else [[link] for link in links]:
+        parts += filter(None, [events(group)])
+        if guards == "inline":
+            parts += [f"[{link.guard}]" for link in group if link.guard]
+            parts += [f"/ {link.reset}" for link in group if link.reset]
+    return f" : {'<br/>'.join(map(_escape, parts))}" if parts else ""
 
 
-def _classes(diagram: Diagram, states: dict[str, str]) -> list[str]:
-    kinds = {
-        "visited": [n for n in diagram.nodes if n.visits],
-        "infeasible": [n for n in diagram.nodes if n.infeasible is not None],
-    }
-    styles = {
-        "visited": "fill:#dcecf9,stroke:#0b5fa5,stroke-width:2px",
-        "infeasible": "color:#8d99a6,stroke:#8d99a6,stroke-dasharray:4",
-    }
+def _told(said: Legend) -> list[str]:
+    """Return the lines of a legend."""
+    lines = []
+    for event in said.events:
+        head = f"{event.event}, {event.route}:" if event.route else f"{event.event}:"
+        lines.append(" / ".join(filter(None, [f"{head} {event.guard}", event.reset])))
+    return [*lines, *(f"{state} while {words}" for state, words in said.states)]
+
+
+def _classes(nodes: Sequence[Node], states: dict[str, str]) -> list[str]:
+    """Return the colours of states, those of one colour together; grey what is not possible."""
+    kinds: dict[str, list[str]] = {}
+    for node in nodes:
+        style = f"fill:{node.colours[0]},stroke:{FRAME},color:{INK}" if node.colours else ""
+        if node.infeasible is not None:
+            style = f"fill:{CLOSED},stroke:{FAINT},color:{FAINT},stroke-dasharray:4"
+        if style:
+            kinds.setdefault(style, []).append(states[node.name])
     lines: list[str] = []
-    for kind, nodes in kinds.items():
-        if nodes:
-            lines.append(f"    classDef {kind} {styles[kind]}")
-            lines.append(f"    class {','.join(states[node.name] for node in nodes)} {kind}")
+    for k, (style, names) in enumerate(kinds.items(), 1):
+        lines += [f"    classDef kind{k} {style}", f"    class {','.join(names)} kind{k}"]
     return lines
-
-
-def _count(visits: int | None) -> str:
-    return f" x{visits}" if visits else ""
 
 
 def _indent(lines: list[str]) -> list[str]:

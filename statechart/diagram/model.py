@@ -20,7 +20,8 @@ _RESERVED = {
     "acctitle", "accdescr", "as", "class", "classdef", "click", "default", "direction", "end",
     "hide", "note", "scale", "state", "statediagram", "style",
 }  # fmt: skip
-_PATH_SHOWN = 12
+# The path of a run is told on one line, of so many characters at most.
+_LONGEST_ROUTE = 110
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +31,11 @@ class Node:
     Parameters
     ----------
     name : str
-        The mode's own name, unique in the diagram, such as ``tip:slide+``.
+        The state's own name, unique in the diagram, such as ``tip:slide+``.
     label : str
         What the reader sees.
-    group : str or None
-        Name of the state that encloses this one, if any (``slide`` of ``slide+``).
+    inside : str or None
+        Name of the state that encloses this one, if any (``tip:slide`` of ``tip:slide+``).
     invariants : tuple of str
         Conditions that hold while the state is active.
     initial, final : bool
@@ -43,16 +44,19 @@ class Node:
         How often a run entered the state; None if no run is shown.
     infeasible : str or None
         Why no motion can be in this state; None if some can.
+    colours : tuple of str
+        Of every line of the label, or of all of them together; none where it has no own colour.
     """
 
     name: str
     label: str
-    group: str | None = None
+    inside: str | None = None
     invariants: tuple[str, ...] = ()
     initial: bool = False
     final: bool = False
     visits: int | None = None
     infeasible: str | None = None
+    colours: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +73,8 @@ class Link:
         The condition it fires on, what it assigns; empty where there is none.
     visits : int or None
         How often a run took it; None if no run is shown.
+    region : str
+        Whose transition it is, where the chart is of several regions.
     """
 
     source: str
@@ -77,57 +83,38 @@ class Link:
     guard: str
     reset: str
     visits: int | None = None
+    region: str = ""
+
+    @property
+    def event(self) -> str:
+        """Whose event, and which."""
+        return f"{self.region} {self.cause}".strip()
 
 
 @dataclass(frozen=True, slots=True)
-class Diagram:
-    """A chart ready to be rendered.
+class Chart:
+    """States and the links between them, drawn as one piece.
 
     Parameters
     ----------
-    title : str
-        Heading.
     nodes : tuple of Node
         States, in the order they are to be listed.
     links : tuple of Link
         Transitions; several between the same two states are allowed.
-    notes : tuple of str
-        Lines shown below the title.
+    title : str
+        What it shows; empty where the diagram is this chart alone.
     path : tuple of str
         Names of nodes in the order a run took them.
-    graph : MultiDiGraph or None
-        The part of the product automaton that is shown, where it was made of one.
-    machine : Machine or None
-        The regions that it was made of, for the format that runs.
-
-    Raises
-    ------
-    StatechartError
-        If two nodes share a name, more than one is initial, or a link or the path names no node.
+    axes : tuple of two Charts or None
+        Of a product of two regions, their charts: nodes are those of the product of the states
+        that hold no others, row by row. A row goes through the states of the second.
     """
 
-    title: str
     nodes: tuple[Node, ...]
     links: tuple[Link, ...]
-    notes: tuple[str, ...] = ()
+    title: str = ""
     path: tuple[str, ...] = ()
-    graph: nx.MultiDiGraph | None = field(default=None, compare=False, repr=False)
-    machine: Machine | None = field(default=None, compare=False, repr=False)
-
-    def __post_init__(self) -> None:
-        names = [node.name for node in self.nodes]
-        known = set(names)
-        if len(known) < len(names):
-            twice = sorted({name for name in names if names.count(name) > 1})
-            raise StatechartError(f"diagram {self.title!r} has two states called {twice[0]!r}")
-        if sum(node.initial for node in self.nodes) > 1:
-            raise StatechartError(f"diagram {self.title!r} has more than one initial state")
-        ends = [end for link in self.links for end in (link.source, link.target)]
-        for name in (*ends, *self.path):
-            if name not in known:
-                raise StatechartError(
-                    f"diagram {self.title!r} refers to {name!r}, which is none of its states"
-                )
+    axes: tuple[Chart, Chart] | None = None
 
     @property
     def initial(self) -> Node | None:
@@ -136,38 +123,150 @@ class Diagram:
 
     @property
     def route(self) -> str:
-        """The path in words, cut where it gets long; empty without a path."""
-        labels = {node.name: " ".join(node.label.split()) for node in self.nodes}
-        shown = [labels[name] for name in self.path[:_PATH_SHOWN]]
-        rest = len(self.path) - len(shown)
-        return " → ".join([*shown, f"… ({rest} more)"] if rest else shown)
+        """The path in words, cut to one line; empty without a path."""
+        labels = {node.name: ", ".join(node.label.split("\n")) for node in self.nodes}
+        told, length = list[str](), 0
+        for name in self.path:
+            length += len(labels[name]) + len(" → ")
+            if told and length > _LONGEST_ROUTE:
+                break
+            told.append(labels[name])
+        rest = len(self.path) - len(told)
+        return " → ".join([*told, f"… ({rest} more)"] if rest else told)
 
     @property
-    def groups(self) -> dict[str | None, tuple[Node, ...]]:
-        """Nodes by the state that encloses them (None: the chart itself), in order."""
-        members: dict[str | None, list[Node]] = {}
-        for node in self.nodes:
-            members.setdefault(node.group, []).append(node)
-        return {group: tuple(nodes) for group, nodes in members.items()}
+    def leaves(self) -> tuple[Node, ...]:
+        """States that hold no others."""
+        holding = {node.inside for node in self.nodes}
+        return tuple(node for node in self.nodes if node.name not in holding)
+
+    @property
+    def frames(self) -> tuple[Node, ...]:
+        """States that hold others."""
+        holding = {node.inside for node in self.nodes}
+        return tuple(node for node in self.nodes if node.name in holding)
+
+    def node(self, name: str) -> Node:
+        """Return a state by its name."""
+        return next(node for node in self.nodes if node.name == name)
+
+    def within(self, name: str | None) -> tuple[Node, ...]:
+        """Return the states right inside another, or inside none."""
+        return tuple(node for node in self.nodes if node.inside == name)
+
+    def around(self, name: str) -> tuple[str, ...]:
+        """Return the states that enclose one, inner first."""
+        inside = {node.name: node.inside for node in self.nodes}
+        found: list[str] = []
+        while (outer := inside[found[-1] if found else name]) is not None:
+            found.append(outer)
+        return tuple(found)
 
 
-def identifiers(diagram: Diagram) -> tuple[dict[str, str], dict[str, str]]:
-    """Give states and groups unique ASCII identifiers that DOT, Mermaid and XML all accept.
+@dataclass(frozen=True, slots=True)
+class Diagram:
+    """What is drawn of a statechart, ready to be rendered; it shows itself in notebooks.
+
+    Parameters
+    ----------
+    title : str
+        Heading.
+    charts : tuple of Chart
+        Its pieces, beside and below each other.
+    notes : tuple of str
+        Lines shown below the title.
+    graph : MultiDiGraph or None
+        The part of the product automaton that is shown, where it was made of one.
+    machine : Machine or None
+        The regions that it was made of, for the format that runs.
+    explained : tuple of Chart
+        Whose events, guards and conditions the legend tells, where not those shown.
+
+    Raises
+    ------
+    StatechartError
+        If two nodes share a name, more than one of a chart is initial, states enclose each other,
+        or a link, a path or what encloses a node names no node of its chart.
+    """
+
+    title: str
+    charts: tuple[Chart, ...]
+    notes: tuple[str, ...] = ()
+    graph: nx.MultiDiGraph | None = field(default=None, compare=False, repr=False)
+    machine: Machine | None = field(default=None, compare=False, repr=False)
+    explained: tuple[Chart, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = [node.name for node in self.nodes]
+        if len(set(names)) < len(names):
+            twice = sorted({name for name in names if names.count(name) > 1})
+            raise StatechartError(f"diagram {self.title!r} has two states called {twice[0]!r}")
+        for chart in (*self.charts, *self.pieces):
+            self._check(chart)
+
+    def _check(self, chart: Chart) -> None:
+        if sum(node.initial for node in chart.nodes) > 1:
+            raise StatechartError(f"diagram {self.title!r} has more than one initial state")
+        inside = {node.name: node.inside for node in chart.nodes}
+        ends = [end for link in chart.links for end in (link.source, link.target)]
+        for name in (*ends, *chart.path, *filter(None, inside.values())):
+            if name not in inside:
+                raise StatechartError(
+                    f"diagram {self.title!r} refers to {name!r}, which is none of its states"
+                )
+        for name in inside:
+            outer, steps = inside[name], 0
+            while outer is not None:
+                outer, steps = inside[outer], steps + 1
+                if steps > len(inside):
+                    raise StatechartError(f"in diagram {self.title!r} {name!r} encloses itself")
+
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """States of all charts."""
+        return tuple(node for chart in self.charts for node in chart.nodes)
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """Transitions of all charts."""
+        return tuple(link for chart in self.charts for link in chart.links)
+
+    @property
+    def pieces(self) -> tuple[Chart, ...]:
+        """Charts as people draw them: of a product, those of its two regions."""
+        return tuple(piece for chart in self.charts for piece in chart.axes or (chart,))
+
+    @property
+    def routes(self) -> tuple[str, ...]:
+        """The paths of charts in words, each on one line."""
+        return tuple(chart.route for chart in self.charts if len(chart.path) > 1)
+
+    def _repr_svg_(self) -> str:
+        from statechart.diagram.dot import dot
+        from statechart.diagram.graphviz_program import render
+
+        return render(dot(self), "svg").decode()
+
+    def _repr_mimebundle_(self, **_: object) -> dict[str, str]:
+        return {"image/svg+xml": self._repr_svg_(), "text/plain": repr(self.title)}
+
+
+def identifiers(diagram: Diagram) -> dict[str, str]:
+    """Give states unique ASCII identifiers that DOT, Mermaid and XML all accept.
 
     Parameters
     ----------
     diagram : Diagram
-        The chart; a state ``tip:slide+`` becomes ``tip_slide_plus``.
+        The states of all its charts and `pieces`; ``tip:slide+`` becomes ``tip_slide_plus``.
 
     Returns
     -------
-    tuple of two dicts of str to str
-        Identifier by name, of the states and of the groups; none occurs twice, whatever the case
-        of its letters, and none begins with an underscore.
+    dict of str to str
+        Identifier by name; none occurs twice, whatever the case of its letters, and none begins
+        with an underscore.
     """
-    taken: set[str] = set()
-    groups = [group for group in diagram.groups if group is not None]
-    return named([node.name for node in diagram.nodes], taken), named(groups, taken)
+    pieces = (node for piece in diagram.pieces for node in piece.nodes)
+    return named(dict.fromkeys(node.name for node in (*diagram.nodes, *pieces)), set())
 
 
 def named(names: Iterable[str], taken: set[str]) -> dict[str, str]:

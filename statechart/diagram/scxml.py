@@ -6,7 +6,7 @@ import re
 import xml.etree.ElementTree as ET
 
 from statechart.diagram.machine import NOTES, SCXML, Written, lost
-from statechart.diagram.model import Diagram, Link, Node, identifiers, printable
+from statechart.diagram.model import Chart, Diagram, Node, identifiers, printable
 
 
 def scxml(diagram: Diagram) -> str:
@@ -28,30 +28,27 @@ def scxml(diagram: Diagram) -> str:
         An indented XML document, ending with a newline.
     """
     if diagram.machine is not None:
-        written = Written(diagram.machine)
-        root = written.root
+        root = Written(diagram.machine).root
         _annotate(root, title=diagram.title, notes="\n".join(diagram.notes))
         for place, sentence in enumerate(lost(diagram.machine)):
             # Two hyphens would end a comment.
             words = f" not said: {printable(sentence).replace('--', '- -')} "
             root.insert(place, ET.Comment(words))
         return _text(root)
-    states, groups = identifiers(diagram)
+    states = identifiers(diagram)
     root = ET.Element("scxml", {"xmlns": SCXML, "xmlns:diagram": NOTES, "version": "1.0"})
-    if diagram.initial is not None:
-        root.set("initial", states[diagram.initial.name])
+    initial = next((chart.initial for chart in diagram.charts if chart.initial), None)
+    if initial is not None:
+        root.set("initial", states[initial.name])
     _annotate(root, title=diagram.title, notes="\n".join(diagram.notes))
-    _annotate(root, path=" ".join(states[name] for name in diagram.path))
-    leaving: dict[str, list[Link]] = {node.name: [] for node in diagram.nodes}
-    for link in diagram.links:
-        leaving[link.source].append(link)
-    for group, nodes in diagram.groups.items():
+    for chart in diagram.charts:
         parent = root
-        if group is not None:
-            parent = ET.SubElement(root, "state", {"id": groups[group]})
-            _annotate(parent, label=group)
-        for node in nodes:
-            _state(parent, node, leaving[node.name], states)
+        if len(diagram.charts) > 1:
+            parent = ET.SubElement(root, "state")
+            _annotate(parent, label=chart.title)
+        _annotate(parent, path=" ".join(states[name] for name in chart.path))
+        for node in chart.within(None):
+            _state(parent, node, chart, states)
     return _text(root)
 
 
@@ -60,9 +57,11 @@ def _text(root: ET.Element) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _state(parent: ET.Element, node: Node, leaving: list[Link], states: dict[str, str]) -> None:
-    # A <final> may hold no transitions.
-    tag = "final" if node.final and not leaving else "state"
+def _state(parent: ET.Element, node: Node, chart: Chart, states: dict[str, str]) -> None:
+    leaving = [link for link in chart.links if link.source == node.name]
+    inner = chart.within(node.name)
+    # A <final> may hold neither transitions nor states.
+    tag = "final" if node.final and not leaving and not inner else "state"
     element = ET.SubElement(parent, tag, {"id": states[node.name]})
     _annotate(
         element,
@@ -74,12 +73,14 @@ def _state(parent: ET.Element, node: Node, leaving: list[Link], states: dict[str
     )
     for link in leaving:
         transition = ET.SubElement(element, "transition")
-        if event := re.sub(r"[^\w-]+", ".", printable(link.cause)).strip("."):
+        if event := re.sub(r"[^\w-]+", ".", printable(link.event)).strip("."):
             transition.set("event", event)
         if link.guard:
             transition.set("cond", printable(link.guard))
         transition.set("target", states[link.target])
         _annotate(transition, reset=link.reset, visits=link.visits)
+    for other in inner:
+        _state(element, other, chart, states)
 
 
 def _annotate(element: ET.Element, **values: str | int | None) -> None:

@@ -10,46 +10,60 @@ from statechart.automaton.product import feasibility
 from statechart.automaton.product import graph as product
 from statechart.automaton.trace import Key, Trace
 from statechart.diagram.build import build, needs_run
+from statechart.diagram.legend import GUARDS, Guards
 from statechart.diagram.machine import Machine
 from statechart.diagram.model import Diagram
 from statechart.diagram.write import write
 from statechart.documents.declaration import TIME, Declaration
+from statechart.errors import StatechartError
 from statechart.running.runner import Runner
 
 if TYPE_CHECKING:
     import networkx as nx
 
 
-def draw(model: Declaration | str | Path, path: str | Path, *, visited: bool = False) -> Path:
+def draw(
+    model: Declaration | str | Path,
+    path: str | Path | None = None,
+    *,
+    visited: bool = False,
+    guards: Guards = "legend",
+) -> Diagram:
     """Draw the statechart of a model.
 
-    One region is drawn as its own chart, several as their product up to a bound; above it, what a
-    run visits and the chart of every region.
+    One region is drawn as its own chart, two as the grid of their product. Of more, and of two with
+    many states, what a run visits is drawn, and the chart of every region.
 
     Parameters
     ----------
     model : Declaration, str or Path
         A model, the path of its file, or the name of a shipped one.
-    path : str or Path
+    path : str or Path, optional
         What to write; its suffix says how: .svg, .png, .pdf, .dot, .mmd, .scxml or
         .graphml.
     visited : bool
-        Whether the path of a run is shown.
+        Whether the modes and the path of a run are drawn, and nothing else.
+    guards : str
+        Whether guards, resets and conditions stand once in a ``legend``, or ``inline`` at every
+        arrow.
 
     Returns
     -------
-    Path
-        What was written.
+    Diagram
+        What was drawn; a notebook shows it.
 
     Raises
     ------
     StatechartError
-        If the model is wrong or cannot be run where a run is shown, or Graphviz is missing where a
-        picture is asked for.
+        If the model is wrong or cannot be run where a run is shown, the suffix or `guards` is not
+        known, or Graphviz is missing where a picture is asked for.
     """
-    path = Path(path)
-    write(drawn(Runner(model), visited=visited)[0], path)
-    return path
+    if guards not in GUARDS:
+        raise StatechartError(f"guards is one of {', '.join(GUARDS)}, not {guards!r}")
+    diagram, _ = drawn(Runner(model), visited=visited)
+    if path is not None:
+        write(diagram, Path(path), guards)
+    return diagram
 
 
 def graph(
@@ -119,7 +133,7 @@ def drawn(runner: Runner, *, visited: bool = False) -> tuple[Diagram, Trace | No
         trace = runner.run(throw=False).trace
     setup = runner.setup()
     found = feasibility(runner.automaton, setup, setup.initial, 0.0)
-    diagram = build(runner.automaton, start, trace, found)
+    diagram = build(runner.automaton, start, trace, found, visited=visited)
     automaton = runner.automaton
     values = dict(zip(automaton.parameter_names, setup.values.tolist(), strict=True))
     values |= dict(zip(automaton.names, setup.initial.tolist(), strict=True))

@@ -68,10 +68,9 @@ def test_its_picture_has_the_modes_visited_and_one_chart_for_all_contacts() -> N
     found = feasibility(runner.automaton, setup, setup.initial, 0.0)
     assert found is None
     diagram = build(runner.automaton, start, runner.run().trace, found)
-    assert [node.label for node in diagram.groups["modes of the run"]] == [
-        "c0: free", "c0: slide-", "c0: slide+",
-    ]  # fmt: skip
-    assert len(diagram.nodes) == 3 + 4
+    run, chart = diagram.charts
+    assert [node.label for node in run.nodes] == ["free", "slide-", "slide+"]
+    assert [node.name for node in chart.leaves] == ["c0:free", "c0:slide+", "c0:slide-", "c0:pin"]
     assert "always free: c1, c2, c3, ... c19 (19 in all)" in diagram.notes
-    assert "c0, c1, c2, ... c19 (20 in all)" in diagram.groups
+    assert chart.title == "c0, c1, c2, ... c19 (20 in all)"
     assert len(dot(diagram)) < 50_000

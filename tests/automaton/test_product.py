@@ -104,10 +104,11 @@ def test_without_more_the_start_is_the_centre() -> None:
 
 
 def test_graphml_reads_back_equal(tmp_path: Path) -> None:
-    path = statechart.draw(BAR, tmp_path / "bar.graphml", visited=True)
+    path = tmp_path / "bar.graphml"
+    statechart.draw(BAR, path, visited=True)
     read = nx.read_graphml(path, edge_key_type=int, force_multigraph=True)
     trace = statechart.run(BAR).trace
-    modes = statechart.graph(BAR, trace=trace, directions=False)
+    modes = statechart.graph(BAR, trace=trace, within=0)
     shown = nx.relabel_nodes(modes, dict(modes.nodes(data="label")))
     assert nx.utils.nodes_equal(read.nodes(data=True), shown.nodes(data=True))
     assert nx.utils.edges_equal(

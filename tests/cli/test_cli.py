@@ -184,6 +184,7 @@ def test_set_takes_numbers_and_formulas_of_numbers(cli: Cli, text: str, value: f
         ("run", "bouncing_ball", "--accuracy", "0"), ("run", "bouncing_ball", "--tolerance", "1"),
         ("run", "no_such_model"), ("run", "."), ("validate", "a\0b"), ("modes", ""),
         ("draw", "bouncing_ball"), ("draw", "bouncing_ball", "-o", "a.gif"),
+        ("draw", "bouncing_ball", "-o", "a.svg", "--guards", "below"),
         ("check", "bouncing_ball", "--examples", "0"), ("check", "bouncing_ball", "--seed", "x"),
         ("schema", "statue"), ("new",), ("new", "../a"), ("new", "1a"), ("new", "a b"),
         ("new", "sqrt"),
@@ -341,8 +342,18 @@ def test_draw_shows_the_path_that_a_run_took(cli: Cli) -> None:
     assert cli("draw", "toppling_stick", "-o", "chart.mmd", "--visited")[0] == 0
     text = (cli.folder / "chart.mmd").read_text(encoding="utf-8")
     assert "pin → slide- → slide+" in text
-    assert "slip x1" in text
-    assert "reverse x1" in text
+    assert "slip #215;1" in text
+    assert "reverse #215;1" in text
+    assert "free" not in text.split("classDef")[0].split("legend :")[0]
+
+
+def test_draw_says_guards_at_every_arrow_where_asked(cli: Cli) -> None:
+    for guards in ("legend", "inline"):
+        assert cli("draw", "two_balls", "-o", f"{guards}.mmd", "--guards", guards)[0] == 0
+    told = [(cli.folder / f"{g}.mmd").read_text(encoding="utf-8") for g in ("legend", "inline")]
+    assert [text.count("V #60; 0") for text in told] == [1, 1]
+    assert "legend : liftoff" in told[0]
+    assert "legend : liftoff" not in told[1]
 
 
 def test_draw_into_a_missing_folder_exits_with_one(cli: Cli) -> None:

@@ -10,6 +10,8 @@ from runs import automaton, run
 from statechart.automaton.product import feasibility
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
+from statechart.diagram.legend import legend
+from statechart.diagram.region import mode_label
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 
@@ -36,6 +38,8 @@ def switches(count: int) -> Runner:
     return Runner(read_text(text))
 
 
+MODES = ("free", "slide", "pin")
+
 BAR = """\
 kind: scene
 name: bar
@@ -49,43 +53,78 @@ stop: {time: 0.1}
 """
 
 
-def test_one_contact_is_drawn_with_its_directions_of_sliding() -> None:
+def test_one_contact_is_drawn_as_boxes_in_boxes() -> None:
     runner = Runner("toppling_stick")
     diagram = build(runner.automaton, runner.start()[0])
-    assert [node.label for node in diagram.nodes] == ["free", "slide+", "slide-", "pin"]
-    assert diagram.groups["slide"] == diagram.nodes[1:3]
-    assert diagram.initial is not None
-    assert diagram.initial.label == "pin"
-    assert diagram.nodes[1].invariants == ("V >= 0", "slip >= 0")
-    assert diagram.nodes[2].invariants == ("V >= 0", "slip <= 0")
+    (chart,) = diagram.charts
+    inside = {node.name: node.inside for node in chart.nodes}
+    assert inside == {
+        "free": None, "closed": None, "pin": "closed", "slide": "closed",
+        "slide+": "slide", "slide-": "slide",
+    }  # fmt: skip
+    assert [node.name for node in chart.leaves] == ["free", "slide+", "slide-", "pin"]
+    assert chart.initial is not None
+    assert chart.initial.label == "pin"
+    held = {node.name: node.invariants for node in chart.nodes}
+    assert held["slide+"] == ("V >= 0", "slip >= 0")
+    assert held["slide-"] == ("V >= 0", "slip <= 0")
     assert all(part.visits is None for part in (*diagram.nodes, *diagram.links))
+    ends = {(link.source, link.cause, link.target) for link in chart.links}
+    assert {("closed", "liftoff", "free"), ("free", "touchdown", "closed")} <= ends
+    assert ("slide", "stick", "pin") in ends
+    assert sum(link.cause in ("liftoff", "touchdown", "stick") for link in chart.links) == 3
 
 
-def test_two_contacts_have_nine_modes_and_guards_of_both_directions() -> None:
+def test_a_choice_of_targets_says_what_each_resets() -> None:
+    runner = Runner("toppling_stick")
+    (chart,) = build(runner.automaton, runner.start()[0]).charts
+    (touchdown,) = [link for link in chart.links if link.cause == "touchdown"]
+    assert touchdown.reset.split("\n") == [
+        "to slide: impact; dgap := 0",
+        "to pin: impact; dgap := 0, slip := 0",
+    ]
+
+
+def test_two_contacts_are_a_grid_of_nine_modes_with_guards_of_both_directions() -> None:
     runner = Runner(read_text(BAR))
     assert not needs_run(runner.automaton)
     diagram = build(runner.automaton, runner.start()[0])
-    assert len(diagram.nodes) == 9
-    slips = [link for link in diagram.links if link.cause == "A slip"]
+    (chart,) = diagram.charts
+    assert [node.name for node in chart.nodes] == [
+        f"{a} {b}" for a in ("free", "slide", "pin") for b in ("free", "slide", "pin")
+    ]
+    assert chart.axes is not None
+    for name, axis in zip("AB", chart.axes, strict=True):
+        assert [node.label for node in axis.frames] == [f"{name} closed"]
+        assert [node.name for node in axis.leaves] == [f"{name}:{s}" for s in MODES]
+    slips = [link for link in diagram.links if link.event == "A slip"]
     assert {link.guard for link in slips} == {"H < -mu V or H > mu V"}
     assert {(link.source, link.target) for link in slips} == {
-        (f"pin {other}", f"slide {other}") for other in ("free", "slide", "pin")
+        (f"pin {other}", f"slide {other}") for other in MODES
     }
+
+
+def test_a_region_without_a_choice_is_not_drawn() -> None:
+    runner = Runner("simplest_walker")
+    assert [len(region.states) for region in runner.automaton.regions] == [1, 2]
+    (chart,) = build(runner.automaton, runner.start()[0]).charts
+    assert [node.name for node in chart.nodes] == ["above", "below"]
 
 
 def test_counts_follow_the_jumps_of_the_run() -> None:
     runner = switches(2)
     trace = runner.run().trace
-    diagram = build(runner.automaton, trace.start_mode, trace)
-    taken = sum(link.visits or 0 for link in diagram.links)
+    diagram = build(runner.automaton, trace.start_mode, trace, visited=True)
+    (chart,) = diagram.charts
+    taken = sum(link.visits or 0 for link in chart.links)
     assert taken == len(trace.jumps) == 6
-    assert len(diagram.path) == len(trace.modes)
-    entered = {node.name: node.visits for node in diagram.nodes}
-    assert entered == {name: diagram.path.count(name) for name in entered}
+    assert len(chart.path) == len(trace.modes)
+    entered = {node.name: node.visits for node in chart.nodes}
+    assert entered == {name: chart.path.count(name) for name in entered}
     assert entered["off off"] == 2
 
 
-def test_of_too_many_modes_those_visited_are_drawn_beside_every_region() -> None:
+def test_of_too_many_modes_those_visited_are_drawn_and_every_region() -> None:
     runner = switches(5)
     assert runner.automaton.modes_declared == 32
     assert needs_run(runner.automaton)
@@ -93,10 +132,47 @@ def test_of_too_many_modes_those_visited_are_drawn_beside_every_region() -> None
         build(runner.automaton, runner.start()[0])
     trace = runner.run().trace
     diagram = build(runner.automaton, trace.start_mode, trace)
-    visited = diagram.groups["modes of the run"]
-    assert {node.name for node in visited} == {" ".join(key) for key in trace.modes}
-    assert len(diagram.nodes) == len(visited) + 5 * 2
-    assert any("too many modes" in note for note in diagram.notes)
+    run, *charts = diagram.charts
+    assert {node.name for node in run.nodes} == {" ".join(key) for key in trace.modes}
+    assert [chart.title for chart in charts] == ["a", "b", "c", "d", "e"]
+    alone = build(runner.automaton, trace.start_mode, trace, visited=True)
+    assert alone.charts == (run,)
+    assert legend(alone) == legend(diagram)
+
+
+def test_of_a_run_through_many_modes_the_first_steps_are_drawn() -> None:
+    runner = switches(8)
+    trace = runner.run().trace
+    assert len(set(trace.modes)) > 12
+    diagram = build(runner.automaton, trace.start_mode, trace)
+    run = diagram.charts[0]
+    assert run.path == tuple(" ".join(key) for key in trace.modes[:16])
+    assert any("of which the first 16 are drawn" in note for note in diagram.notes)
+
+
+def test_modes_are_named_by_what_is_not_at_its_default() -> None:
+    regions = automaton("woodpecker").regions
+    names = [
+        mode_label(list(zip(regions, states, strict=True)))[0]
+        for states in (
+            ("free", "free", "free"),
+            ("free", "slide+", "free"),
+            ("pin", "free", "slide-"),
+        )
+    ]
+    last = f"{regions[0].name} pin\n{regions[2].name} slide-"
+    assert names == ["all free", f"{regions[1].name} slide+", last]
+    controller = Runner("hopper").automaton.regions[-1]
+    assert mode_label([(controller, "swing")])[0] == "swing"
+
+
+def test_a_mode_of_many_closed_contacts_is_named_by_their_states() -> None:
+    region = automaton("woodpecker").regions[0]
+    contacts = [replace(region, name=f"c{k}") for k in range(12)]
+    states = ["pin"] * 10 + ["slide+", "free"]
+    label, colours = mode_label(list(zip(contacts, states, strict=True)))
+    assert label == "pin: c0, c1, c2, ... c9 (10 in all)\nslide+: c10"
+    assert len(colours) == 2
 
 
 def test_a_jump_of_several_regions_at_once_is_a_link_of_its_own() -> None:
@@ -109,7 +185,7 @@ def test_a_jump_of_several_regions_at_once_is_a_link_of_its_own() -> None:
     (link,) = [
         link for link in diagram.links if link.source == "off off" and link.target == "on on"
     ]
-    assert (link.cause, link.visits) == ("a turn", 1)
+    assert (link.event, link.visits) == ("a turn", 1)
 
 
 def test_modes_that_are_not_possible_say_why_unless_the_run_went_there() -> None:
@@ -121,21 +197,60 @@ def test_modes_that_are_not_possible_say_why_unless_the_run_went_there() -> None
     refused = {node.name: node.infeasible for node in diagram.nodes if node.infeasible}
     assert set(refused) == {"slide pin", "pin slide"}
     assert refused["slide pin"] == "B without slip leaves A no slip"
-    assert any(note.startswith("infeasible: ") for note in diagram.notes)
-    grey = dot(diagram)
-    assert grey.count("infeasible: ") >= 2
+    drawn = dot(diagram)
+    for reason in legend(diagram).reasons:
+        assert f"{reason}<" in drawn
     trace = runner.run().trace
     went = replace(trace, start_mode=("slide+", "pin"), jumps=())
     shown = build(runner.automaton, start, went, found)
-    assert {node.name for node in shown.nodes if node.infeasible} == {"pin slide"}
+    assert not any(node.infeasible for node in shown.nodes)
 
 
 def test_regions_that_differ_by_a_number_share_one_chart():
     trace = run("rimless_wheel", "taylor", until=2.0)
     diagram = build(automaton("rimless_wheel"), trace.start_mode, trace)
-    groups = dict.fromkeys(node.group for node in diagram.nodes)
-    assert list(groups) == [
+    assert [chart.title for chart in diagram.charts] == [
         "modes of the run",
         "s0, s1, s2, s3",
         "s4, s5, s6, ... s15 (12 in all); numbers of s4",
     ]
+
+
+RESUMED = """
+kind: chart
+name: resumed
+variables: {x: 0}
+regions:
+  job:
+    initial: work
+    states:
+      work:
+        initial: first
+        states:
+          first: {flows: {x: 1}}
+          second: {flows: {x: 2}}
+          last: {history: shallow}
+        transitions: [{name: onward, from: first, to: second, guard: x >= 1}]
+      pause: {}
+    transitions:
+      - {name: stop, from: work, to: pause, guard: x >= 2}
+      - {name: go, from: pause, to: last, guard: time >= 4}
+stop: {time: 1}
+"""
+
+
+def test_nested_states_of_a_controller_are_drawn_as_declared_with_their_history() -> None:
+    runner = Runner(read_text(RESUMED))
+    (chart,) = build(runner.automaton, runner.start()[0]).charts
+    shown = {node.label: (node.inside, node.initial) for node in chart.nodes}
+    assert shown == {
+        "work": (None, False),
+        "first": ("work", True),
+        "second": ("work", False),
+        "pause": (None, False),
+        "H": ("work", False),
+    }
+    ends = [(link.source, link.cause, link.target) for link in chart.links]
+    assert sorted(ends) == [
+        ("first", "onward", "second"), ("pause", "go", "last"), ("work", "stop", "pause"),
+    ]  # fmt: skip

@@ -27,7 +27,7 @@ from contacts import (
     Slide,
     Surface,
 )
-from statechart import Chart, Outcome, Result, Runner, Stop, Trace, Value
+from statechart import Chart, Diagram, Outcome, Result, Runner, Stop, Trace, Value
 
 
 def sled() -> Scene:
@@ -55,8 +55,10 @@ def test_a_scene_is_built_run_drawn_and_its_run_kept(tmp_path: Path) -> None:
     outcome: Outcome = trace.outcome
     assert outcome is Outcome.HORIZON
     assert Runner(scene).run().trace.modes == trace.modes
-    path: Path = statechart.draw(scene, tmp_path / "sled.dot")
+    path = tmp_path / "sled.dot"
+    drawn: Diagram = statechart.draw(scene, path)
     assert "pin" in path.read_text(encoding="utf-8")
+    assert "pin" in drawn._repr_svg_()
     modes: nx.MultiDiGraph = statechart.graph(scene, trace=trace, around=("pin",), within=1)
     assert modes.nodes["pin",]["visits"] == 1
 

@@ -1,0 +1,84 @@
+"""Graphviz in this process: source in, a picture or a layout out."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+from statechart.errors import StatechartError
+
+
+def render(source: str, form: str) -> bytes:
+    """Run Graphviz on DOT source.
+
+    Parameters
+    ----------
+    source : str
+        One graph, for the layout engine ``dot`` unless it names another.
+    form : str
+        What to return: svg, png, pdf, or json for a layout.
+
+    Raises
+    ------
+    StatechartError
+        If Graphviz does not make it.
+    """
+    import pygraphviz
+
+    with tempfile.TemporaryFile() as said, _bundled_fonts():
+        try:
+            with _stderr_into(said.fileno()):
+                graph = pygraphviz.AGraph(string=source)
+                sharp = "-Gdpi=144" if form == "png" else ""
+                data = graph.draw(format=form, prog="dot", args=sharp)
+        except (ValueError, OSError, pygraphviz.DotError) as error:
+            said.seek(0)
+            remarks = said.read().decode(errors="replace").strip()
+            raise StatechartError(f"Graphviz made no {form}: {error} {remarks}".strip()) from error
+    return bytes(data)
+
+
+@contextmanager
+def _stderr_into(descriptor: int) -> Iterator[None]:
+    """Keep what Graphviz and fontconfig say about their own settings out of the user's sight."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    os.dup2(descriptor, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+@contextmanager
+def _bundled_fonts() -> Iterator[None]:
+    """Let Graphviz use the fonts that matplotlib carries: a picture is the same on every machine.
+
+    The first drawing of a process fixes its fonts (fontconfig is initialised once), which is why
+    the variable need not stay. A setting of the user's own is respected.
+    """
+    package = find_spec("matplotlib")
+    if "FONTCONFIG_FILE" in os.environ or package is None or package.origin is None:
+        yield
+        return
+    fonts = Path(package.origin).parent / "mpl-data" / "fonts" / "ttf"
+    with tempfile.TemporaryDirectory() as folder:
+        settings = Path(folder) / "fonts.conf"
+        settings.write_text(
+            '<?xml version="1.0"?><!DOCTYPE fontconfig SYSTEM "fonts.dtd"><fontconfig>'
+            f"<dir>{escape(str(fonts))}</dir><cachedir>{escape(folder)}</cachedir>"
+            "<config><rescan><int>0</int></rescan></config></fontconfig>",
+            encoding="utf-8",
+        )
+        os.environ["FONTCONFIG_FILE"] = str(settings)
+        try:
+            yield
+        finally:
+            del os.environ["FONTCONFIG_FILE"]

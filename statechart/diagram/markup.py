@@ -1,0 +1,189 @@
+"""Labels of Graphviz: HTML-like tables in which every character of a text is literal."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from statechart.diagram.legend import TIMES, Guards, drawn_once, events, mark
+from statechart.diagram.model import Chart, Link, Node, printable
+from statechart.palette import CLOSED, FAINT, FRAME, INK, PAPER, RUN
+
+# DejaVu Sans comes with matplotlib, so it is there for png and pdf on a machine without fonts;
+# Verdana has its metrics, so the text of an svg fits where a browser has only that.
+FONT = "DejaVu Sans,Verdana,sans-serif"
+SMALL, LABEL, STATE, TITLE = 9, 10, 12, 16
+"""Sizes of type in points; a picture of 750 pt is a slide of 1000 px."""
+
+FRAMES = {
+    "shape": "box", "style": "rounded,filled", "label": "", "color": FRAME, "fillcolor": CLOSED,
+}  # fmt: skip
+"""How a box looks that holds states."""
+
+START = {
+    "shape": "circle", "style": "filled", "label": "", "width": "0.13", "fillcolor": INK,
+    "color": INK, "tooltip": "start",
+}  # fmt: skip
+"""How the dot looks from which the first arrow comes."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """How the states of a diagram are drawn.
+
+    Attributes
+    ----------
+    names : mapping
+        Name of a node -> its identifier.
+    guards : str
+        See `Guards`.
+    reasons : tuple of str
+        Why states are infeasible, in the order of their numbers.
+    """
+
+    names: Mapping[str, str]
+    guards: Guards
+    reasons: tuple[str, ...]
+
+
+def text(
+    words: str,
+    *,
+    size: int = LABEL,
+    bold: bool = False,
+    italic: bool = False,
+    colour: str = INK,
+) -> str:
+    """Return text as part of an HTML-like label."""
+    lines = printable(words).split("\n")
+    # Graphviz expands \N, \G, ... in HTML-like labels too, and refuses an empty element.
+    body = "<BR/>".join(html.escape(line).replace("\\", "&#92;&#8203;") or " " for line in lines)
+    body = f"<B>{body}</B>" if bold else body
+    body = f"<I>{body}</I>" if italic else body
+    return f'<FONT COLOR="{colour}" POINT-SIZE="{size}">{body}</FONT>'
+
+
+def table(rows: Iterable[Sequence[str] | str], *, padding: int = 1, align: str = "") -> str:
+    """Return rows of cells as a label; a row that is no list is one cell."""
+    side = f' ALIGN="{align}" BALIGN="{align}" VALIGN="TOP"' if align else ""
+    cells = "".join(
+        "<TR>"
+        + "".join(f"<TD{side}>{cell}</TD>" for cell in ((row,) if isinstance(row, str) else row))
+        + "</TR>"
+        for row in rows
+    )
+    return f'<<TABLE BORDER="0" CELLSPACING="0" CELLPADDING="{padding}">{cells}</TABLE>>'
+
+
+def plain(words: str) -> str:
+    """Return text as an attribute that is no markup."""
+    import graphviz
+
+    # A plain copy would lose its type, by which graphviz knows that <...> is not markup.
+    literal: str = graphviz.escape(printable(words))
+    return literal
+
+
+def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
+    """Return how a state that holds no others looks, its own loops among its lines."""
+    faint = node.infeasible is not None
+    ink = FAINT if faint else INK
+    lines = (node.label + mark(node, style.reasons)).split("\n")
+    rows = [text(line, size=STATE, bold=True, colour=ink) for line in lines]
+    fill = CLOSED if faint else PAPER
+    if not faint and len(node.colours) == 1:
+        fill = node.colours[0]
+    elif not faint and len(node.colours) == len(rows):
+        rows = [_bar(row, colour) for row, colour in zip(rows, node.colours, strict=True)]
+    if node.visits:
+        rows.append(text(f"{TIMES}{node.visits}", bold=True, colour=RUN))
+    if style.guards == "inline":
+        rows += [text(line, size=SMALL, colour=ink) for line in node.invariants]
+    rows += [text(f"↻ {line}", colour=ink) for line in _own(node, chart, style)]
+    return {
+        "shape": "box",
+        "style": "rounded,dashed,filled" if faint else "rounded,filled",
+        "margin": "0.12,0.06",
+        "label": _rows(rows),
+        "color": FAINT if faint else FRAME,
+        "fillcolor": fill,
+        "tooltip": plain(node.infeasible or node.name),
+        "peripheries": "2" if node.final else "1",
+    }
+
+
+def frame_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
+    """Return how the name of a state looks that holds others, with what is its own."""
+    rows = [text(node.label, bold=True, colour=FRAME)]
+    if style.guards == "inline":
+        rows += [text(line, size=SMALL) for line in node.invariants]
+    rows += [text(f"↻ {line}") for line in _own(node, chart, style)]
+    return {"shape": "plain", "label": table(rows, align="LEFT")}
+
+
+def arrow_look(
+    links: Sequence[Link], style: Style, *, narrow: bool = False, counted: bool = True
+) -> dict[str, str] | None:
+    """Return how the words on an arrow look, narrow ones below each other; None without words."""
+    lines = _spoken(links if counted else [replace(x, visits=None) for x in links], style)
+    if narrow:
+        lines = [part for line in lines for part in line.replace(", ", ",\n").split("\n")]
+    if not lines:
+        return None
+    rows = [text(line, colour=arrow(links)["color"]) for line in lines]
+    return {"shape": "plain", "label": table(rows, padding=2)}
+
+
+def arrow(links: Sequence[Link]) -> dict[str, str]:
+    """Return how the line of an arrow looks."""
+    said = "\n".join(f"{x.event} [{x.guard}] / {x.reset}" for x in links)
+    return {
+        "arrowsize": "0.7",
+        "color": RUN if any(link.visits for link in links) else INK,
+        "tooltip": plain(said),
+    }
+
+
+def nested(chart: Chart, link: Link) -> bool:
+    """Return whether a link stays in a state, so that no arrow between two boxes can show it."""
+    return (
+        link.source == link.target
+        or link.source in chart.around(link.target)
+        or link.target in chart.around(link.source)
+    )
+
+
+def _own(node: Node, chart: Chart, style: Style) -> list[str]:
+    """Return lines on links from a state to itself, or to a state around it or in it."""
+    if chart.axes is not None:
+        loops = [x for x in chart.links if x.source == x.target == node.name]
+        return list(filter(None, [events(replace(x, region="") for x in loops)]))
+    labels = {other.name: other.label for other in chart.nodes}
+    lines: list[str] = []
+    for (source, target), links in drawn_once(chart).items():
+        if source == node.name and nested(chart, links[0]):
+            to = "" if target == source else f" → {labels[target]}"
+            lines += [line + to for line in _spoken(links, style)]
+    return lines
+
+
+def _spoken(links: Sequence[Link], style: Style) -> list[str]:
+    """Return the lines that stand at an arrow."""
+    if style.guards == "legend":
+        return list(filter(None, [events(links)]))
+    lines: list[str] = []
+    for link in links:
+        lines += filter(None, [events([link])])
+        lines += [f"[{link.guard}]"] if link.guard else []
+        lines += [f"/ {line}" for line in link.reset.split("\n")] if link.reset else []
+    return lines
+
+
+def _bar(row: str, colour: str) -> str:
+    return f'<TD BGCOLOR="{colour}" CELLPADDING="3">{row}</TD>'
+
+
+def _rows(rows: Iterable[str]) -> str:
+    cells = "".join(f"<TR>{r if r.startswith('<TD') else f'<TD>{r}</TD>'}</TR>" for r in rows)
+    return f'<<TABLE BORDER="0" CELLSPACING="0" CELLPADDING="1">{cells}</TABLE>>'
