@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import sympy as sp
@@ -19,6 +20,7 @@ from statechart.automaton.reduction import Coordinates
 from statechart.automaton.regions import Margin, Mode, Region
 from statechart.automaton.trace import Key
 from statechart.errors import Unsupported
+from statechart.formulas.formula import parse_relation
 
 if TYPE_CHECKING:
     from statechart.documents.declaration import Declaration
@@ -123,6 +125,14 @@ class Automaton:
         for region in self.regions:
             total *= len({region.declared(state) for state in region.states})
         return total
+
+    @cached_property
+    def invariants(self) -> tuple[Margin, ...]:
+        """What the declaration asserts of all of a run; no run looks at them."""
+        return tuple(
+            Margin(label, -parse_relation(text).margin(self.observables))
+            for label, text in self.declaration.invariants.items()
+        )
 
     def label(self, key: Key) -> str:
         """Return the name of a mode: ``tip:slide+``, or ``A:free B:pin``."""

@@ -96,6 +96,10 @@ class Declaration(Part):
         default={}, description="What checks vary: parameter to least and greatest value."
     )
     stop: Stop = Stop()
+    invariants: dict[Label, RelationText] = Field(
+        default={},
+        description="Named relations that hold in all of a run: tested by check, reported by run.",
+    )
     outputs: dict[NameText, Output] = Field(default={})
     settings: Settings = Settings()
 
@@ -223,7 +227,7 @@ class Declaration(Part):
         states: Mapping[str, Collection[str]],
         causes: Mapping[str, Collection[str]],
     ) -> None:
-        """Check that stop conditions and outputs speak of things that exist.
+        """Check that stop conditions, invariants and outputs speak of things that exist.
 
         For the validators of the models of a kind, which know what exists.
 
@@ -243,6 +247,8 @@ class Declaration(Part):
         """
         for label, relation in self.stop.conditions.items():
             check_names(parse_relation(relation), names, "stop", "conditions", label)
+        for label, relation in self.invariants.items():
+            check_names(parse_relation(relation), names, "invariants", label)
         for label, output in self.outputs.items():
             loc = ("outputs", label)
             match output:

@@ -63,8 +63,8 @@ def report(
         (directions of sliding told apart), `modes_declared` (as users count), `modes_built`,
         `built` (modes with unknowns, guards and evidence), `left_out` (what, and why), `modes`
         (in the order visited), `indeterminate` (modes whose motion leaves quantities of
-        regions open, and which), `events`, `final`, `outputs`, `margins`, `warnings`, `counts`,
-        `timings`, `parameters`, `tolerances`.
+        regions open, and which), `events`, `final`, `outputs`, `margins`, `invariants` (the least
+        margin of each), `warnings`, `counts`, `timings`, `parameters`, `tolerances`.
     """
     automaton = observer.automaton
     done = Pieces(strict=True) if pieces is None else pieces
@@ -75,6 +75,9 @@ def report(
         done.leave("margins")
     else:
         found_margins = done.attempt("margins", lambda: margins(observer, trace), {})
+    found_invariants: dict[str, float] = done.attempt(
+        "invariants", lambda: invariants(observer, trace), {}
+    )
     events = _events(observer, trace, conditions, done, explain=explain)
     without = left_out(automaton, trace)
     without += [{"what": what, "why": why} for what, why in done.failed.items()]
@@ -106,6 +109,7 @@ def report(
         "final": dict(zip(trace.variables, trace.final.tolist(), strict=True)),
         "outputs": found_outputs,
         "margins": found_margins,
+        "invariants": found_invariants,
         "warnings": trace.warnings,
         "counts": trace.counts,
         "timings": timings or {},
@@ -163,6 +167,12 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
             # Once undefined, always undefined: NaN compares false.
             least[margin.name] = before if before <= value or before != before else value
     return dict(sorted(least.items()))
+
+
+def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
+    """Return the least margin of every invariant of the run: below 0 it does not hold."""
+    declared = observer.automaton.invariants
+    return {m.name: observer.extremes(trace, m.expression)[0] for m in declared}
 
 
 def dumps(report: Mapping[str, Any]) -> str:

@@ -32,6 +32,7 @@ def summary(report: Mapping[str, Any]) -> str:
             ("outputs", report["outputs"]),
             ("final state", report["final"]),
             ("margins, least value seen", report["margins"]),
+            ("invariants, least margin (below 0 it does not hold)", report["invariants"]),
         )
         if values
     ]

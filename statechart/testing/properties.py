@@ -189,7 +189,7 @@ def assert_margins(subject: Subject, trace: Trace) -> None:
 
 
 def assert_invariants(subject: Subject, trace: Trace) -> None:
-    """Check that declared invariants hold in their states, on a grid of its own."""
+    """Check that declared invariants hold, of states in these, on a grid of its own."""
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
         margins = [
@@ -197,6 +197,7 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
             for region, state in zip(subject.automaton.regions, arc.mode, strict=True)
             for margin in region.build(Role(state)).invariants
         ]
+        margins += subject.automaton.invariants
         if margins:
             _assert_margins(subject, trace, arc, tau, margins, mode)
 
@@ -285,7 +286,8 @@ def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
 def generic(subject: Subject) -> tuple[Property, ...]:
     """Return what holds for every automaton."""
     states = [(region, state) for region in subject.automaton.regions for state in region.states]
-    no_invariants = not any(region.build(Role(state)).invariants for region, state in states)
+    of_states = any(region.build(Role(state)).invariants for region, state in states)
+    no_invariants = not (of_states or subject.automaton.invariants)
     alone = "; ".join(f"{name}: {reason}" for name, reason in subject.missing.items())
     stepped = ""
     if subject.step is not None:
