@@ -1,0 +1,135 @@
+"""What controllers remember: against closed forms, and with what nothing depends on it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import models
+from contacts.scene.scene import Scene
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret, load
+from statechart.running.result import Result
+from statechart.running.runner import Runner
+
+ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy"])
+
+BALL = """\
+kind: scene
+name: ball
+parameters: {h: 0.5, g: 10, e: 0.5, D: 0.1}
+gravity: g
+coordinates: {y: {start: h}}
+bodies: {ball: {mass: 1, position: [0, y]}}
+surfaces: {ground: {height: 0}}
+contacts:
+  floor: {point: {body: ball}, surface: ground, modes: [free, slide], friction: 0, restitution: e}
+controls: {lift: 0}
+forces: {rocket: {body: ball, force: [0, lift]}}
+regions:
+  counter:
+    variables: {n: 0, fallen: 0, hit: -1}
+    initial: active
+    states:
+      active: {flows: {fallen: h - y}}
+    transitions:
+      - {name: count, from: active, on: floor.touchdown, updates: {n: n + 1, hit: time}}
+  burner:
+    initial: waits
+    states:
+      waits: {}
+      burns: {sets: {lift: 2*g}}
+      done: {}
+    transitions:
+      - {name: ignite, from: waits, to: burns, guard: n >= 1}
+      - {name: stop, from: burns, to: done, after: D}
+stop: {time: 0.5}
+outputs:
+  n: {value: n}
+  at_impact: {value: fallen, at: first floor.touchdown}
+  ignited: {value: time, at: first burner.ignite}
+  stopped: {value: time, at: first burner.stop}
+  speed: {value: dy, at: first burner.stop}
+  hit: {value: hit}
+"""
+
+
+def run(text: str, engine: str = "taylor") -> Result:
+    return Runner(read_text(text, "f.yaml"), engine=engine).run()
+
+
+@ENGINES
+def test_variables_count_and_integrate_and_clocks_run_out(engine: str) -> None:
+    found = run(BALL, engine).outputs
+    # It falls for sqrt(2 h / g), in which the integral of g t^2 / 2 is g t^3 / 6.
+    fall = 0.1**0.5
+    assert found["at_impact"] == pytest.approx(10 * fall**3 / 6, rel=1e-9)
+    assert found["n"] == 1
+    assert found["hit"] == pytest.approx(fall, rel=1e-12)
+    assert found["ignited"] == pytest.approx(fall, rel=1e-12)
+    assert found["stopped"] == pytest.approx(fall + 0.1, rel=1e-12)
+    # It rebounds at half of g t, and is lifted by 2 g - g for 0.1.
+    assert found["speed"] == pytest.approx(0.5 * 10 * fall + 10 * 0.1, rel=1e-9)
+
+
+def test_a_controller_hears_that_a_superstate_is_entered() -> None:
+    text = BALL.replace("e: 0.5, D", "e: 0, D")
+    rested = text.replace("on: floor.touchdown", "on: floor.closed")
+    assert run(rested).outputs["hit"] == pytest.approx(0.1**0.5, rel=1e-12)
+
+
+IDLE: dict[str, Any] = {
+    "idle": {
+        "initial": "on",
+        "variables": {"w": 1},
+        "states": {"on": {"flows": {"w": "cos(time)"}}},
+    }
+}
+
+
+@pytest.mark.parametrize("model", ["toppling_stick", "double_contact_bar", "sliding_ladder"])
+def test_what_nothing_depends_on_changes_no_motion(model: str) -> None:
+    plain = load(model)
+    assert isinstance(plain, Scene)
+    data = plain.model_dump(by_alias=True, exclude_unset=True)
+    beside = Scene.model_validate({**data, "regions": IDLE})
+    one, other = (Runner(m, engine="taylor").run() for m in (plain, beside))
+    assert [j.cause for j in one.trace.jumps] == [j.cause for j in other.trace.jumps]
+    for name, value in one.outputs.items():
+        assert other.outputs[name] == pytest.approx(value, rel=1e-9, abs=1e-12)
+    n = len(one.trace.final)
+    assert other.trace.final[:n] == pytest.approx(one.trace.final, rel=1e-9, abs=1e-12)
+    assert len(other.trace.final) == n + 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "token", "words"),
+    [
+        ("after: D", "after: D - 0.1", "D - 0.1", "must be a finite time above 0"),
+        ("{n: 0,", "{n: y,", "y,", "unknown name 'y'"),
+        ("{n: 0,", "{h: 0,", "h: 0", "'h' is declared twice"),
+        ("n: n + 1", "m: n + 1", "m: n", "no variable 'm' of region 'counter'"),
+        ("burns: {sets", "burns: {flows: {n: 1}, sets", "n: 1}", "no variable 'n' of region"),
+        ("guard: n >= 1", "guard: N >= 1", "N >=", "unknown name 'N'"),
+        ("done: {}", "done: {states: {a: {}}}", "done:", "does not say with which it begins"),
+        ("done: {}", "done: {history: deep}", "deep", "has no state whose states it remembers"),
+    ],
+)
+def test_what_is_wrong_with_a_memory_is_said_with_its_place(
+    old: str, new: str, token: str, words: str
+) -> None:
+    assert BALL.count(old) == 1
+    text = BALL.replace(old, new)
+    with pytest.raises(DeclarationError) as caught:
+        interpret(read_text(text, "f.yaml"))
+    at = text.index(token, BALL.index(old))
+    line, column = text.count("\n", 0, at) + 1, at - text.rfind("\n", 0, at)
+    assert words in str(caught.value)
+    assert str(caught.value).startswith(f"f.yaml:{line}:{column}: "), str(caught.value)
+
+
+def test_time_stepping_says_that_it_cannot_remember() -> None:
+    with pytest.raises(DeclarationError, match="whose controllers have no variables"):
+        Runner(models.path("sampled_balance") or "", engine="impulse", step=1e-3)
