@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import sympy as sp
@@ -188,6 +189,16 @@ class Region:
 
         Of a configuration of several, each of them with its superstates.
         """
+        found = self._actives.get(state)
+        if found is None:
+            found = self._actives[state] = self._active(state)
+        return found
+
+    @cached_property
+    def _actives(self) -> dict[str, tuple[str, ...]]:
+        return {}
+
+    def _active(self, state: str) -> tuple[str, ...]:
         found: dict[str, None] = {}
         for name in self.nesting.configurations.get(state, (state,)):
             found[name] = None

@@ -27,7 +27,7 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.events import happened
 from statechart.automaton.laws import Setup
-from statechart.automaton.regions import Margin, Region
+from statechart.automaton.regions import Edge, Margin, Region
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.flat_region import FlatRegion, FlatTransition
 from statechart.formulas.formula import Relation, parse_relation
@@ -131,13 +131,15 @@ def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
 
 def considered(region: Region) -> tuple[dict[str, str], ...]:
     """Return, for each transition of a region that is taken, what else could have been, and why."""
+    leaving: dict[str, list[Edge]] = {}
+    for edge in region.edges:
+        leaving.setdefault(edge.source, []).append(edge)
     return tuple(
         {
             f"{other.cause}->{other.target}": "taken"
             if other is edge
             else f"not due, or declared later: {other.guard}"
-            for other in region.edges
-            if other.source == edge.source
+            for other in leaving[edge.source]
         }
         for edge in region.edges
     )
