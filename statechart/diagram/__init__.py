@@ -2,10 +2,8 @@
 
 `build` makes a `model` of a diagram, of an automaton and perhaps a run; a `region` is a chart of
 its own. `mermaid` and `scxml` render it as text, `graphml` the graph that it shows, `machine` the
-regions as what others' tools run. `dot` puts charts on a page with their `legend`: as a `flow` of
-boxes in boxes, the product of two as a `grid` (an `axis` each way, `rooms` for words), a run as a
-`ring`, with a dot at the `start`. `block` is a piece of a page, `markup` how it looks, `measure`
-how large it is. `write` makes files, and `graphviz_program` pictures.
+regions as what others' tools run. `dot` puts charts, each with its `layout`, on a page with their
+`legend`; `write` makes files.
 """
 
 from statechart.diagram.dot import dot

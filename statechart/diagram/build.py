@@ -13,9 +13,9 @@ from statechart.automaton.product import drawn_region, graph
 from statechart.automaton.product import visited as passed
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Key, Trace
+from statechart.diagram.layout.ring import MOST_STEPS
 from statechart.diagram.model import Chart, Diagram, Link, Node
 from statechart.diagram.region import alike, cut, mode_label, region_chart
-from statechart.diagram.ring import MOST_STEPS
 from statechart.palette import state_colours
 
 if TYPE_CHECKING:

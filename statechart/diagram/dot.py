@@ -5,18 +5,19 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from statechart.diagram.block import Block, Box, Point
-from statechart.diagram.flow import flow
-from statechart.diagram.grid import grid
+from statechart.diagram.layout.block import Block, Box, Point
+from statechart.diagram.layout.flow import flow
+from statechart.diagram.layout.grid import grid
+from statechart.diagram.layout.markup import FONT, SMALL, TITLE, Style, plain, table, text
+from statechart.diagram.layout.measure import measured
+from statechart.diagram.layout.ring import ring
 from statechart.diagram.legend import Guards, Legend, legend, number
-from statechart.diagram.markup import FONT, SMALL, TITLE, Style, plain, table, text
-from statechart.diagram.measure import measured
 from statechart.diagram.model import Chart, Diagram, identifiers
-from statechart.diagram.ring import ring
 from statechart.palette import FRAME, PAPER, RUN
 
-# Width of a page in points, where its charts allow it: a slide of 1000 pixels.
-_WIDTH = 740.0
+# Width of a page in points, where its charts allow it: a slide of 1000 pixels. Tables, in small
+# letters, may take more.
+_WIDTH, _WIDE = 740.0, 800.0
 # Characters a line of what is below the title, and of a cell of the legend.
 _LINE, _CELL = 110, 44
 _GAP = 18.0
@@ -55,7 +56,7 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
         for k, chart in enumerate(diagram.charts)
         if chart.nodes
     ]
-    rows = [*_rows([_heading(diagram)]), *_rows(charts), *_rows(_tables(below))]
+    rows = [*_rows([_heading(diagram)]), *_rows(charts), *_rows(_tables(below), _WIDE)]
     return _source(_stacked(rows, _GAP), diagram.title)
 
 
@@ -126,12 +127,12 @@ def _written(name: str, label: str) -> Block:
     return Block(size, (Box(name, (size[0] / 2, size[1] / 2), size, look),))
 
 
-def _rows(blocks: Iterable[Block]) -> list[Block]:
+def _rows(blocks: Iterable[Block], wide: float = _WIDTH) -> list[Block]:
     """Put blocks beside each other, as many as a page is wide; return the rows."""
     rows: list[list[Block]] = []
     for block in blocks:
         width = block.size[0] + sum(b.size[0] + _GAP for b in rows[-1]) if rows else 0.0
-        if not rows or width > _WIDTH:
+        if not rows or width > wide:
             rows.append([])
         rows[-1].append(block)
     return [_beside(row) for row in rows]

@@ -57,10 +57,11 @@ def legend(diagram: Diagram, guards: Guards = "legend") -> Legend:
         return Legend((), (), reasons)
     pieces = diagram.explained or diagram.pieces
     named = {node.name: node.label for piece in pieces for node in piece.nodes}
+    shown = {link.cause for piece in diagram.pieces for link in piece.links}
     routes: dict[tuple[str, str, str], list[Link]] = {}
     for piece in pieces:
         for link in piece.links:
-            if link.guard or link.reset:
+            if (link.guard or link.reset) and link.cause in shown:
                 routes.setdefault((link.cause, link.guard, link.reset), []).append(link)
     often = [cause for cause, _, _ in routes]
     return Legend(

@@ -7,8 +7,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
+from statechart.diagram.layout.markup import nested
 from statechart.diagram.legend import TIMES, Guards, Legend, events, legend
-from statechart.diagram.markup import nested
 from statechart.diagram.model import Chart, Diagram, Link, Node, identifiers, printable
 from statechart.palette import CLOSED, FAINT, FRAME, INK
 

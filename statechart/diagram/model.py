@@ -243,7 +243,7 @@ class Diagram:
 
     def _repr_svg_(self) -> str:
         from statechart.diagram.dot import dot
-        from statechart.diagram.graphviz_program import render
+        from statechart.diagram.layout.graphviz_program import render
 
         return render(dot(self), "svg").decode()
 

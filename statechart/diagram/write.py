@@ -6,7 +6,7 @@ from pathlib import Path
 
 from statechart.diagram.dot import dot
 from statechart.diagram.graphml import graphml
-from statechart.diagram.graphviz_program import render
+from statechart.diagram.layout.graphviz_program import render
 from statechart.diagram.legend import Guards
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Diagram

@@ -15,9 +15,9 @@ from PIL import Image
 from strategies import examples
 
 from statechart.diagram.dot import dot
+from statechart.diagram.layout.markup import nested
 from statechart.diagram.legend import GUARDS, TIMES, legend
 from statechart.diagram.machine import NOTES, SCXML
-from statechart.diagram.markup import nested
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Chart, Diagram, Link, Node, identifiers, printable
 from statechart.diagram.scxml import scxml

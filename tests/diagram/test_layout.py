@@ -11,7 +11,7 @@ import pytest
 
 import models
 from statechart.diagram.dot import dot
-from statechart.diagram.graphviz_program import render
+from statechart.diagram.layout.graphviz_program import render
 from statechart.diagram.legend import Guards
 from statechart.diagram.model import Diagram
 from statechart.running.drawing import drawn

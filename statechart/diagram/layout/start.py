@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
-from statechart.diagram.block import Arrow, Block, Box, Point, bounded, covered, crossings, polyline
-from statechart.diagram.markup import START, arrow
+from statechart.diagram.layout.block import (
+    Arrow,
+    Block,
+    Box,
+    Point,
+    bounded,
+    covered,
+    crossings,
+    polyline,
+)
+from statechart.diagram.layout.markup import START, arrow
 
 # Where it can be, to the right and upwards of the state.
 _CORNERS = ((-1, 1), (1, 1), (-1, -1), (1, -1))

@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from statechart.diagram.axis import Axis, Bond, axis
-from statechart.diagram.block import Arrow, Block, Box, Look, Point, bounded, polyline
-from statechart.diagram.markup import Style, arrow, arrow_look, frame_look, state_look
-from statechart.diagram.measure import measured
+from statechart.diagram.layout.axis import Axis, Bond, axis
+from statechart.diagram.layout.block import Arrow, Block, Box, Look, Point, bounded, polyline
+from statechart.diagram.layout.markup import Style, arrow, arrow_look, frame_look, state_look
+from statechart.diagram.layout.measure import measured
+from statechart.diagram.layout.rooms import AIR, MARGIN, Rooms, rooms
+from statechart.diagram.layout.start import begun
 from statechart.diagram.model import Chart, Node
-from statechart.diagram.rooms import AIR, MARGIN, Rooms, rooms
-from statechart.diagram.start import begun
 from statechart.palette import FAINT, FRAME
 
 _BAND = {"shape": "box", "style": "rounded,dashed", "label": "", "color": FRAME}

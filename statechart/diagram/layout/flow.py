@@ -9,10 +9,18 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from statechart.diagram.block import Arrow, Block, Box, Look, Point, bounded, covered, crossings
-from statechart.diagram.graphviz_program import render
-from statechart.diagram.legend import drawn_once
-from statechart.diagram.markup import (
+from statechart.diagram.layout.block import (
+    Arrow,
+    Block,
+    Box,
+    Look,
+    Point,
+    bounded,
+    covered,
+    crossings,
+)
+from statechart.diagram.layout.graphviz_program import render
+from statechart.diagram.layout.markup import (
     FONT,
     FRAMES,
     Style,
@@ -22,8 +30,9 @@ from statechart.diagram.markup import (
     nested,
     state_look,
 )
+from statechart.diagram.layout.start import begun
+from statechart.diagram.legend import drawn_once
 from statechart.diagram.model import Chart, Link
-from statechart.diagram.start import begun
 
 if TYPE_CHECKING:
     import graphviz

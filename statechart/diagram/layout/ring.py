@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil
 
-from statechart.diagram.block import Arrow, Block, Box, Look, Point, bounded, polyline
+from statechart.diagram.layout.block import Arrow, Block, Box, Look, Point, bounded, polyline
+from statechart.diagram.layout.markup import STATE, Style, arrow, arrow_look, state_look, table
+from statechart.diagram.layout.markup import text as words
+from statechart.diagram.layout.measure import measured
+from statechart.diagram.layout.start import begun
 from statechart.diagram.legend import drawn_once
-from statechart.diagram.markup import STATE, Style, arrow, arrow_look, state_look, table
-from statechart.diagram.markup import text as words
-from statechart.diagram.measure import measured
 from statechart.diagram.model import Chart
-from statechart.diagram.start import begun
 from statechart.palette import RUN
 
 # Points: what a row may take; a line on each side of its words; between words and a line's end.

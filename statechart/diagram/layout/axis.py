@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import permutations, product
 
+from statechart.diagram.layout.markup import nested
 from statechart.diagram.legend import drawn_once
-from statechart.diagram.markup import nested
 from statechart.diagram.model import Chart, Link, Node
 
 # Of more states beside each other only so many orders are tried.

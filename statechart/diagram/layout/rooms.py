@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from statechart.diagram.axis import Axis
-from statechart.diagram.block import Point
+from statechart.diagram.layout.axis import Axis
+from statechart.diagram.layout.block import Point
 
 # Points: between a state and the frame around it; beside words; between two lines; an arrow's
 # head with some of its line.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
-from statechart.diagram.block import Look, Point
-from statechart.diagram.graphviz_program import render
-from statechart.diagram.markup import FONT
+from statechart.diagram.layout.block import Look, Point
+from statechart.diagram.layout.graphviz_program import render
+from statechart.diagram.layout.markup import FONT
 
 
 def measured(looks: Mapping[str, Look]) -> dict[str, Point]:
