@@ -129,14 +129,15 @@ class SceneNumbers:
         values, further = self._parameters.values(overrides)
         values, warnings = self._point_masses(values, further[-len(self._inertias) :])
         begins = further[: -len(self._inertias)]
-        initial, memory = np.split(begins, [len(begins) - self._remembered])
-        if overrides and not self._physical(np.concatenate([memory, values]), initial):
+        initial = begins[: len(begins) - self._remembered]
+        memory = begins[len(initial) :]
+        if overrides and not self._physical(_known(memory, values), initial):
             check_physical(self._scene, self._scene.values(overrides))
         if not all(map(math.isfinite, initial.tolist())):
             check_finite(self._scene, self._scene.values(overrides))
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         values, implied = self._implied(values, initial, memory)
-        known = np.concatenate([memory, values])
+        known = _known(memory, values)
         try:
             scales = self._scales.at(known, initial)
         except DeclarationProblem:
@@ -164,7 +165,9 @@ class SceneNumbers:
             short=_SHORT,
             warnings=(*warnings, *implied),
             # What begins at zero does not tell how large it gets.
-            sizes=np.concatenate([scales.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))]),
+            sizes=np.concatenate([scales.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))])
+            if len(memory)
+            else scales.sizes,
             horizon=_LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
@@ -204,9 +207,8 @@ class SceneNumbers:
         """Mark the rows of joints that other rows imply: their forces are not determined."""
         if not self._redundant:
             return values, ()
-        rows = self._joint_tape.at(initial, np.concatenate([memory, values]), 0.0).reshape(
-            len(self._redundant), -1
-        )
+        rows = self._joint_tape.at(initial, _known(memory, values), 0.0)
+        rows = rows.reshape(len(self._redundant), -1)
         found = implied(rows)
         if not found.any():
             return values, ()
@@ -265,3 +267,8 @@ class SceneNumbers:
             )
 
         return read
+
+
+def _known(memory: Array, values: Array) -> Array:
+    """Return what controllers remember with the parameters, as tapes of a scene take them."""
+    return np.concatenate([memory, values]) if len(memory) else values
