@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from contacts.dynamics.mechanics import Mechanics
     from contacts.scene.modes import ContactSymbols
     from statechart.automaton.regions import Region
+    from statechart.pictures.stage import Stage
 
 
 def automaton(scene: Scene) -> Automaton:
@@ -90,4 +91,11 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
     return (*of_contacts, *(controller(n, r, mechanics) for n, r in scene.controlled.flat.items()))
 
 
-SCENE = Kind("scene", Scene, automaton, Path(__file__).with_name("starter.yaml"))
+def stage(automaton: Automaton) -> Stage:
+    """Return a scene as something to look at."""
+    from contacts.pictures.stage import SceneStage
+
+    return SceneStage(automaton)
+
+
+SCENE = Kind("scene", Scene, automaton, Path(__file__).with_name("starter.yaml"), stage)

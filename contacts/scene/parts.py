@@ -73,7 +73,7 @@ class Body(Part):
     start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FiniteText] = Field(
         default={}, description="Initial position and velocity of a free body; 0 where not given."
     )
-    shape: Shape | None = Field(default=None, description="Outline, for collisions.")
+    shape: Shape | None = Field(default=None, description="Outline, for collisions and pictures.")
     copies: FiniteText | None = Field(
         default=None,
         description="How many bodies like this there are: NAME0, NAME1, ...; their start may use "

@@ -194,7 +194,7 @@ def _parser() -> argparse.ArgumentParser:
         help="print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'",
     )  # fmt: skip
     modes.add_argument("--latex", action="store_true", help="print them in LaTeX")
-    draw = verb("draw", "draw the statechart of a model")
+    draw = verb("draw", "draw the statechart of a model, or its scene")
     draw.add_argument(
         "-o",
         "--output",
@@ -202,9 +202,14 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         help=".svg .png .pdf .dot .mmd .scxml .graphml",
     )
-    draw.add_argument(
+    what = draw.add_mutually_exclusive_group()
+    what.add_argument(
         "--visited", action="store_true", help="run, and draw the modes and the path it took"
     )
+    what.add_argument(
+        "--scene", action="store_true",
+        help="draw bodies, surfaces and contacts where a run starts: .svg .png .pdf",
+    )  # fmt: skip
     draw.add_argument(
         "--guards", choices=("legend", "inline"), default="legend",
         help="guards and resets once below, or at every arrow; legend",

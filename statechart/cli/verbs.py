@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import functools
 import json
-import os
 import sys
 import tempfile
 from contextlib import contextmanager, suppress
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
+from statechart.cli.places import check_folder, kept_study
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.pieces import Pieces
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from statechart.running.result import Result
     from statechart.running.runner import Runner
-    from statechart.study.record import Study
 
 
 # Seconds after a signal in which what was computed is saved, but for what is always saved.
@@ -56,11 +55,11 @@ def run(arguments: argparse.Namespace) -> int:
     runner = _runner(
         arguments.file,
         **{part.name: getattr(arguments, part.name) for part in fields(Setting)},
-        study=_study(arguments),
+        study=kept_study(arguments),
         once=True,
         progress=True,
     )
-    _check_folder(arguments.output)
+    check_folder(arguments.output)
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
@@ -118,44 +117,13 @@ def _tell(
     return not failure
 
 
-def _check_folder(output: str | None) -> None:
-    """Check that results can be written, before the work that leads to them.
-
-    Raises
-    ------
-    DeclarationError
-        If they cannot.
-    """
-    if output is None:
-        return
-    if not output.strip():
-        raise DeclarationError("--output: the name is empty", advice="name a folder; . is this one")
-    path = Path(output).absolute()
-    place = next(known for known in (path, *path.parents) if known.exists())
-    if not place.is_dir():
-        raise DeclarationError(f"--output {output}: {place} is a file", advice="name a folder")
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise DeclarationError(
-            f"--output {output}: {place} is not writable", advice="name another folder"
-        )
-
-
-def _study(arguments: argparse.Namespace) -> Study | None:
-    """Return what `trade` has left in the folder where the results go."""
-    if arguments.output is None or (arguments.accuracy is None and arguments.budget is None):
-        return None
-    from statechart.study.file import load
-
-    return load(arguments.output)
-
-
 def trade(arguments: argparse.Namespace) -> int:
     """Run a model at many settings; print what each costs and gives."""
     from statechart.study.report import report, text
     from statechart.study.trade import trade as study_of
 
     runner = _runner(arguments.file)
-    _check_folder(arguments.output)
+    check_folder(arguments.output)
     study = study_of(
         runner,
         folder=arguments.output,
@@ -267,12 +235,17 @@ def modes(arguments: argparse.Namespace) -> int:
 
 
 def draw(arguments: argparse.Namespace) -> int:
-    """Draw the statechart, with the path of a run where asked for or needed."""
+    """Draw the statechart, with the path of a run where asked for or needed; or the scene."""
     from statechart.diagram.machine import lost
     from statechart.diagram.write import SUFFIXES, write
     from statechart.running.drawing import drawn
 
     path = Path(arguments.output)
+    if arguments.scene:
+        from statechart.running.drawing import draw_scene
+
+        print(draw_scene(_runner(arguments.file), path))
+        return 0
     if path.suffix.lower() not in SUFFIXES:
         raise DeclarationError(
             f"-o {arguments.output}: the suffix must be one of {', '.join(SUFFIXES)}"

@@ -7,11 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import Declaration
 from statechart.loading.offered import load
+
+if TYPE_CHECKING:
+    from statechart.pictures.stage import Stage
 
 
 @dataclass(frozen=True)
@@ -32,12 +35,15 @@ class Kind:
     starter : Path
         A commented document that runs, to start from; the word NAME in it stands for the name of
         the model.
+    stage : callable or None
+        Makes of an automaton what its runs are seen on; None where there is nothing to see.
     """
 
     name: str
     model: type[Declaration]
     automaton: Callable[[Any], Automaton]
     starter: Path
+    stage: Callable[[Automaton], Stage] | None = None
 
 
 def kinds() -> Mapping[str, EntryPoint]:

@@ -98,15 +98,26 @@ def figure(observer: Observer, trace: Trace, path: Path | str | None = None) -> 
         result.align_ylabels(axes)
         result.suptitle(trace.name, x=0.01, ha="left", fontsize=10, fontweight="bold")
     if path is not None:
-        path = Path(path)
-        kind = path.suffix.lower().lstrip(".")
-        if kind not in ("svg", "png", "pdf"):
-            raise StatechartError(f"a figure is svg, png or pdf, not {path.suffix or path.name!r}")
-        try:
-            write_atomic(path, render(result, kind))
-        except OSError as error:
-            raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
+        write(result, path)
     return result
+
+
+def write(drawing: Figure, path: Path | str) -> None:
+    """Write a figure to a file: svg, png or pdf by its suffix.
+
+    Raises
+    ------
+    StatechartError
+        If the suffix is none of these or the file cannot be written.
+    """
+    path = Path(path)
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in ("svg", "png", "pdf"):
+        raise StatechartError(f"a figure is svg, png or pdf, not {path.suffix or path.name!r}")
+    try:
+        write_atomic(path, render(drawing, kind))
+    except OSError as error:
+        raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def render(drawing: Figure, kind: str) -> bytes:

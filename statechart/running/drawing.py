@@ -66,6 +66,37 @@ def draw(
     return diagram
 
 
+def draw_scene(model: Declaration | Runner | str | Path, path: str | Path) -> Path:
+    """Draw a scene where its runs start: bodies, surfaces, contacts coloured by mode, and names.
+
+    Parameters
+    ----------
+    model : Declaration, Runner, str or Path
+        A model, what runs it, the path of its file, or the name of a shipped one.
+    path : str or Path
+        What to write; its suffix says how: .svg, .png or .pdf.
+
+    Returns
+    -------
+    Path
+        What was written.
+
+    Raises
+    ------
+    StatechartError
+        If the model is wrong or has no bodies, or the picture cannot be written.
+    """
+    from statechart.pictures.snapshots import picture
+    from statechart.reporting.figure import write as write_figure
+    from statechart.reporting.film import filmed, stage_of
+
+    runner = model if isinstance(model, Runner) else Runner(model)
+    stage = stage_of(runner.automaton)
+    start = runner.run(until=0.0)
+    write_figure(picture(filmed(stage, start.observer, start.trace, [0.0])), path)
+    return Path(path)
+
+
 def graph(
     model: Declaration | str | Path,
     *,

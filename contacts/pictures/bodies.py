@@ -1,0 +1,268 @@
+"""Bodies as shapes: those that they declare, else what their points and masses tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+import sympy as sp
+
+from contacts.dynamics.mechanics import Mechanics
+from contacts.scene.parts import Body, Force, Path, Point
+from contacts.scene.scene import Scene
+from statechart.arrays import Array
+from statechart.documents.declaration import TIME
+from statechart.formulas.formula import parse
+from statechart.pictures.film import WORLD, Shape, ShapeKind
+
+# Points this close, relative to the farthest one, are one; what is so flat is a line.
+_SAME = 1e-9
+# Configurations at which it is tried whether something moves with something else.
+_TRIED = 5
+
+
+class BodyShapes:
+    """The shapes of a scene's bodies for values of its parameters.
+
+    Where no body declares a shape, a body is drawn by what is known of it: its contact points,
+    joints, edges, and bodies whose places are fixed in its frame. Points on a line make a bar; one
+    known end alone makes one to where a uniform bar of its inertia ends on the other side.
+    Points around make a polygon, with their images in the centre of mass where they do not enclose
+    it. All mass in one point, without an inertia, is drawn as that, with bars to its points.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        Of the scene.
+    known : mapping of str to float
+        Parameters.
+    values : (p,) array
+        All of them, as the tapes of the mechanics take them.
+    """
+
+    def __init__(self, mechanics: Mechanics, known: Mapping[str, float], values: Array) -> None:
+        self._mechanics, self._known, self._values = mechanics, known, values
+        self._scene = mechanics.scene
+        self._frames = {name: 1 + place for place, name in enumerate(self._scene.bodies)}
+        self._declared = any(body.shape is not None for body in self._scene.bodies.values())
+
+    def shapes(self, idle: frozenset[str]) -> tuple[Shape, ...]:
+        """Return the shapes, from back to front; contacts that are `idle` tell no points."""
+        fixed = {} if self._declared else self._fixed()
+        found: list[Shape] = []
+        regions = {name: k for k, name in enumerate(self._scene.bodies)}
+        for name, body in self._scene.bodies.items():
+            if body.shape is not None:
+                region = regions[name] if self._scene.collisions else -1
+                found.append(self._shape(name, body, region))
+            elif not self._declared:
+                points = [*self._points(name, idle), *fixed.get(name, ())]
+                found += self._told(name, body, points)
+        return (*self._pendulums(), *self._springs(), *found, *self._joints())
+
+    def _shape(self, name: str, body: Body, region: int) -> Shape:
+        assert body.shape is not None
+        frame = self._frames[name]
+        if body.shape.disc is not None:
+            radius = self._number(body.shape.disc)
+            return Shape("disc", np.zeros((1, 2)), frame, frame, radius, region, name)
+        points = np.array([self._pair(corner) for corner in body.shape.polygon or ()])
+        return Shape("outline", points, frame, frame, region=region, name=name)
+
+    def _points(self, name: str, idle: frozenset[str]) -> list[tuple[float, float]]:
+        """Return the places in a body's frame that the scene speaks of."""
+        scene = self._scene
+        points = [c.point for key, c in scene.contacts.items() if key not in idle]
+        points += [joint.point for joint in scene.joints.values()]
+        points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
+        found = [self._pair(point.at) for point in points if point.body == name]
+        for surface in scene.surfaces.values():
+            if surface.body == name and surface.edge is not None:
+                found += [self._pair(corner) for corner in surface.edge]
+        return found
+
+    def _told(self, name: str, body: Body, points: Sequence[tuple[float, float]]) -> list[Shape]:
+        frame = self._frames[name]
+
+        def shape(kind: ShapeKind, corners: Sequence[Sequence[float] | Array] | Array) -> Shape:
+            return Shape(kind, np.array(corners, float), frame, frame, name=name)
+
+        reach = max((np.hypot(*point) for point in points), default=0.0)
+        away = [p for p in _distinct(points) if np.hypot(*p) > _SAME * reach]
+        if not away:
+            return [shape("mass", [[0.0, 0.0]])]
+        inertia = self._number(body.inertia or 0)
+        mass = self._number(body.mass)
+        if not inertia > 0.0:
+            bars = [shape("bar", [[0.0, 0.0], point]) for point in away]
+            return [*bars, shape("mass", [[0.0, 0.0]])]
+        along, flat = _line(np.array(away))
+        if flat:
+            direction, places = along
+            low, high = min(0.0, float(places.min())), max(0.0, float(places.max()))
+            uniform = float(np.sqrt(3.0 * inertia / mass)) if mass > 0.0 else 0.0
+            if low == 0.0:
+                low = -min(high, uniform)
+            elif high == 0.0:
+                high = min(-low, uniform)
+            return [shape("bar", [low * direction, high * direction])]
+        hull = _hull(np.array(away))
+        if not _encloses(hull):
+            hull = _hull(np.concatenate([hull, -hull]))
+        return [shape("outline", hull)]
+
+    def _fixed(self) -> dict[str, list[tuple[float, float]]]:
+        """Return, of every body, the places in its frame of bodies that move with it."""
+        poses = self._somewhere()
+        found: dict[str, list[tuple[float, float]]] = {}
+        names = list(self._scene.bodies)
+        size = float(np.abs(poses[..., :2]).max(initial=0.0))
+        for i, name in enumerate(names):
+            x, y, angle = poses[:, i].T
+            if np.ptp(angle) == 0.0:
+                continue
+            for k in range(len(names)):
+                dx, dy = poses[:, k, 0] - x, poses[:, k, 1] - y
+                own = (
+                    np.cos(angle) * dx + np.sin(angle) * dy,
+                    np.cos(angle) * dy - np.sin(angle) * dx,
+                )
+                if k != i and max(np.ptp(own[0]), np.ptp(own[1])) <= _SAME * size:
+                    found.setdefault(name, []).append((float(own[0][0]), float(own[1][0])))
+        return found
+
+    def _somewhere(self) -> Array:
+        """Return the poses (m, b, 3) of all bodies at some configurations."""
+        frames = [self._mechanics.body_frame(name) for name in self._scene.bodies]
+        return self._tried([e for (x, y), angle in frames for e in (x, y, angle)]).reshape(
+            _TRIED, -1, 3
+        )
+
+    def _tried(self, expressions: Sequence[sp.Expr]) -> Array:
+        mechanics = self._mechanics
+        # No two alike, as no angle in whole radians is a whole turn: what holds at all holds.
+        count = len(mechanics.variables)
+        states = np.sin(np.outer(1.0 + np.arange(_TRIED), 1.0 + np.arange(count)))
+        return mechanics.tape(expressions).table(
+            states, self._values, np.linspace(0.1, 1.0, _TRIED)
+        )
+
+    def _pendulums(self) -> list[Shape]:
+        """Return links from bodies on circular paths to the centres of these."""
+        found = []
+        mechanics = self._mechanics
+        for name, body in self._scene.bodies.items():
+            if body.position is None:
+                continue
+            (x, y), _ = mechanics.body_frame(name)
+            used = (x.free_symbols | y.free_symbols) & {*mechanics.q, mechanics.time}
+            if len(used) != 1 or mechanics.time in used:
+                continue
+            (q,) = used
+            terms = [x, y, x.diff(q), y.diff(q), x.diff(q, 2), y.diff(q, 2)]
+            place, first, second = np.split(self._tried(terms), 3, axis=1)
+            speed, bend = (first**2).sum(axis=1), (second**2).sum(axis=1)
+            if not (bend > 0.0).all() or np.ptp(speed) > _SAME * speed.max():
+                continue
+            centre = place + second * (speed / bend)[:, None]
+            if np.ptp(centre, axis=0).max() > _SAME * np.abs(place).max():
+                continue
+            pivot, frame = centre[0], self._frames[name]
+            found.append(Shape("link", np.array([[0.0, 0.0], pivot]), frame, WORLD, name=name))
+            found.append(Shape("pivot", pivot[None, :], WORLD, WORLD, name=name))
+        return found
+
+    def _springs(self) -> list[Shape]:
+        """Return a spring for every two forces that are each other's reaction."""
+        forces = [f for f in self._scene.forces.values() if f.force != (0, 0)]
+        found = []
+        for place, one in enumerate(forces):
+            for other in forces[place + 1 :]:
+                if one.body != other.body and self._opposite(one, other):
+                    ends = np.array([self._pair(one.at), self._pair(other.at)])
+                    pair = self._frames[one.body], self._frames[other.body]
+                    found.append(Shape("spring", ends, *pair, name=one.body))
+        return found
+
+    def _opposite(self, one: Force, other: Force) -> bool:
+        known = self._mechanics.known
+        return all(
+            sp.expand(parse(a).to_sympy(known) + parse(b).to_sympy(known)) == 0
+            for a, b in zip(one.force, other.force, strict=True)
+        )
+
+    def _joints(self) -> list[Shape]:
+        found = []
+        for name, joint in self._scene.joints.items():
+            frame = self._frames[joint.point.body]
+            kind: ShapeKind = "joint"
+            if isinstance(joint.to, Path) and len(joint.components) == 2:
+                texts = (joint.to.x or 0, joint.to.y or 0)
+                kind = "joint" if any(TIME in parse(text).names for text in texts) else "pivot"
+            points = np.array([self._pair(joint.point.at)])
+            found.append(Shape(kind, points, frame, frame, name=name))
+        return found
+
+    def _number(self, text: str | int | float) -> float:
+        return parse(text).value(self._known)
+
+    def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
+        return self._number(pair[0]), self._number(pair[1])
+
+
+def disc_of(scene: Scene, point: Point, number: Callable[[str | int | float], float]) -> float:
+    """Return the radius of a disc that touches with its rim where its centre is declared to.
+
+    0 where the point is none: its contact is where the point is.
+    """
+    shape = scene.bodies[point.body].shape
+    if shape is None or shape.disc is None or any(number(text) != 0.0 for text in point.at):
+        return 0.0
+    return number(shape.disc)
+
+
+def _distinct(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    reach = max((np.hypot(*point) for point in points), default=0.0)
+    found: list[tuple[float, float]] = []
+    for x, y in points:
+        if all(np.hypot(x - u, y - v) > _SAME * reach for u, v in found):
+            found.append((x, y))
+    return found
+
+
+def _line(points: Array) -> tuple[tuple[Array, Array], bool]:
+    """Return the direction from the centre to the points, their places along it, and if flat."""
+    direction = points[np.argmax(np.hypot(*points.T))]
+    direction = direction / np.hypot(*direction)
+    across = points @ np.array([-direction[1], direction[0]])
+    places: Array = points @ direction
+    return (direction, places), bool(np.abs(across).max() <= _SAME * np.abs(places).max())
+
+
+def _hull(points: Array) -> Array:
+    """Return the corners of the convex hull, counter-clockwise (Andrew 1979)."""
+    ordered = sorted({(float(x), float(y)) for x, y in points})
+
+    def half(chain: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+        kept: list[tuple[float, float]] = []
+        for point in chain:
+            while len(kept) > 1 and _turn(kept[-2], kept[-1], point) <= 0.0:
+                kept.pop()
+            kept.append(point)
+        return kept[:-1]
+
+    return np.array([*half(ordered), *half(ordered[::-1])])
+
+
+def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _encloses(hull: Array) -> bool:
+    """Whether the origin is well inside a polygon, counter-clockwise."""
+    closed = [*hull, hull[0]]
+    size = float(np.abs(hull).max())
+    return len(hull) > 2 and all(
+        _turn(a, b, (0.0, 0.0)) > _SAME * size**2 for a, b in pairwise(closed)
+    )

@@ -1,0 +1,198 @@
+"""A scene as something to look at: from states of a run to a film."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+import sympy as sp
+
+from contacts.dynamics.geometry import Vector
+from contacts.dynamics.mechanics import Mechanics
+from contacts.pictures.bodies import BodyShapes, disc_of
+from contacts.pictures.grounds import grounds
+from contacts.pictures.window import window
+from contacts.scene.scene import Scene
+from contacts.states import OFF, OPEN
+from statechart.arrays import Array
+from statechart.automaton.automaton import Automaton
+from statechart.formulas.formula import parse
+from statechart.formulas.tape import Tape
+from statechart.pictures.film import HATCH, WORLD, Film, Touch
+from statechart.pictures.stage import Moments
+
+# Of more bodies none leaves a trail.
+_MOST_TRAILS = 5
+# The arrow of a force that few exceed is a quarter of the picture.
+_FEW = 0.9
+
+
+class SceneStage:
+    """A scene as a stage; see `statechart.pictures.stage.Stage`.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        Of the scene.
+    """
+
+    def __init__(self, automaton: Automaton) -> None:
+        scene = automaton.declaration
+        assert isinstance(scene, Scene)
+        self._automaton, self._scene = automaton, scene
+        self._mechanics = Mechanics(scene)
+        moved = [n for n, s in scene.surfaces.items() if s.displacement != (0, 0)]
+        self._bodies = {name: 1 + k for k, name in enumerate(scene.bodies)}
+        self._moved = {name: 1 + len(self._bodies) + k for k, name in enumerate(moved)}
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Gaps and forces of contacts, and coefficients of friction that change."""
+        names = (f"{c}.{q}" for c in self._scene.contacts for q in ("gap", "V", "H", "friction"))
+        return tuple(name for name in names if name in self._automaton.observables)
+
+    def film(self, moments: Moments) -> Film:
+        """Return what the scene looks like at instants of a run; see `Stage`."""
+        scene, regions = self._scene, self._automaton.regions
+        states = tuple(region.states for region in regions)
+        modes = np.array(
+            [
+                [known.index(state) for known, state in zip(states, key, strict=True)]
+                for key in moments.keys
+            ],
+            dtype=np.intp,
+        ).reshape(len(moments.times), len(regions))
+        never = frozenset(
+            region.name
+            for k, region in enumerate(regions)
+            if OFF in region.states and (modes[:, k] == region.states.index(OFF)).all()
+        )
+        shapes = BodyShapes(self._mechanics, moments.parameters, moments.values).shapes(never)
+        poses = self._poses(moments)
+        touches = tuple(
+            self._touch(name, moments, poses) for name in scene.contacts if name not in never
+        )
+        below = [t.places - moments.columns[f"{t.name}.gap"][:, None] * t.normals for t in touches]
+        centres, half = window(shapes, poses, [*(touch.places for touch in touches), *below])
+        unit = 2.0 * max(half)
+        poses = self._held(poses, moments, HATCH * unit)
+        reach = np.array(half) * 1.05
+        shift = np.abs(poses[:, [WORLD, *self._moved.values()], :2]).max(axis=(0, 1))
+        box = centres.min(axis=0) - reach - shift, centres.max(axis=0) + reach + shift
+        frames = {
+            name: self._bodies[s.body] if s.body is not None else self._moved.get(name, WORLD)
+            for name, s in scene.surfaces.items()
+        }
+        carried = grounds(scene, moments.parameters, frames, box, unit)
+        trails = tuple(self._bodies.values()) if len(self._bodies) <= _MOST_TRAILS else ()
+        return Film(
+            title=self._automaton.name,
+            times=moments.times,
+            jumps=moments.jumps,
+            regions=tuple(region.name for region in regions),
+            states=states,
+            modes=modes,
+            shapes=(*carried, *shapes),
+            poses=poses,
+            touches=touches,
+            centres=centres,
+            half=half,
+            force=_usual(touches),
+            trails=trails,
+        )
+
+    @cached_property
+    def _frames(self) -> Tape:
+        """The poses of all frames but the world's."""
+        mechanics = self._mechanics
+        expressions: list[sp.Expr] = []
+        for name in self._scene.bodies:
+            (x, y), angle = mechanics.body_frame(name)
+            expressions += [x, y, angle]
+        for name in self._moved:
+            displaced = self._scene.surfaces[name].displacement
+            expressions += [parse(text).to_sympy(mechanics.known) for text in displaced]
+            expressions.append(sp.S.Zero)
+        return mechanics.tape(expressions)
+
+    @cached_property
+    def _touching(self) -> dict[str, Tape]:
+        """Of every contact its point, in the world, and the normal of the surface there."""
+        return {
+            name: self._mechanics.tape([*self._mechanics.point(contact.point), *self._normal(name)])
+            for name, contact in self._scene.contacts.items()
+        }
+
+    def _normal(self, name: str) -> Vector:
+        surface = self._scene.surfaces[self._scene.contacts[name].surface]
+        x, y = self._mechanics.contact(name).normal
+        if surface.body is None:
+            return x, y
+        angle = self._mechanics.body_frame(surface.body)[1]
+        c, s = sp.cos(angle), sp.sin(angle)
+        return c * x - s * y, s * x + c * y
+
+    def _poses(self, moments: Moments) -> Array:
+        found = self._frames.table(moments.states, moments.values, moments.times)
+        still = np.zeros((len(moments.times), 1, 3))
+        return np.concatenate([still, found.reshape(len(moments.times), -1, 3)], axis=1)
+
+    def _held(self, poses: Array, moments: Moments, spacing: float) -> Array:
+        """Return the poses with straight surfaces moved along themselves by less than a stroke.
+
+        Their hatching looks the same.
+        """
+        result = poses.copy()
+        for name, frame in self._moved.items():
+            surface = self._scene.surfaces[name]
+            if surface.line is not None:
+                one, two = (self._pair(end, moments.parameters) for end in surface.line)
+                direction = (two - one) / np.hypot(*(two - one))
+            elif surface.incline is not None:
+                angle = parse(surface.incline).value(moments.parameters)
+                direction = np.array([np.cos(angle), np.sin(angle)])
+            elif surface.height is not None and "x" not in parse(surface.height).names:
+                direction = np.array([1.0, 0.0])
+            else:
+                continue
+            along = result[:, frame, :2] @ direction
+            whole = spacing * np.round(along / spacing)
+            result[:, frame, :2] -= whole[:, None] * direction
+        return result
+
+    def _touch(self, name: str, moments: Moments, poses: Array) -> Touch:
+        contact = self._scene.contacts[name]
+        found = self._touching[name].table(moments.states, moments.values, moments.times)
+        places, normals = found[:, :2], found[:, 2:]
+        radius = disc_of(
+            self._scene, contact.point, lambda text: parse(text).value(moments.parameters)
+        )
+        places = places - radius * normals
+        names = [region.name for region in self._automaton.regions]
+        region = names.index(name)
+        nothing = np.zeros(len(moments.times))
+        open_ = np.array([key[region] in OPEN for key in moments.keys])
+        normal, tangential = (
+            np.where(open_, 0.0, np.nan_to_num(moments.columns.get(f"{name}.{force}", nothing)))
+            for force in ("V", "H")
+        )
+        tangents = np.column_stack([normals[:, 1], -normals[:, 0]])
+        forces = normal[:, None] * normals + tangential[:, None] * tangents
+        friction = moments.columns.get(f"{name}.friction")
+        if friction is None:
+            held = np.inf if contact.friction is None and "pin" in contact.kinds else 0.0
+            friction = np.full(len(nothing), moments.parameters.get(f"{name}.friction", held))
+        return Touch(name, region, places, normals, forces, friction)
+
+    @staticmethod
+    def _pair(pair: tuple[str | int | float, ...], known: Mapping[str, float]) -> Array:
+        return np.array([parse(text).value(known) for text in pair])
+
+
+def _usual(touches: tuple[Touch, ...]) -> float:
+    """Return a force that few along a film exceed; 1 where there is none."""
+    sizes = [np.hypot(*touch.forces.T) for touch in touches]
+    sizes = [size[size > 0.0] for size in sizes]
+    found = np.concatenate(sizes) if sizes else np.empty(0)
+    return float(np.quantile(found, _FEW)) if len(found) else 1.0

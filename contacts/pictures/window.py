@@ -1,0 +1,72 @@
+"""Which part of the plane is shown: all of a run, or what follows the bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from statechart.arrays import Array
+from statechart.pictures.film import Shape, placed
+
+# Around what is shown, of its own size.
+_MARGIN = 0.15
+# Of its height a picture is at most so wide, and the other way round; what moves farther than this
+# is followed, and shown by a part of it.
+_LONGEST, _FOLLOWED = 4.0, 3.0
+# A side is at least this part of the other.
+_SHORTEST = 0.45
+_ROUND = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
+# Followed through what a camera would not see: this part of the run.
+_SMOOTH = 0.04
+
+
+def window(
+    shapes: Sequence[Shape], poses: Array, places: Sequence[Array]
+) -> tuple[Array, tuple[float, float]]:
+    """Return the middle (k, 2) of the picture at every instant, and half its width and height.
+
+    Parameters
+    ----------
+    shapes : sequence of Shape
+        What moves.
+    poses : (k, f, 3) array
+        Of the frames.
+    places : sequence of (k, 2) arrays
+        Contact points, and those of surfaces below them.
+    """
+    clouds = [at[:, None, :] for at in places if np.isfinite(at).any()]
+    for shape in shapes:
+        points = shape.points
+        if shape.kind == "disc":
+            points = points + shape.radius * np.column_stack([np.cos(_ROUND), np.sin(_ROUND)])
+        ends = [(points, shape.frame)]
+        if shape.other != shape.frame:
+            ends = [(points[:1], shape.frame), (points[-1:], shape.other)]
+        for part, frame in ends:
+            clouds.append(np.array([placed(part, pose) for pose in poses[:, frame]]))
+    cloud = np.concatenate(clouds, axis=1)
+    cloud = np.where(np.isfinite(cloud), cloud, np.nanmean(cloud, axis=(0, 1)))
+    low, high = cloud.min(axis=1), cloud.max(axis=1)
+    least, most = low.min(axis=0), high.max(axis=0)
+    whole, own = most - least, (high - low).max(axis=0)
+    centres = np.tile((least + most) / 2.0, (len(poses), 1))
+    half = whole / 2.0
+    for axis in (0, 1):
+        size = max(own.max(), whole[1 - axis])
+        if size > 0.0 and whole[axis] > _LONGEST * size:
+            half[axis] = _FOLLOWED * size / 2.0
+            centres[:, axis] = _smooth(((low + high) / 2.0)[:, axis])
+    half = half * (1.0 + 2.0 * _MARGIN)
+    largest = float(half.max()) or 1.0
+    half = np.maximum(half, _SHORTEST * largest)
+    return centres, (float(half[0]), float(half[1]))
+
+
+def _smooth(values: Array) -> Array:
+    """Return a moving average whose ends are held."""
+    width = max(1, round(_SMOOTH * len(values)))
+    held = np.concatenate([np.full(width, values[0]), values, np.full(width, values[-1])])
+    kernel = np.hanning(2 * width + 1) if width > 1 else np.array([0.25, 0.5, 0.25])
+    averaged: Array = np.convolve(held, kernel / kernel.sum(), mode="valid")
+    return averaged

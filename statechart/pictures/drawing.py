@@ -1,0 +1,178 @@
+"""A film on the axes of a picture: its shapes, contacts by mode, forces in their cones, trails."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from statechart.arrays import Array
+from statechart.palette import FAINT, INK, LINES, PAPER, state_colours
+from statechart.pictures.film import Film, Touch
+from statechart.pictures.scenery import Scenery, points_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FORCE, TRAIL = LINES[1], LINES[0]
+"""Of arrows of forces, and of where bodies have been."""
+
+CLOSED = ("pin", "slide", "slide+", "slide-")
+"""States of a contact in which it has a force."""
+
+# Arrows are cut at so many times the length of a usual one, which is a quarter of the picture.
+_LONGEST = 1.7
+# The cone reaches so far, of the length of a usual arrow.
+_CONE = 1.0
+_FLAT = np.pi / 2.0
+_TOUCH = 0.014
+
+
+class Drawing:
+    """A film on axes, shown at one instant after another.
+
+    Parameters
+    ----------
+    ax : Axes
+        Of a figure that has its size.
+    film : Film
+        What is shown.
+    trail : float, optional
+        How far back in time trails reach; all the way by default, 0 for none.
+    names : bool
+        Whether bodies, contacts and surfaces are named.
+    clock : str or None
+        What stands behind the time in the corner; None for no time there.
+    """
+
+    def __init__(
+        self,
+        ax: Axes,
+        film: Film,
+        *,
+        trail: float | None = None,
+        names: bool = False,
+        clock: str | None = "",
+    ) -> None:
+        self._ax, self._film, self._trail = ax, film, trail
+        ax.set_aspect("equal", adjustable="box")
+        ax.set_axis_off()
+        self._look(0)
+        self._scenery = Scenery(ax, film)
+        self._size = max(_TOUCH * points_of(film.unit, ax), 4.5)
+        self._trails = [
+            ax.plot([], [], color=TRAIL, lw=1.0, alpha=0.55, zorder=1.6)[0] for _ in film.trails
+        ]
+        self._contacts = [self._contact(touch) for touch in film.touches]
+        self._clock = clock
+        self._text = ax.text(
+            0.012, 0.975, "", transform=ax.transAxes, va="top", fontsize=8, color=INK, zorder=5
+        )
+        if names:
+            self._name()
+        self.show(0)
+
+    def show(self, instant: int) -> None:
+        """Show an instant, by its number."""
+        film = self._film
+        self._look(instant)
+        self._scenery.show(instant)
+        for line, frame in zip(self._trails, film.trails, strict=True):
+            since = 0.0 if self._trail is None else film.times[instant] - self._trail
+            first = int(np.searchsorted(film.times, since))
+            line.set_data(*film.poses[first : instant + 1, frame, :2].T)
+        for touch, artists in zip(film.touches, self._contacts, strict=True):
+            self._show(touch, artists, instant)
+        if self._clock is not None:
+            self._text.set_text(f"t = {film.times[instant]:.4g}{self._clock}")
+
+    def _look(self, instant: int) -> None:
+        (x, y), (width, height) = self._film.centres[instant], self._film.half
+        self._ax.set_xlim(x - width, x + width)
+        self._ax.set_ylim(y - height, y + height)
+
+    def _contact(self, touch: Touch) -> tuple[Any, Any, Any]:
+        from matplotlib.patches import FancyArrowPatch, Polygon
+
+        cone = Polygon(np.zeros((3, 2)), closed=True, color="#000000", alpha=0.09, lw=0, zorder=1.5)
+        arrow = FancyArrowPatch(
+            (0, 0), (0, 0), arrowstyle="-|>", mutation_scale=9, shrinkA=0, shrinkB=0, lw=1.8,
+            color=FORCE, zorder=3.0,
+        )  # fmt: skip
+        self._ax.add_patch(cone)
+        self._ax.add_patch(arrow)
+        (mark,) = self._ax.plot(
+            [], [], "o", ms=self._size, markeredgecolor=INK, markeredgewidth=0.9, zorder=3.2
+        )
+        return mark, arrow, cone
+
+    def _show(self, touch: Touch, artists: tuple[Any, Any, Any], instant: int) -> None:
+        film = self._film
+        mark, arrow, cone = artists
+        state, place = film.state(instant, touch.region), touch.places[instant]
+        closed = state in CLOSED
+        mark.set_data(*place[:, None])
+        mark.set_visible(state != "off")
+        mark.set_markerfacecolor(
+            state_colours(film.states[touch.region])[state] if closed else PAPER
+        )
+        mark.set_markeredgecolor(INK if closed else FAINT)
+        mark.set_markersize(self._size if closed else 0.7 * self._size)
+        force = arrow_of(film, touch, instant)
+        arrow.set_visible(bool(force.any()))
+        arrow.set_positions(tuple(place), tuple(place + force))
+        wedge = cone_of(film, touch, instant)
+        cone.set_visible(closed and len(wedge) > 0)
+        if len(wedge):
+            cone.set_xy(wedge)
+
+    def _name(self) -> None:
+        """Write names beside bodies, contacts and surfaces."""
+        film, told = self._film, set()
+        offset = 0.03 * film.unit
+        style: dict[str, Any] = {"fontsize": 8, "clip_on": True, "zorder": 4.0}
+        for touch in film.touches:
+            x, y = touch.places[0] + offset * (0.6 * touch.normals[0] + [0.7, 0.0])
+            self._ax.text(x, y, touch.name, color=LINES[0], va="center", **style)
+        for shape in film.shapes:
+            if shape.name in told or shape.kind in ("link", "spring", "joint", "pivot"):
+                continue
+            told.add(shape.name)
+            if shape.kind == "ground":
+                centre, half = film.centres[0], np.array(film.half)
+                inside = (np.abs(shape.points - centre) < 0.9 * half).all(axis=1)
+                ends = np.linspace(0.0, 1.0, 400)[:, None]
+                if not inside.any():
+                    many = shape.points[:1] + ends * (shape.points[-1:] - shape.points[:1])
+                    inside = (np.abs(many - centre) < 0.9 * half).all(axis=1)
+                    if not inside.any():
+                        continue
+                    place = many[inside][-1]
+                else:
+                    place = shape.points[inside][-1]
+                x, y = place - [0.0, 1.6 * film.spacing]
+                self._ax.text(x, y, shape.name, color=INK, ha="right", va="top", **style)
+            elif shape.region < 0:
+                x, y = film.poses[0, shape.frame, :2] + np.array([-0.8, 0.8]) * offset
+                self._ax.text(x, y, shape.name, color=INK, ha="right", style="italic", **style)
+
+
+def arrow_of(film: Film, touch: Touch, instant: int) -> Array:
+    """Return the arrow (2,) of a contact's force, no longer than the picture bears."""
+    force = touch.forces[instant] * film.arrow
+    longest = _LONGEST * film.arrow * film.force
+    size = float(np.hypot(*force))
+    return force if size <= longest else force * (longest / size)
+
+
+def cone_of(film: Film, touch: Touch, instant: int) -> Array:
+    """Return the corners of the friction cone of a contact; none where it has no width."""
+    friction, normal = float(touch.friction[instant]), touch.normals[instant]
+    if not friction > 0.0:
+        return np.empty((0, 2))
+    half = np.arctan(friction) if friction < np.inf else _FLAT
+    turn = np.linspace(-half, half, 13)
+    c, s = np.cos(turn), np.sin(turn)
+    rim = np.column_stack([c * normal[0] - s * normal[1], s * normal[0] + c * normal[1]])
+    place = touch.places[instant]
+    return np.concatenate([place[None, :], place + _CONE * film.arrow * film.force * rim])

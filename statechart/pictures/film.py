@@ -1,0 +1,196 @@
+"""A picture that moves, as plain values: shapes in frames, where these are at instants, forces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.arrays import Array
+
+ShapeKind = Literal["outline", "disc", "bar", "mass", "joint", "pivot", "link", "spring", "ground"]
+"""How a shape is drawn; of all but the ground what is seen is inside its points.
+
+outline: a filled polygon. disc: a filled circle. bar: a thick line with round ends. mass, joint,
+pivot: marks of a fixed size on the paper, at one point. link, spring: from a point of one frame to
+a point of another. ground: a line, the solid on its right, which is hatched.
+"""
+
+WORLD = 0
+"""The number of the frame that does not move."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Something to draw, in a frame that moves.
+
+    Attributes
+    ----------
+    kind : ShapeKind
+        How it is drawn.
+    points : (m, 2) array
+        In its frame.
+    frame : int
+        Which of the film's; `WORLD` does not move.
+    other : int
+        The frame of the last point, of a link or a spring; else as `frame`.
+    radius : float
+        Of a disc.
+    region : int
+        Of the film's regions, the one whose state colours it; -1 for none.
+    name : str
+        What it belongs to.
+    """
+
+    kind: ShapeKind
+    points: Array
+    frame: int
+    other: int
+    radius: float = 0.0
+    region: int = -1
+    name: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """A contact along a film of k instants.
+
+    Attributes
+    ----------
+    name : str
+        Of the contact.
+    region : int
+        Of the film's regions.
+    places, normals, forces : (k, 2) array
+        Where it touches, the unit normal of the surface there, the force on the body.
+    friction : (k,) array
+        Coulomb's coefficient, 0 to inf.
+    """
+
+    name: str
+    region: int
+    places: Array
+    normals: Array
+    forces: Array
+    friction: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """What a run looks like at k instants.
+
+    Attributes
+    ----------
+    title : str
+        Of the model.
+    times : (k,) array
+        In order.
+    jumps : (k,) array of int
+        How many jumps precede each.
+    regions : tuple of str
+        The regions of the model.
+    states : tuple of tuple of str
+        Their states.
+    modes : (k, r) array of int
+        The state of every region, as its place among these.
+    shapes : tuple of Shape
+        What is drawn, from back to front.
+    poses : (k, f, 3) array
+        Place and angle of every frame.
+    touches : tuple of Touch
+        Contacts.
+    centres : (k, 2) array
+        The middle of what is shown.
+    half : (float, float)
+        Half of its width and height.
+    force : float
+        The force whose arrow is as long as a quarter of the smaller of width and height.
+    trails : tuple of int
+        Frames that leave a trail.
+    """
+
+    title: str
+    times: Array
+    jumps: NDArray[np.int64]
+    regions: tuple[str, ...]
+    states: tuple[tuple[str, ...], ...]
+    modes: NDArray[np.intp]
+    shapes: tuple[Shape, ...]
+    poses: Array
+    touches: tuple[Touch, ...]
+    centres: Array
+    half: tuple[float, float]
+    force: float
+    trails: tuple[int, ...] = ()
+
+    @property
+    def unit(self) -> float:
+        """A length that marks of a fixed size are measured by: the width of the larger side."""
+        return 2.0 * max(self.half)
+
+    @property
+    def arrow(self) -> float:
+        """How long the arrow of a force of one unit is."""
+        return 0.5 * min(self.half) / self.force
+
+    @property
+    def spacing(self) -> float:
+        """Between the strokes of a hatching."""
+        return HATCH * self.unit
+
+    def state(self, instant: int, region: int) -> str:
+        """Return the state of a region at an instant, by their numbers."""
+        return self.states[region][self.modes[instant, region]]
+
+    def at(self, instants: Sequence[int] | NDArray[np.intp]) -> Film:
+        """Return the film of some of its instants."""
+        chosen = np.asarray(instants, dtype=np.intp)
+        return replace(
+            self,
+            times=self.times[chosen],
+            jumps=self.jumps[chosen],
+            modes=self.modes[chosen],
+            poses=self.poses[chosen],
+            centres=self.centres[chosen],
+            touches=tuple(
+                replace(
+                    touch,
+                    places=touch.places[chosen],
+                    normals=touch.normals[chosen],
+                    forces=touch.forces[chosen],
+                    friction=touch.friction[chosen],
+                )
+                for touch in self.touches
+            ),
+        )
+
+
+HATCH = 1.0 / 48.0
+"""Between the strokes of a hatching, in parts of `Film.unit`."""
+
+
+def placed(points: Array, pose: Array) -> Array:
+    """Return points (m, 2) of a frame in the world, for its pose (3,)."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    turned: Array = points @ np.array([[c, s], [-s, c]]) + pose[:2]
+    return turned
+
+
+def strokes(points: Array, spacing: float) -> Array:
+    """Return the strokes (m, 2, 2) of the hatching on the right of a line of points.
+
+    Where the line turns sharply they are as far apart as along it.
+    """
+    ends = np.diff(points, axis=0)
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*ends.T))])
+    if not along[-1] > 0.0:
+        return np.empty((0, 2, 2))
+    at = np.arange(spacing / 2, along[-1], spacing)
+    piece = np.clip(np.searchsorted(along, at, side="right") - 1, 0, len(ends) - 1)
+    direction = ends[piece] / np.hypot(*ends[piece].T)[:, None]
+    start = points[piece] + (at - along[piece])[:, None] * direction
+    right = np.column_stack([direction[:, 1], -direction[:, 0]])
+    return np.stack([start, start + spacing * (right - direction) * np.sqrt(0.5)], axis=1)

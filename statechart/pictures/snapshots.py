@@ -1,0 +1,49 @@
+"""One picture of a scene, and a strip of several."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from statechart.pictures.drawing import Drawing
+from statechart.pictures.film import Film
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure, SubFigure
+
+# In inches.
+_WIDTH, _HIGHEST = 7.2, 6.4
+
+
+def picture(film: Film) -> Figure:
+    """Return the first instant of a film, its bodies, contacts and surfaces named."""
+    from matplotlib.figure import Figure
+
+    size = shaped(film, _WIDTH, _HIGHEST)
+    result = Figure(figsize=size)
+    Drawing(result.add_axes((0.0, 0.0, 1.0, 1.0)), film, names=True, clock=None)
+    return result
+
+
+def strip(figure: Figure | SubFigure, film: Film) -> None:
+    """Draw every instant of a film side by side, each with the trails up to it."""
+    for place, ax in enumerate(figure.subplots(1, len(film.times), squeeze=False)[0]):
+        Drawing(ax, film).show(place)
+
+
+def shaped(film: Film, width: float, highest: float) -> tuple[float, float]:
+    """Return width and height that fit a film, neither above what is given."""
+    height = width * film.half[1] / film.half[0]
+    return (width, height) if height <= highest else (width * highest / height, highest)
+
+
+def spread(film: Film, count: int) -> Film:
+    """Return the first, the last, and in between the instants among which bodies move alike far."""
+    moved = np.abs(np.diff(film.poses[:, :, :2], axis=0)).max(axis=(1, 2)) / film.unit
+    turned = np.abs(np.diff(film.poses[:, :, 2], axis=0)).max(axis=1)
+    far = np.concatenate([[0.0], np.cumsum(moved + 0.2 * turned)])
+    if not far[-1] > 0.0:
+        return film.at([0])
+    chosen = np.searchsorted(far, np.linspace(0.0, far[-1], count) * (1.0 - 1e-12))
+    return film.at(np.unique(chosen))

@@ -1,0 +1,89 @@
+"""A run as a film: instants chosen, and what its kind of document shows of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from statechart.arrays import Array
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Trace
+from statechart.errors import StatechartError
+from statechart.loading.kind import kind
+from statechart.observation.observer import Observer
+from statechart.pictures.film import Film
+from statechart.pictures.stage import Moments, Stage
+
+# What moves less than this part of the picture does not move.
+_STILL = 2e-3
+# How much of a run is shown after that, of what comes before.
+_REST = 0.08
+_LOOKED_AT = 400
+
+
+def stage_of(automaton: Automaton) -> Stage:
+    """Return what runs of a model are seen on.
+
+    Raises
+    ------
+    StatechartError
+        If nothing of its kind is to be seen.
+    """
+    name = automaton.declaration.kind
+    made = kind(name).stage
+    if made is None:
+        raise StatechartError(
+            f"a {name} has no bodies to look at; its figure and its diagram show what it does"
+        )
+    return made(automaton)
+
+
+def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> Film:
+    """Return a run at instants, after the jumps at them.
+
+    Parameters
+    ----------
+    stage : Stage
+        Of its automaton.
+    observer : Observer
+        Of the simulator that made the run.
+    trace : Trace
+        The run.
+    times : (k,) array
+        In order, within the run.
+    """
+    automaton = observer.automaton
+    names = (*automaton.names, *stage.wanted)
+    samples = observer.sample(trace, names, times=times)
+    return stage.film(
+        Moments(
+            samples.t,
+            samples.j,
+            tuple(samples.modes[place] for place in samples.mode),
+            np.column_stack([samples.columns[name] for name in automaton.names]),
+            {name: samples.columns[name] for name in stage.wanted},
+            trace.parameters,
+        )
+    )
+
+
+def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
+    """Return when nothing that can be seen moves any more, and a little later; at most the end."""
+    times = np.linspace(0.0, trace.t_end, _LOOKED_AT)
+    film = filmed(stage, observer, trace, times)
+    moved = np.abs(film.poses[:, :, :2] - film.poses[-1:, :, :2]).max(axis=(1, 2)) / film.unit
+    turned = np.abs(film.poses[:, :, 2] - film.poses[-1:, :, 2]).max(axis=1)
+    moving = np.flatnonzero(np.maximum(moved, turned) > _STILL)
+    if not len(moving):
+        return trace.t_end
+    last = float(times[min(moving[-1] + 1, len(times) - 1)])
+    return min(trace.t_end, (1.0 + _REST) * last)
+
+
+def with_events(times: Array, trace: Trace, most: int) -> Array:
+    """Return times with those of events in between, of many the first `most`."""
+    end = times[-1] if len(times) else 0.0
+    events: Sequence[float] = [jump.t for jump in trace.jumps[:most] if jump.t <= end]
+    return np.unique(np.concatenate([times, events]))

@@ -1,0 +1,166 @@
+"""What a scene looks like: shapes, places and forces against closed forms."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import statechart
+from contacts.pictures.grounds import grounds
+from contacts.scene.scene import Scene
+from statechart.cli.main import main
+from statechart.pictures.drawing import arrow_of, cone_of
+from statechart.pictures.film import Film, placed, strokes
+from statechart.reporting.film import filmed, stage_of, until_rest
+
+FILES = sorted((Path(__file__).parents[2] / "models").glob("*.yaml"))
+SCENES = [file.stem for file in FILES if "kind: scene" in file.read_text(encoding="utf-8")]
+
+
+def film_of(model: object, times: object, **options: object) -> Film:
+    result = statechart.run(model, throw=False, **options)  # type: ignore[arg-type]
+    return filmed(stage_of(result.observer.automaton), result.observer, result.trace, times)
+
+
+def shapes(film: Film, kind: str) -> list:
+    return [shape for shape in film.shapes if shape.kind == kind]
+
+
+def test_a_stick_is_a_bar_from_its_tip_to_where_a_uniform_one_ends():
+    film = film_of("toppling_stick", [0.0, 1.0])
+    (bar,) = shapes(film, "bar")
+    np.testing.assert_allclose(np.sort(bar.points[:, 1]), [-1.0, 1.0], rtol=1e-15)
+    np.testing.assert_allclose(bar.points[:, 0], 0.0, atol=1e-15)
+    # With all of its mass in the middle it ends there.
+    point = film_of("toppling_stick", [0.0], parameters={"I_G": 0.0}, until=0.1)
+    (bar,) = shapes(point, "bar")
+    np.testing.assert_allclose(np.abs(bar.points).max(axis=0), [0.0, 1.0])
+    assert len(shapes(point, "mass")) == 1
+
+
+def test_the_force_of_a_pinned_tip_carries_the_stick_within_its_cone():
+    film = film_of("toppling_stick", np.linspace(0.0, 2.0, 9))
+    (touch,) = film.touches
+    assert {film.state(k, touch.region) for k in range(9)} == {"pin"}
+    normal, across = touch.forces[:, 1], touch.forces[:, 0]
+    # Paper, section 4: V = 1 - O(lean) at rest and upright, and |H| <= mu V.
+    assert normal[0] == pytest.approx(1.0, abs=1e-3)
+    assert (np.abs(across) <= 0.2 * normal).all()
+    np.testing.assert_array_equal(touch.normals, np.tile([0.0, 1.0], (9, 1)))
+    np.testing.assert_allclose(touch.places, 0.0, atol=1e-12)
+    rim = cone_of(film, touch, 0)
+    angles = np.arctan2(rim[1:, 0], rim[1:, 1])
+    assert angles.max() == pytest.approx(np.arctan(0.2))
+    assert angles.min() == pytest.approx(-np.arctan(0.2))
+    np.testing.assert_allclose(arrow_of(film, touch, 0), film.arrow * touch.forces[0])
+
+
+def test_pendulums_hang_from_their_pivots_and_touch_at_their_rims():
+    film = film_of("newtons_cradle", np.linspace(0.0, 1.0, 5))
+    known = statechart.load("newtons_cradle").values()
+    links = shapes(film, "link")
+    assert len(links) == 5
+    for link in links:
+        for pose in film.poses[:, link.frame]:
+            assert np.hypot(*(placed(link.points[:1], pose)[0] - link.points[-1])) == pytest.approx(
+                known["L"]
+            )
+    assert {disc.radius for disc in shapes(film, "disc")} == {known["radius"]}
+    second = next(touch for touch in film.touches if touch.name == "c23")
+    middle = (film.poses[0, 2, :2] + film.poses[0, 3, :2]) / 2.0
+    np.testing.assert_allclose(second.places[0], middle, atol=1e-9)
+
+
+def test_floors_of_discs_are_below_their_centres():
+    film = film_of("two_balls", [0.0])
+    radius = statechart.load("two_balls").values()["radius"]
+    (floor,) = shapes(film, "ground")
+    np.testing.assert_allclose(floor.points[:, 1], 0.0, atol=1e-15)
+    below = next(touch for touch in film.touches if touch.name == "floor1")
+    assert film.poses[0, 1, 1] - below.places[0, 1] == pytest.approx(radius)
+
+
+def test_a_wheel_without_inertia_has_a_spoke_for_every_contact_that_is_ever_on():
+    film = film_of("rimless_wheel", [0.0, 1.0], until=1.0)
+    spokes = shapes(film, "bar")
+    assert len(spokes) == 8
+    np.testing.assert_allclose([np.hypot(*spoke.points[1]) for spoke in spokes], 1.0)
+
+
+def test_two_corners_and_their_images_make_a_block():
+    film = film_of("rocking_block", [0.0], until=0.1)
+    (block,) = shapes(film, "outline")
+    known = statechart.load("rocking_block").values()
+    corners = {(round(abs(x), 12), round(abs(y), 12)) for x, y in block.points}
+    assert len(block.points) == 4
+    assert corners == {(round(known["b"], 12), round(known["h"], 12))}
+
+
+def test_legs_reach_from_feet_to_hip():
+    film = film_of("compass_walker", [0.0], until=0.0)
+    ends = {round(float(bar.points[1, 1]), 12) for bar in shapes(film, "bar")}
+    assert ends == {-0.5, 0.5}
+    assert len(shapes(film, "bar")) == 3  # the swinging foot is off all the time
+
+
+def test_reactions_of_two_bodies_are_a_spring():
+    (spring,) = shapes(film_of("hopper", [0.0], until=0.0), "spring")
+    assert spring.frame != spring.other
+
+
+def test_strokes_are_on_the_right_at_even_distances():
+    line = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]])
+    found = strokes(line, 0.25)
+    assert len(found) == 12
+    assert (found[:8, 1, 1] < 0.0).all()
+    assert (found[8:, 1, 0] > 2.0).all()
+    assert len(strokes(line[[0, 0]], 0.25)) == 0
+
+
+def test_walls_end_at_floors():
+    scene = statechart.load("dice")
+    assert isinstance(scene, Scene)
+    box = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+    frames = dict.fromkeys(scene.surfaces, 0)
+    found = {s.name: s.points for s in grounds(scene, scene.values(), frames, box, 2.0)}
+    assert found["left"][:, 1].min() == pytest.approx(0.0)
+    assert found["bottom"][:, 0].tolist() == pytest.approx([0.0, 0.3])
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_film_is_finite_and_shows_all_bodies(name):
+    result = statechart.run(name, until=0.05, throw=False)
+    stage = stage_of(result.observer.automaton)
+    end = until_rest(stage, result.observer, result.trace)
+    assert 0.0 < end <= result.trace.t_end
+    film = filmed(stage, result.observer, result.trace, np.linspace(0.0, end, 7))
+    assert np.isfinite(film.poses).all()
+    assert np.isfinite(film.centres).all()
+    for touch in film.touches:
+        assert np.isfinite(touch.forces).all()
+        assert np.isfinite(touch.places).all()
+        np.testing.assert_allclose(np.hypot(*touch.normals.T), 1.0, rtol=1e-12)
+    for shape in film.shapes:
+        if shape.kind in ("outline", "disc", "bar", "mass"):
+            for k in range(7):
+                points = placed(shape.points, film.poses[k, shape.frame])
+                assert (np.abs(points - film.centres[k]) <= film.half).all()
+
+
+def test_the_scene_of_a_model_is_written_as_a_picture(tmp_path, capsys):
+    target = tmp_path / "stick.png"
+    assert main(["draw", "toppling_stick", "--scene", "-o", str(target)]) == 0
+    assert capsys.readouterr().out.strip() == str(target)
+    assert target.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_chart_has_no_bodies_to_draw(tmp_path, capsys):
+    target = tmp_path / "ball.png"
+    assert main(["draw", "bouncing_ball_chart", "--scene", "-o", str(target)]) == 1
+    assert "no bodies" in capsys.readouterr().err
+    assert not target.exists()
+
+
+def test_a_scene_is_no_text(tmp_path, capsys):
+    assert main(["draw", "toppling_stick", "--scene", "-o", str(tmp_path / "a.dot")]) == 1
+    assert "svg, png or pdf" in capsys.readouterr().err
