@@ -86,7 +86,7 @@ def one(path: str, engine: str, step: float | None) -> dict[str, object]:
 
     runner = Runner(path, engine=engine, step=step)
     result = runner.run(throw=False)
-    report = result.report()
+    report = result.to_dict()
     began = time.perf_counter()
     runner.run(throw=False)
     return {

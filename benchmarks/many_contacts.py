@@ -67,7 +67,7 @@ def run(path: Path) -> dict[str, object]:
     runner = Runner(path)
     start, _ = runner.start()
     result = runner.run()
-    report = result.report(explain=True)
+    report = result.to_dict(explain=True)
     ran = time.perf_counter()
     write(build(runner.automaton, start, result.trace), path.with_suffix(".svg"))
     return {

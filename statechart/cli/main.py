@@ -171,6 +171,9 @@ def _parser() -> argparse.ArgumentParser:
         help="of every event: what fired, the margins, what else was considered, the energy",
     )  # fmt: skip
     run.add_argument("--output", metavar="DIR", help="write tables, data set and figure there")
+    run.add_argument(
+        "--animate", metavar="FILM", help="draw the bodies in motion: .gif, or .mp4 with ffmpeg"
+    )
     run.add_argument("--json", action="store_true", help="print one JSON object")
     trade = verb("trade", "measure what speed costs in accuracy")
     trade.add_argument("--json", action="store_true", help="print one JSON object")

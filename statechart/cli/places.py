@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from statechart.errors import DeclarationError
 
 if TYPE_CHECKING:
+    from statechart.running.runner import Runner
     from statechart.study.record import Study
 
 
@@ -62,3 +63,23 @@ def check_file(option: str, output: str | None) -> None:
             f"{option} {output}: there is no folder {path.parent} that is writable",
             advice="name another folder, or make this one",
         )
+
+
+def check_animation(runner: Runner, output: str | None) -> None:
+    """Check that an animation of a model can be written, before the run that it shows.
+
+    Raises
+    ------
+    DeclarationError
+        If it is no animation, or its place is not writable.
+    StatechartError
+        If the model has no bodies, or a program is missing.
+    """
+    if output is None:
+        return
+    from statechart.pictures.animation import check
+    from statechart.reporting.film import Showing, stage_of
+
+    check_file("--animate", output)
+    check(Path(output), Showing.size)
+    stage_of(runner.automaton)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
-from statechart.cli.places import check_folder, kept_study
+from statechart.cli.places import check_animation, check_folder, kept_study
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.pieces import Pieces
 
@@ -60,6 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         progress=True,
     )
     check_folder(arguments.output)
+    check_animation(runner, arguments.animate)
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
@@ -81,7 +82,7 @@ def _tell(
     def made() -> dict[str, Any]:
         # What was saved must be able to answer why, too.
         explain = arguments.explain or arguments.output is not None
-        report = result.report(explain=explain, pieces=pieces)
+        report = result.to_dict(explain=explain, pieces=pieces)
         if arguments.alternatives:
             none: list[dict[str, Any]] = []
             report["alternatives"] = pieces.attempt(
@@ -111,6 +112,9 @@ def _tell(
 
             print(f"\n{explanation(report)}", end="")
     sys.stdout.flush()
+    if arguments.animate is not None:
+        draw = functools.partial(result.animate, arguments.animate, progress=True)
+        pieces.attempt(arguments.animate, draw, None)
     failure = failure or (f"left out: {pieces.text()}" if pieces.failed else "")
     if failure:
         print(failure, file=sys.stderr)

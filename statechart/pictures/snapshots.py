@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
 # In inches.
-_WIDTH, _HIGHEST = 7.2, 6.4
+_WIDTH, _HIGHEST, _STRIP = 7.2, 6.4, 2.0
 
 
 def picture(film: Film) -> Figure:
@@ -26,10 +26,28 @@ def picture(film: Film) -> Figure:
     return result
 
 
-def strip(figure: Figure | SubFigure, film: Film) -> None:
-    """Draw every instant of a film side by side, each with the trails up to it."""
-    for place, ax in enumerate(figure.subplots(1, len(film.times), squeeze=False)[0]):
+def strip(figure: Figure | SubFigure, film: Film, width: float) -> None:
+    """Draw every instant of a film side by side, each with the trails up to it.
+
+    Parameters
+    ----------
+    figure : Figure or SubFigure
+        Where; as high as `strip_height` says.
+    film : Film
+        Few instants.
+    width : float
+        Of the figure, in inches.
+    """
+    count = len(film.times)
+    own, high = 0.93 * shaped(film, width / count, _STRIP)[0] / width, 0.93
+    for place in range(count):
+        ax = figure.add_axes((place / count + (1.0 / count - own) / 2.0, 0.0, own, high))
         Drawing(ax, film).show(place)
+
+
+def strip_height(film: Film, width: float) -> float:
+    """Return how high a strip of so many inches is."""
+    return shaped(film, width / len(film.times), _STRIP)[1]
 
 
 def shaped(film: Film, width: float, highest: float) -> tuple[float, float]:

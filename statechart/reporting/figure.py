@@ -18,12 +18,16 @@ from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 from statechart.palette import GRID, INK, LINES, state_colours
+from statechart.pictures.film import Film
+from statechart.pictures.snapshots import strip as draw_strip
+from statechart.pictures.snapshots import strip_height
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 
+_WIDTH = 7.2
 _MOST_LINES = 6
 _MOST_PANELS = 4
 # Relative to the largest value: below this a curve is the rounding of zero.
@@ -56,7 +60,13 @@ class _Panel:
     cone: tuple[str, float | Array] | None = None
 
 
-def figure(observer: Observer, trace: Trace, path: Path | str | None = None) -> Figure:
+def figure(
+    observer: Observer,
+    trace: Trace,
+    path: Path | str | None = None,
+    *,
+    strip: Film | None = None,
+) -> Figure:
     """Draw a run.
 
     Panels, where there is something to show: the variables that others are the rates of, those
@@ -73,6 +83,8 @@ def figure(observer: Observer, trace: Trace, path: Path | str | None = None) -> 
         The run.
     path : Path or str, optional
         Where to write it, too; svg, png or pdf by its suffix.
+    strip : Film, optional
+        What stands above the panels: the bodies at some instants, side by side.
 
     Raises
     ------
@@ -87,7 +99,13 @@ def figure(observer: Observer, trace: Trace, path: Path | str | None = None) -> 
     bands = len(trace.regions)
     heights = [1.6 if i == 0 else 1.3 for i in range(len(panels))] + [0.26 * bands]
     with rc_context(STYLE):
-        result = Figure(figsize=(7.2, 0.9 + 1.12 * sum(heights)), layout="constrained")
+        high = 0.9 + 1.12 * sum(heights)
+        above = 0.0 if strip is None else 0.3 + strip_height(strip, _WIDTH)
+        whole = Figure(figsize=(_WIDTH, high + above), layout="constrained")
+        result: Figure | SubFigure = whole
+        if strip is not None:
+            (upper,), (result,) = whole.subfigures(2, 1, squeeze=False, height_ratios=(above, high))
+            draw_strip(upper, strip, _WIDTH)
         axes = result.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[
             :, 0
         ]
@@ -98,8 +116,8 @@ def figure(observer: Observer, trace: Trace, path: Path | str | None = None) -> 
         result.align_ylabels(axes)
         result.suptitle(trace.name, x=0.01, ha="left", fontsize=10, fontweight="bold")
     if path is not None:
-        write(result, path)
-    return result
+        write(whole, path)
+    return whole
 
 
 def write(drawing: Figure, path: Path | str) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +15,9 @@ from statechart.automaton.trace import Trace
 from statechart.errors import StatechartError
 from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
+from statechart.pictures import animation
 from statechart.pictures.film import Film
+from statechart.pictures.snapshots import spread
 from statechart.pictures.stage import Moments, Stage
 
 # What moves less than this part of the picture does not move.
@@ -21,6 +25,7 @@ _STILL = 2e-3
 # How much of a run is shown after that, of what comes before.
 _REST = 0.08
 _LOOKED_AT = 400
+_SIDE_BY_SIDE = 5
 
 
 def stage_of(automaton: Automaton) -> Stage:
@@ -87,3 +92,77 @@ def with_events(times: Array, trace: Trace, most: int) -> Array:
     end = times[-1] if len(times) else 0.0
     events: Sequence[float] = [jump.t for jump in trace.jumps[:most] if jump.t <= end]
     return np.unique(np.concatenate([times, events]))
+
+
+@dataclass(frozen=True)
+class Showing:
+    """How an animation is shown.
+
+    Attributes
+    ----------
+    speed : float or None
+        Units of the run's time that pass in a second; None for what makes it neither short nor
+        long.
+    size : int
+        Pixels of the longer side.
+    trail : float or None
+        How far back in time trails of bodies reach: None for all the way, 0 for none.
+    """
+
+    speed: float | None = None
+    size: int = 720
+    trail: float | None = None
+
+
+def animate(
+    observer: Observer,
+    trace: Trace,
+    path: Path | str,
+    showing: Showing,
+    *,
+    progress: bool = False,
+) -> Path:
+    """Write a run as an animation, from its start until nothing moves any more.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of the simulator that made the run.
+    trace : Trace
+        The run.
+    path : Path or str
+        What to write: .gif, or .mp4 where the program ffmpeg is.
+    showing : Showing
+        How it is shown.
+    progress : bool
+        Whether pictures are counted on stderr.
+
+    Returns
+    -------
+    Path
+        What was written.
+
+    Raises
+    ------
+    StatechartError
+        If there is nothing to see, the suffix, the speed or the size is none, or the file cannot
+        be written.
+    """
+    path = Path(path)
+    animation.check(path, showing.size)
+    stage = stage_of(observer.automaton)
+    speed, times = animation.pace(until_rest(stage, observer, trace), showing.speed)
+    film = filmed(stage, observer, trace, times)
+    animation.write(
+        film, path, speed=speed, size=showing.size, trail=showing.trail, progress=progress
+    )
+    return path
+
+
+def strip_of(observer: Observer, trace: Trace) -> Film | None:
+    """Return some instants of a run to be seen side by side; None where nothing is to be seen."""
+    if kind(observer.automaton.declaration.kind).stage is None:
+        return None
+    stage = stage_of(observer.automaton)
+    end = until_rest(stage, observer, trace)
+    return spread(filmed(stage, observer, trace, np.linspace(0.0, end, _LOOKED_AT)), _SIDE_BY_SIDE)

@@ -156,6 +156,13 @@ def to_xarray(observer: Observer, trace: Trace, *, per_step: float = _ROWS) -> x
     return xr.Dataset(data, coordinates, attributes)
 
 
+def by_time(data: xr.Dataset) -> xr.Dataset:
+    """Return a data set of `to_xarray` over the dimension t, without times that occur twice."""
+    t = data["t"].to_numpy()
+    last = np.append(np.diff(t) > 0.0, True)
+    return data.isel(sample=last).swap_dims(sample="t")
+
+
 def save(observer: Observer, trace: Trace, path: Path | str) -> None:
     """Write a run to a NetCDF file (version 3), whole or not at all.
 

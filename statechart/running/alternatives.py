@@ -38,7 +38,7 @@ def compared(result: Result, others: Mapping[str, Result]) -> list[dict[str, Any
             other.outputs,
             endless=result.endless | other.endless,
         )
-        report = other.report()
+        report = other.to_dict()
         rows.append(
             {
                 "choice": choice,

@@ -11,12 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 from statechart.automaton.trace import Trace
 from statechart.documents.setting import Setting
+from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import OutputValue as Output
 from statechart.reporting.pieces import Pieces
 from statechart.running.estimate import Cost
 
 if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+    from statechart.diagram.model import Diagram
     from statechart.running.runner import Runner
 
 
@@ -57,7 +63,30 @@ class Asked:
         }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class Reading:
+    """What held at an instant of a run.
+
+    Attributes
+    ----------
+    t : float
+        When.
+    jumps : int
+        How many jumps precede it.
+    mode : mapping of str to str
+        Region -> its state.
+    values : mapping of str to float
+        Variables, and what else can be observed: gaps, forces, energy; not a number where it has
+        no value.
+    """
+
+    t: float
+    jumps: int
+    mode: Mapping[str, str]
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """What a run gave.
 
@@ -121,7 +150,142 @@ class Result:
 
         return conditions(self.observer, self.trace)
 
-    def report(self, *, explain: bool = False, pieces: Pieces | None = None) -> dict[str, Any]:
+    def __str__(self) -> str:
+        """Return what the command line prints: how it ended, its events, outputs, margins."""
+        from statechart.reporting.text import summary
+
+        return summary(self.to_dict())
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: a table of outputs and events, and the figure."""
+        from statechart.reporting.notebook import html
+
+        return html(self.to_dict(), self.plot())
+
+    @property
+    def events(self) -> pd.DataFrame:
+        """The jumps, a row each; see `statechart.reporting.tables.events_table`."""
+        from statechart.reporting.tables import events_table
+
+        return events_table(self.observer, self.trace)
+
+    @property
+    def samples(self) -> pd.DataFrame:
+        """Variables and observables along the run; see `samples_table`."""
+        from statechart.reporting.tables import samples_table
+
+        return samples_table(self.observer, self.trace)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return the run as a data set over time.
+
+        Returns
+        -------
+        Dataset
+            As `statechart.reporting.tables.to_xarray` gives it, but over the dimension `t`, on
+            which times are unique: at a jump the values are those after it, and what was before it
+            stands along `event`. So ``.sel(t=0.3, method="nearest")`` finds the nearest sample.
+        """
+        from statechart.reporting.tables import by_time, to_xarray
+
+        return by_time(to_xarray(self.observer, self.trace))
+
+    def at(self, t: float) -> Reading:
+        """Return what held at an instant; at the instant of a jump, after it.
+
+        Parameters
+        ----------
+        t : float
+            From 0 to the end of the run.
+
+        Raises
+        ------
+        StatechartError
+            If the run has no such instant.
+
+        Examples
+        --------
+        >>> from statechart import run
+        >>> reading = run("bouncing_ball").at(0.2)
+        >>> reading.mode, round(reading.values["height"], 3)
+        ({'floor': 'free'}, 0.804)
+        """
+        if not 0.0 <= t <= self.trace.t_end:
+            raise StatechartError(f"the run is from 0 to {self.trace.t_end!r}, without {t!r}")
+        found = self.observer.sample(self.trace, times=[t])
+        states = dict(zip(self.trace.regions, found.modes[found.mode[0]], strict=True))
+        values = {name: float(column[0]) for name, column in found.columns.items()}
+        return Reading(t, int(found.j[0]), states, values)
+
+    def plot(self, path: Path | str | None = None) -> Figure:
+        """Return the run as one picture: the bodies at some instants, above curves and modes.
+
+        Parameters
+        ----------
+        path : Path or str, optional
+            Where to write it, too; svg, png or pdf by its suffix.
+        """
+        from statechart.reporting.figure import figure
+        from statechart.reporting.film import strip_of
+
+        return figure(self.observer, self.trace, path, strip=strip_of(self.observer, self.trace))
+
+    def diagram(self, path: Path | str | None = None) -> Diagram:
+        """Return the statechart with the path that the run took.
+
+        Parameters
+        ----------
+        path : Path or str, optional
+            Where to write it, too; see `statechart.draw` for the suffixes.
+        """
+        from statechart.automaton.product import feasibility
+        from statechart.diagram.build import build
+        from statechart.diagram.write import write
+
+        setup = self.runner.setup(self._overrides)
+        found = feasibility(self.runner.automaton, setup, setup.initial, 0.0)
+        diagram = build(self.runner.automaton, self.trace.start_mode, self.trace, found)
+        if path is not None:
+            write(diagram, Path(path))
+        return diagram
+
+    def animate(
+        self,
+        path: Path | str,
+        *,
+        speed: float | None = None,
+        size: int = 720,
+        trail: float | None = None,
+        progress: bool = False,
+    ) -> Path:
+        """Write the bodies in motion; see `statechart.reporting.film.animate`.
+
+        Parameters
+        ----------
+        path : Path or str
+            What to write: .gif, or .mp4 where the program ffmpeg is.
+        speed : float, optional
+            Units of the run's time that pass in a second.
+        size : int
+            Pixels of the longer side.
+        trail : float, optional
+            How far back in time trails of bodies reach; 0 for none.
+        progress : bool
+            Whether pictures are counted on stderr.
+        """
+        from statechart.reporting.film import Showing, animate
+
+        showing = Showing(speed, size, trail)
+        return animate(self.observer, self.trace, path, showing, progress=progress)
+
+    @property
+    def _overrides(self) -> dict[str, float]:
+        values = self.trace.parameters
+        return {name: values[name] for name in self.runner.model.parameters if name in values}
+
+    def to_dict(self, *, explain: bool = False, pieces: Pieces | None = None) -> dict[str, Any]:
         """Return the run as one plain object; see `statechart.reporting.report.report`."""
         from statechart.reporting.report import report
 
@@ -140,7 +304,7 @@ class Result:
         """Write tables, data set and figure; see `statechart.reporting.tables.write_run`."""
         from statechart.reporting.tables import write_run
 
-        return write_run(folder, self.observer, self.trace, lambda: self.report(explain=True))
+        return write_run(folder, self.observer, self.trace, lambda: self.to_dict(explain=True))
 
 
 def _remade(

@@ -50,7 +50,7 @@ def test_a_run_builds_the_modes_that_it_visits_and_no_other() -> None:
     assert [key[0] for key in visited] == ["free", "slide-", "slide+"]
     assert {key[1:] for key in visited} == {("free",) * (COUNT - 1)}
     assert result.trace.counts["modes_built"] == len(visited)
-    report = result.report(explain=True)
+    report = result.to_dict(explain=True)
     assert (report["modes_total"], report["modes_built"]) == (4**COUNT, 3)
     edges = [edge for edge in automaton.regions[0].edges if edge.source == "free"]
     near = graph(automaton, around=[start], within=1)

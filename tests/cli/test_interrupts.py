@@ -150,10 +150,10 @@ def test_a_run_of_many_flows_is_saved_in_short_after_a_signal(
             interrupts.check()
         pieces = Pieces()
         write_run(
-            tmp_path, result.observer, result.trace, lambda: result.report(pieces=pieces), pieces
+            tmp_path, result.observer, result.trace, lambda: result.to_dict(pieces=pieces), pieces
         )
     report = json.loads((tmp_path / "run.json").read_text())
-    assert report["outputs"] == result.report()["outputs"]
+    assert report["outputs"] == result.to_dict()["outputs"]
     shown = [event["t"] for event in report["events"]]
     assert shown == [jump.t for jump in jumps[:: math.ceil(len(jumps) / 10)]]
     with xr.open_dataset(tmp_path / "trace.nc") as data:

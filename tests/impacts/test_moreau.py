@@ -256,7 +256,7 @@ def test_a_run_says_where_it_applies_another_law_than_the_one_declared(impact):
     events = Runner(rod(impact)).run()
     steps = Runner(rod(impact), engine="impulse", step=1e-5).run()
     ours, theirs = (r.trace.jumps[0].impulse["tip"] for r in (steps, events))
-    left_out = [part["what"] for part in steps.report()["left_out"]]
+    left_out = [part["what"] for part in steps.to_dict()["left_out"]]
     if impact == "moreau":
         assert ours == pytest.approx(theirs, rel=1e-3)
         assert not steps.warnings
@@ -273,4 +273,4 @@ def test_a_sequence_of_impacts_is_no_law_of_steps():
     result = Runner("newtons_cradle", engine="impulse", step=1e-3).run(until=0.1)
     said = "simultaneous: sequential"
     assert any(warning.startswith(said) for warning in result.warnings)
-    assert said in [part["what"] for part in result.report()["left_out"]]
+    assert said in [part["what"] for part in result.to_dict()["left_out"]]

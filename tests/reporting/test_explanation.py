@@ -27,7 +27,7 @@ stop: {time: 0.45, conditions: {low: bar.y <= 0.05}}
 
 
 def test_margins_are_those_of_the_mode_left() -> None:
-    events = Runner("toppling_stick").run().report(explain=True)["events"]
+    events = Runner("toppling_stick").run().to_dict(explain=True)["events"]
     slip, reverse, stop = events
     assert slip["fired"] == ["tip.mu V - H"]
     assert set(slip["margins"]) == {
@@ -42,7 +42,7 @@ def test_margins_are_those_of_the_mode_left() -> None:
 
 def test_margins_agree_with_what_the_observer_says() -> None:
     result = Runner("toppling_stick").run()
-    events = result.report(explain=True)["events"]
+    events = result.to_dict(explain=True)["events"]
     values = result.observer.at(result.trace, ["tip.V"], result.trace.jumps, before=True)[:, 0]
     shown = [event["margins"].get("tip.V") for event in events]
     # Of a pin and of a slide backwards; on the cone's edge the margin is the length of the force.
@@ -52,21 +52,21 @@ def test_margins_agree_with_what_the_observer_says() -> None:
 
 
 def test_without_explain_no_margins_are_evaluated() -> None:
-    events = Runner("toppling_stick").run().report()["events"]
+    events = Runner("toppling_stick").run().to_dict()["events"]
     assert all("margins" not in event for event in events)
 
 
 def test_margins_of_charts_and_of_what_a_zeno_sequence_holds() -> None:
-    events = Runner("bouncing_ball_chart").run().report(explain=True)["events"]
+    events = Runner("bouncing_ball_chart").run().to_dict(explain=True)["events"]
     assert events[0]["margins"] == {"ball.bounce": pytest.approx(0.0, abs=1e-12)}
     assert events[-1]["cause"] == "settle"
-    ball = Runner("bouncing_ball").run().report(explain=True)["events"]
+    ball = Runner("bouncing_ball").run().to_dict(explain=True)["events"]
     assert all(event["margins"] for event in ball)
     json.dumps(ball, allow_nan=False)
 
 
 def test_the_words_name_all_that_the_jump_holds() -> None:
-    report = Runner(read_text(BAR)).run().report(explain=True)
+    report = Runner(read_text(BAR)).run().to_dict(explain=True)
     said = explanation(report)
     first, last = said.split("\n\n")
     assert first.splitlines()[0].endswith("jump 0: A touchdown, A: free -> slide+")
@@ -81,7 +81,7 @@ def test_the_words_name_all_that_the_jump_holds() -> None:
 
 
 def test_of_many_events_the_first_and_the_last_are_explained() -> None:
-    report = Runner("bouncing_ball").run().report(explain=True)
+    report = Runner("bouncing_ball").run().to_dict(explain=True)
     said = explanation(report)
     events = report["events"]
     assert len(events) > 40
@@ -112,7 +112,7 @@ def test_the_command_line_explains_and_what_it_saves_can(
 
 def test_a_run_without_events_has_nothing_to_explain() -> None:
     runner = Runner(read_text(BAR.replace("time: 0.45", "time: 0.1")))
-    assert explanation(runner.run().report(explain=True)) == ""
+    assert explanation(runner.run().to_dict(explain=True)) == ""
 
 
 @pytest.mark.parametrize("name", SOUND)

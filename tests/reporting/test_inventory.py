@@ -7,7 +7,7 @@ from statechart.running.runner import run
 
 def test_a_run_with_events_builds_the_modes_it_enters():
     result = run("toppling_stick")
-    report = result.report()
+    report = result.to_dict()
     modes = [entry["mode"]["tip"] for entry in report["built"]["modes"]]
     assert modes == ["pin", "slide-", "slide+"]
     assert report["modes_built"] == len(modes)
@@ -21,19 +21,19 @@ def test_a_run_with_events_builds_the_modes_it_enters():
 
 
 def test_a_stepped_run_builds_no_modes():
-    report = run("toppling_stick", engine="impulse", step=1e-2).report()
+    report = run("toppling_stick", engine="impulse", step=1e-2).to_dict()
     assert report["built"] == {"modes": [], "unknowns": 5, "recognised": 3}
     assert any("guards" in entry["what"] for entry in report["left_out"])
 
 
 def test_what_a_scene_does_not_require_is_named():
-    left = {e["what"]: e["why"] for e in run("hopper", until=0.1).report()["left_out"]}
+    left = {e["what"]: e["why"] for e in run("hopper", until=0.1).to_dict()["left_out"]}
     assert left["pin of sole"] == "not among its modes"
     assert "frictionless" in left["friction of sole"]
-    left = {e["what"] for e in run("block_on_incline", until=0.1).report()["left_out"]}
+    left = {e["what"] for e in run("block_on_incline", until=0.1).to_dict()["left_out"]}
     assert "the angle of block" in left
 
 
 def test_a_chart_reports_its_modes_too():
-    report = run("bouncing_ball_chart", until=1).report()
+    report = run("bouncing_ball_chart", until=1).to_dict()
     assert [entry["mode"] for entry in report["built"]["modes"]] == [{"ball": "flight"}]

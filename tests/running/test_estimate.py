@@ -87,13 +87,13 @@ def test_jumps_that_nothing_fired_have_no_condition() -> None:
 
 
 def test_an_accuracy_answers_with_condition_and_cost() -> None:
-    report = run("toppling_stick", accuracy=1e-5).report()
+    report = run("toppling_stick", accuracy=1e-5).to_dict()
     asked = report["asked"]
     assert asked["reached"]
     assert asked["cost"]["runs"] >= 2
     assert asked["cost"]["steps"] > report["counts"]["steps"]
     assert report["condition"] == max(e["condition"] for e in report["events"])
-    plain = run("toppling_stick").report()
+    plain = run("toppling_stick").to_dict()
     assert (plain["asked"], plain["condition"]) == (None, None)
 
 

@@ -236,7 +236,7 @@ def test_a_result_travels_with_its_step() -> None:
     result = run(read_text(BLOCK), engine="impulse", accuracy=1e-3)
     there = pickle.loads(pickle.dumps(result))
     assert there.outputs == result.outputs
-    assert there.report()["asked"] == result.report()["asked"]
+    assert there.to_dict()["asked"] == result.to_dict()["asked"]
 
 
 def test_a_run_that_cannot_start_raises() -> None:

@@ -55,7 +55,7 @@ def test_a_run_in_another_process_is_the_run_in_this_one(
     here, there = run(declared), pool.submit(run, declared).result()
     assert_same(there.trace, here.trace)
     assert there.outputs == here.outputs
-    assert there.report(explain=True)["events"] == here.report(explain=True)["events"]
+    assert there.to_dict(explain=True)["events"] == here.to_dict(explain=True)["events"]
 
 
 def test_a_runner_travels_as_its_model_and_what_is_asked_for(pool: ProcessPoolExecutor) -> None:

@@ -1,0 +1,227 @@
+"""A film as a file that moves: GIF by Pillow, MP4 where the program ffmpeg is."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from statechart.arrays import Array
+from statechart.documents.files import write_atomic
+from statechart.errors import DeclarationError, StatechartError
+from statechart.palette import FAINT, FRAME, INK, state_colours
+from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing
+from statechart.pictures.film import Film
+from statechart.pictures.scenery import BODY
+from statechart.pictures.snapshots import shaped
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+SUFFIXES = (".gif", ".mp4")
+"""What `write` can write."""
+
+# Pictures a second; a GIF counts hundredths of a second, of which this is a whole number.
+_RATE = 25
+# Seconds that an animation of a speed chosen here takes, at least and at most.
+_SHORT, _LONG = 3.0, 10.0
+# Pictures of one file: of longer ones every second, third, ... is left out.
+_MOST = 600
+# Pixels along a side; a video's are even.
+_NARROWEST, _WIDEST = 120, 1920
+# The last picture stays for so long before all begins anew.
+_STAYS = 1.0
+_DPI = 100
+# Lighter shades than this would be taken for the paper's.
+_FAINTEST = 240.0
+
+
+def pace(end: float, speed: float | None) -> tuple[float, Array]:
+    """Return how many units of the run's time pass in a second, and the times of the pictures.
+
+    Parameters
+    ----------
+    end : float
+        Of what is shown.
+    speed : float, optional
+        What passes in a second; by default one where the animation is then neither short nor
+        long, else a round number that makes it so.
+
+    Raises
+    ------
+    DeclarationError
+        If the speed is not positive and finite.
+    """
+    if speed is None:
+        speed = 1.0 if _SHORT <= end <= _LONG or end == 0.0 else _round(end)
+    if not 0.0 < speed < math.inf:
+        raise DeclarationError(
+            f"a speed is a positive number, not {speed:g}", advice="1 is as in the run's own time"
+        )
+    count = min(max(2, round(_RATE * end / speed) + 1), _MOST)
+    return speed, np.linspace(0.0, end, count)
+
+
+def _round(end: float) -> float:
+    """Return 1, 2 or 5 times a power of ten by which a run takes no longer than `_LONG`."""
+    least = end / _LONG
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(s * power for s in (1.0, 2.0, 5.0, 10.0) if s * power >= least * (1.0 - 1e-9))
+
+
+def check(path: Path, size: int) -> None:
+    """Check that an animation can be written, before the work that leads to it.
+
+    Raises
+    ------
+    DeclarationError
+        If its suffix or its size is none.
+    StatechartError
+        If the program that it needs is not there.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise DeclarationError(
+            f"an animation is .gif or .mp4, not {path.suffix or path.name!r}",
+            advice="a GIF is seen everywhere",
+        )
+    if not _NARROWEST <= size <= _WIDEST:
+        raise DeclarationError(
+            f"the size must be {_NARROWEST} to {_WIDEST} pixels, not {size}", advice="say 720"
+        )
+    if path.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
+        raise StatechartError("an mp4 needs the program ffmpeg, which is not here; write a .gif")
+
+
+def write(
+    film: Film,
+    path: Path,
+    *,
+    speed: float,
+    size: int = 720,
+    trail: float | None = None,
+    progress: bool = False,
+) -> None:
+    """Write a film as an animation, whole or not at all.
+
+    Parameters
+    ----------
+    film : Film
+        Its instants evenly spaced.
+    path : Path
+        What to write; its suffix says how, see `SUFFIXES`.
+    speed : float
+        Units of its time that pass in a second.
+    size : int
+        Pixels of the longer side.
+    trail : float, optional
+        See `Drawing`.
+    progress : bool
+        Whether pictures are counted on stderr.
+
+    Raises
+    ------
+    StatechartError
+        As `check` does, and if the file cannot be written.
+    """
+    check(path, size)
+    pictures = _pictures(film, _clock(speed), size, trail, progress)
+    # A long run was thinned: each picture stays for longer.
+    lasting = (film.times[-1] - film.times[0]) / speed / max(len(film.times) - 1, 1) or 1.0 / _RATE
+    make = _gif if path.suffix.lower() == ".gif" else _mp4
+    try:
+        write_atomic(path, make(pictures, lasting))
+    except OSError as error:
+        raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _clock(speed: float) -> str:
+    if speed == 1.0:
+        return ""
+    return f", {speed:.3g} times faster" if speed > 1.0 else f", {1.0 / speed:.3g} times slower"
+
+
+def _pictures(
+    film: Film, clock: str, size: int, trail: float | None, progress: bool
+) -> Iterator[Image.Image]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    width, height = shaped(film, size / _DPI, size / _DPI)
+    even = [2 * round(side * _DPI / 2) / _DPI for side in (width, height)]
+    figure = Figure(figsize=(even[0], even[1]), dpi=_DPI)
+    canvas = FigureCanvasAgg(figure)
+    drawing = Drawing(figure.add_axes((0.0, 0.0, 1.0, 1.0)), film, trail=trail, clock=clock)
+    for instant in range(len(film.times)):
+        drawing.show(instant)
+        canvas.draw()
+        if progress and instant % 20 == 0:
+            pass
+        yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+
+
+def _gif(pictures: Iterator[Image.Image], lasting: float) -> bytes:
+    from PIL import Image
+
+    # One palette for all: what stands still stays the same, and takes no place in the file.
+    shared = Image.new("P", (1, 1))
+    shared.putpalette(_palette())
+    kept = [p.quantize(palette=shared, dither=Image.Dither.NONE) for p in pictures]
+    times = [round(100.0 * lasting * k) for k in range(len(kept))]
+    lengths = [10 * max(2, b - a) for a, b in itertools.pairwise(times)]
+    lengths.append(round(1000 * _STAYS))
+    stream = BytesIO()
+    kept[0].save(
+        stream, format="GIF", save_all=True, append_images=kept[1:], duration=lengths, loop=0
+    )
+    return stream.getvalue()
+
+
+def _palette() -> list[int]:
+    """Return red, green and blue of all colours of a drawing, and of their edges on paper."""
+    inks = {
+        INK,
+        FRAME,
+        FAINT,
+        BODY,
+        FORCE,
+        TRAIL,
+        *state_colours((*CLOSED, "free", "off")).values(),
+    }
+    colours = [[int(ink[k : k + 2], 16) for k in (1, 3, 5)] for ink in sorted(inks)]
+    shades = np.linspace(0.0, 1.0, 255 // len(colours), endpoint=False)
+    found = [255.0 + (np.array(c) - 255.0) * (1.0 - shade) for c in colours for shade in shades]
+    found = [colour for colour in found if colour.min() < _FAINTEST]
+    return [round(part) for colour in [[255, 255, 255], *found] for part in colour]
+
+
+def _mp4(pictures: Iterator[Image.Image], lasting: float) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "film.mp4"
+        first = next(pictures)
+        width, height = first.size
+        command = [
+            "ffmpeg", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
+            "-s", f"{width}x{height}", "-r", f"{1.0 / lasting:.6g}", "-i", "-",
+            "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(target),
+        ]  # fmt: skip
+        with tempfile.TemporaryFile() as said:
+            with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said) as process:
+                assert process.stdin is not None
+                with suppress(BrokenPipeError), process.stdin:  # then it has said why
+                    for picture in (first, *pictures):
+                        process.stdin.write(picture.tobytes())
+            if process.returncode != 0:
+                said.seek(0)
+                why = said.read().decode(errors="replace").strip()
+                raise StatechartError(f"ffmpeg made no mp4: {why}")
+        return target.read_bytes()

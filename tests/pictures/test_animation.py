@@ -1,0 +1,103 @@
+"""Animations: how fast, how long, how large, and what is said where none can be made."""
+
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import statechart
+from statechart import DeclarationError, StatechartError
+from statechart.cli.main import main
+from statechart.pictures.animation import pace
+
+
+@pytest.mark.parametrize(
+    ("end", "speed"),
+    [(5.8, 1.0), (3.0, 1.0), (0.43, 0.05), (20.0, 2.0), (1000.0, 100.0), (2.0, 0.2)],
+)
+def test_a_speed_is_chosen_that_is_round_and_makes_it_neither_short_nor_long(end, speed):
+    chosen, times = pace(end, None)
+    assert chosen == pytest.approx(speed, rel=1e-12)
+    assert 3.0 <= end / chosen <= 10.0 + 1e-9
+    assert times[0] == 0.0
+    assert times[-1] == end
+    assert len(times) == round(25 * end / chosen) + 1
+
+
+def test_long_runs_are_thinned_and_short_ones_have_two_pictures():
+    assert len(pace(1000.0, 1.0)[1]) == 600
+    assert len(pace(0.0, None)[1]) == 2
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, np.inf, np.nan])
+def test_a_speed_is_positive(speed):
+    with pytest.raises(DeclarationError, match="speed"):
+        pace(1.0, speed)
+
+
+def test_a_gif_moves_as_long_as_the_run(tmp_path):
+    result = statechart.run("toppling_stick")
+    path = result.animate(tmp_path / "stick.gif", speed=2.0, size=200)
+    with Image.open(path) as film:
+        assert film.n_frames > 20
+        assert max(film.size) == 200
+        lasted, pixels = 0, []
+        for k in range(film.n_frames):
+            film.seek(k)
+            lasted += film.info["duration"]
+            pixels.append(np.asarray(film.convert("RGB")).astype(int))
+    # A second of rest at the end, and each picture lasts a whole number of hundredths.
+    assert lasted / 1000.0 - 1.0 == pytest.approx(result.trace.t_end / 2.0, abs=0.1)
+    assert np.abs(pixels[-1] - pixels[0]).max() > 100
+    assert (pixels[0][0, -1] == 255).all()  # paper is white
+
+
+def test_the_same_run_gives_the_same_file(tmp_path):
+    result = statechart.run("sliding_ladder")
+    one = result.animate(tmp_path / "one.gif", speed=1.0, size=160).read_bytes()
+    assert one == result.animate(tmp_path / "two.gif", speed=1.0, size=160).read_bytes()
+
+
+def test_heaps_are_animated_until_nothing_moves(tmp_path):
+    result = statechart.run("dice", parameters={"n": 3})
+    path = result.animate(tmp_path / "dice.gif", size=160)
+    with Image.open(path) as film:
+        assert 20 < film.n_frames < 600
+
+
+def test_an_mp4_needs_ffmpeg(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(StatechartError, match="ffmpeg"):
+        statechart.run("sliding_ladder").animate(tmp_path / "film.mp4")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("film.avi", "gif or .mp4"), ("no/film.gif", "no folder"), ("", "no file")]
+)
+def test_what_cannot_be_written_is_said_before_the_run(tmp_path, capsys, monkeypatch, name, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "toppling_stick", "--animate", name]) == 2
+    shown = capsys.readouterr()
+    assert said in shown.err
+    assert shown.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_chart_has_nothing_to_animate(tmp_path, capsys):
+    target = tmp_path / "ball.gif"
+    assert main(["run", "bouncing_ball_chart", "--animate", str(target)]) == 1
+    assert "no bodies" in capsys.readouterr().err
+    assert not target.exists()
+
+
+def test_a_size_that_is_none_is_refused(tmp_path):
+    with pytest.raises(DeclarationError, match="120 to 1920"):
+        statechart.run("sliding_ladder").animate(tmp_path / "film.gif", size=5)
+
+
+def test_the_command_line_writes_one(tmp_path, capsys):
+    target = tmp_path / "ladder.gif"
+    assert main(["run", "sliding_ladder", "--animate", str(target)]) == 0
+    assert "sliding_ladder: STOPPED" in capsys.readouterr().out
+    assert target.read_bytes().startswith(b"GIF89a")

@@ -1,0 +1,108 @@
+"""A result answers for itself: text, tables, data sets, instants, pictures."""
+
+import json
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import statechart
+from statechart import Result, StatechartError
+from statechart.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return statechart.run("toppling_stick")
+
+
+def test_a_result_reads_as_the_command_line_prints_it(result, capsys):
+    assert main(["run", "toppling_stick"]) == 0
+    assert str(result) == repr(result) == capsys.readouterr().out
+
+
+def test_events_and_samples_are_tables(result):
+    assert list(result.events["cause"]) == ["slip", "reverse", "stop"]
+    assert result.samples["t"].iloc[-1] == result.trace.t_end
+    assert {"stick.angle", "tip.V", "mode"} <= set(result.samples.columns)
+
+
+def test_times_of_a_data_set_are_unique_and_are_found(result):
+    data = result.to_xarray()
+    assert data.indexes["t"].is_unique
+    slip = result.trace.jumps[0].t
+    assert str(data.sel(t=slip)["mode"].item()) == "tip:slide-"  # after the jump
+    assert float(data.sel(t=1.0, method="nearest")["t"]) == pytest.approx(1.0, abs=0.1)
+    assert list(data["event_cause"].to_numpy()) == ["slip", "reverse", "stop"]
+
+
+def test_a_reading_is_what_held_then(result):
+    reading = result.at(result.trace.jumps[0].t)
+    assert reading.mode == {"tip": "slide-"}
+    assert reading.jumps == 1
+    # Equation 9 of the paper's slip: the force is on the edge of its cone, H = mu V.
+    assert abs(reading.values["tip.H"]) == pytest.approx(0.2 * reading.values["tip.V"], rel=1e-9)
+    assert result.at(0.0).values["stick.angle"] == pytest.approx(-0.01)
+    assert result.at(0.0).mode == {"tip": "pin"}
+
+
+@pytest.mark.parametrize("t", [-1.0, 6.0, np.nan, np.inf])
+def test_an_instant_outside_the_run_is_refused(result, t):
+    with pytest.raises(StatechartError, match="the run is from 0 to"):
+        result.at(t)
+
+
+class _Tags(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.append(tag)
+        if tag not in ("br", "path", "use", "meta"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in ("br", "path", "use", "meta"):
+            assert self.open.pop() == tag
+
+
+def test_a_notebook_shows_tables_and_the_figure(result):
+    shown = result._repr_html_()
+    tags = _Tags()
+    tags.feed(shown)
+    assert tags.open == []
+    assert tags.seen.count("table") == 2
+    assert "svg" in tags.seen
+    assert "slide-" in shown
+    assert "critical_angle" in shown
+
+
+def test_names_cannot_break_a_notebook():
+    from statechart.reporting.notebook import number
+
+    assert number("<script>") == "&lt;script&gt;"
+    assert number([1.0 / 3.0] * 9) == "[" + "0.333333, " * 6 + "... 3 more]"
+    assert number(None) == "none"
+
+
+def test_a_plot_has_a_strip_where_there_are_bodies(result, tmp_path):
+    drawn = result.plot(tmp_path / "run.svg")
+    assert len(drawn.subfigs) == 2
+    assert len(drawn.subfigs[0].axes) == 5
+    assert (tmp_path / "run.svg").read_text().startswith("<?xml")
+    chart = statechart.run("bouncing_ball_chart").plot()
+    assert len(chart.subfigs) == 0
+
+
+def test_a_diagram_shows_the_run_of_these_parameters(tmp_path):
+    result = statechart.run("toppling_stick", parameters={"mu": 3.0})
+    diagram = result.diagram(tmp_path / "stick.mmd")
+    assert diagram.path == ("pin", "slide+")[: len(diagram.path)]
+    assert (tmp_path / "stick.mmd").exists()
+
+
+def test_what_was_found_is_one_object(result):
+    assert json.dumps(result.to_dict(), allow_nan=False)
+    assert result.to_dict()["outcome"] == "STOPPED"
