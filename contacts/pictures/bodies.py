@@ -12,8 +12,11 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.parts import Body, Force, Path, Point
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
+from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
 from statechart.pictures.film import WORLD, Shape, ShapeKind
 
 # Points this close, relative to the farthest one, are one; what is so flat is a line.
@@ -35,14 +38,16 @@ class BodyShapes:
     ----------
     mechanics : Mechanics
         Of the scene.
+    automaton : Automaton
+        Made of it, whose variables and parameters may be more.
     known : mapping of str to float
-        Parameters.
-    values : (p,) array
-        All of them, as the tapes of the mechanics take them.
+        Values of the automaton's parameters, in order.
     """
 
-    def __init__(self, mechanics: Mechanics, known: Mapping[str, float], values: Array) -> None:
-        self._mechanics, self._known, self._values = mechanics, known, values
+    def __init__(
+        self, mechanics: Mechanics, automaton: Automaton, known: Mapping[str, float]
+    ) -> None:
+        self._mechanics, self._automaton, self._known = mechanics, automaton, known
         self._scene = mechanics.scene
         self._frames = {name: 1 + place for place, name in enumerate(self._scene.bodies)}
         self._declared = any(body.shape is not None for body in self._scene.bodies.values())
@@ -140,13 +145,12 @@ class BodyShapes:
         )
 
     def _tried(self, expressions: Sequence[sp.Expr]) -> Array:
-        mechanics = self._mechanics
         # No two alike, as no angle in whole radians is a whole turn: what holds at all holds.
-        count = len(mechanics.variables)
+        count = len(self._automaton.variables)
         states = np.sin(np.outer(1.0 + np.arange(_TRIED), 1.0 + np.arange(count)))
-        return mechanics.tape(expressions).table(
-            states, self._values, np.linspace(0.1, 1.0, _TRIED)
-        )
+        values = np.fromiter(self._known.values(), float, len(self._known))
+        times = np.linspace(0.1, 1.0, _TRIED)
+        return compiled(self._automaton, expressions).table(states, values, times)
 
     def _pendulums(self) -> list[Shape]:
         """Return links from bodies on circular paths to the centres of these."""
@@ -209,6 +213,16 @@ class BodyShapes:
 
     def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
         return self._number(pair[0]), self._number(pair[1])
+
+
+def compiled(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
+    """Return expressions as a program over the variables and parameters of an automaton."""
+    return compile_tape(
+        expressions,
+        variables=automaton.variables,
+        parameters=automaton.parameters,
+        time=automaton.time,
+    )
 
 
 def disc_of(scene: Scene, point: Point, number: Callable[[str | int | float], float]) -> float:

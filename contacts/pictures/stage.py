@@ -10,7 +10,7 @@ import sympy as sp
 
 from contacts.dynamics.geometry import Vector
 from contacts.dynamics.mechanics import Mechanics
-from contacts.pictures.bodies import BodyShapes, disc_of
+from contacts.pictures.bodies import BodyShapes, compiled, disc_of
 from contacts.pictures.grounds import grounds
 from contacts.pictures.window import window
 from contacts.scene.scene import Scene
@@ -68,7 +68,7 @@ class SceneStage:
             for k, region in enumerate(regions)
             if OFF in region.states and (modes[:, k] == region.states.index(OFF)).all()
         )
-        shapes = BodyShapes(self._mechanics, moments.parameters, moments.values).shapes(never)
+        shapes = BodyShapes(self._mechanics, self._automaton, moments.parameters).shapes(never)
         poses = self._poses(moments)
         touches = tuple(
             self._touch(name, moments, poses) for name in scene.contacts if name not in never
@@ -114,13 +114,15 @@ class SceneStage:
             displaced = self._scene.surfaces[name].displacement
             expressions += [parse(text).to_sympy(mechanics.known) for text in displaced]
             expressions.append(sp.S.Zero)
-        return mechanics.tape(expressions)
+        return compiled(self._automaton, expressions)
 
     @cached_property
     def _touching(self) -> dict[str, Tape]:
         """Of every contact its point, in the world, and the normal of the surface there."""
         return {
-            name: self._mechanics.tape([*self._mechanics.point(contact.point), *self._normal(name)])
+            name: compiled(
+                self._automaton, [*self._mechanics.point(contact.point), *self._normal(name)]
+            )
             for name, contact in self._scene.contacts.items()
         }
 

@@ -174,6 +174,9 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--animate", metavar="FILM", help="draw the bodies in motion: .gif, or .mp4 with ffmpeg"
     )
+    run.add_argument(
+        "--report", metavar="PAGE", help="write the run as one page to look at and to send: .html"
+    )
     run.add_argument("--json", action="store_true", help="print one JSON object")
     trade = verb("trade", "measure what speed costs in accuracy")
     trade.add_argument("--json", action="store_true", help="print one JSON object")

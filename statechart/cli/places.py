@@ -65,6 +65,19 @@ def check_file(option: str, output: str | None) -> None:
         )
 
 
+def check_page(output: str | None) -> None:
+    """Check that a page can be written, before the run that it shows.
+
+    Raises
+    ------
+    DeclarationError
+        If it is no page, or its place is not writable.
+    """
+    check_file("--report", output)
+    if output is not None and Path(output).suffix.lower() not in (".html", ".htm"):
+        raise DeclarationError(f"--report {output}: a page is .html", advice="name it so")
+
+
 def check_animation(runner: Runner, output: str | None) -> None:
     """Check that an animation of a model can be written, before the run that it shows.
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
-from statechart.cli.places import check_animation, check_folder, kept_study
+from statechart.cli.places import check_animation, check_folder, check_page, kept_study
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.pieces import Pieces
 
@@ -61,6 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     check_folder(arguments.output)
     check_animation(runner, arguments.animate)
+    check_page(arguments.report)
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
@@ -115,6 +116,8 @@ def _tell(
     if arguments.animate is not None:
         draw = functools.partial(result.animate, arguments.animate, progress=True)
         pieces.attempt(arguments.animate, draw, None)
+    if arguments.report is not None:
+        pieces.attempt(arguments.report, lambda: result.report(arguments.report), None)
     failure = failure or (f"left out: {pieces.text()}" if pieces.failed else "")
     if failure:
         print(failure, file=sys.stderr)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -144,28 +143,6 @@ class Film:
     def state(self, instant: int, region: int) -> str:
         """Return the state of a region at an instant, by their numbers."""
         return self.states[region][self.modes[instant, region]]
-
-    def at(self, instants: Sequence[int] | NDArray[np.intp]) -> Film:
-        """Return the film of some of its instants."""
-        chosen = np.asarray(instants, dtype=np.intp)
-        return replace(
-            self,
-            times=self.times[chosen],
-            jumps=self.jumps[chosen],
-            modes=self.modes[chosen],
-            poses=self.poses[chosen],
-            centres=self.centres[chosen],
-            touches=tuple(
-                replace(
-                    touch,
-                    places=touch.places[chosen],
-                    normals=touch.normals[chosen],
-                    forces=touch.forces[chosen],
-                    friction=touch.friction[chosen],
-                )
-                for touch in self.touches
-            ),
-        )
 
 
 HATCH = 1.0 / 48.0

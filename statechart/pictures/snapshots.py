@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 # In inches.
 _WIDTH, _HIGHEST, _STRIP = 7.2, 6.4, 2.0
+_SIDE_BY_SIDE = 5
+# Of its place an instant takes so much.
+_PART = 0.93
 
 
 def picture(film: Film) -> Figure:
@@ -27,27 +30,26 @@ def picture(film: Film) -> Figure:
 
 
 def strip(figure: Figure | SubFigure, film: Film, width: float) -> None:
-    """Draw every instant of a film side by side, each with the trails up to it.
+    """Draw instants of a film side by side, each with the trails up to it.
 
     Parameters
     ----------
     figure : Figure or SubFigure
         Where; as high as `strip_height` says.
     film : Film
-        Few instants.
+        Of many instants.
     width : float
         Of the figure, in inches.
     """
-    count = len(film.times)
-    own, high = 0.93 * shaped(film, width / count, _STRIP)[0] / width, 0.93
-    for place in range(count):
-        ax = figure.add_axes((place / count + (1.0 / count - own) / 2.0, 0.0, own, high))
-        Drawing(ax, film).show(place)
+    own = _PART * shaped(film, width / _SIDE_BY_SIDE, _STRIP)[0] / width
+    for place, instant in enumerate(spread(film, _SIDE_BY_SIDE)):
+        left = (place + 0.5) / _SIDE_BY_SIDE - own / 2.0
+        Drawing(figure.add_axes((left, 0.0, own, _PART)), film).show(instant)
 
 
 def strip_height(film: Film, width: float) -> float:
     """Return how high a strip of so many inches is."""
-    return shaped(film, width / len(film.times), _STRIP)[1]
+    return shaped(film, width / _SIDE_BY_SIDE, _STRIP)[1]
 
 
 def shaped(film: Film, width: float, highest: float) -> tuple[float, float]:
@@ -56,12 +58,12 @@ def shaped(film: Film, width: float, highest: float) -> tuple[float, float]:
     return (width, height) if height <= highest else (width * highest / height, highest)
 
 
-def spread(film: Film, count: int) -> Film:
-    """Return the first, the last, and in between the instants among which bodies move alike far."""
+def spread(film: Film, count: int) -> list[int]:
+    """Return the first, the last, and instants between which bodies move alike far."""
     moved = np.abs(np.diff(film.poses[:, :, :2], axis=0)).max(axis=(1, 2)) / film.unit
     turned = np.abs(np.diff(film.poses[:, :, 2], axis=0)).max(axis=1)
     far = np.concatenate([[0.0], np.cumsum(moved + 0.2 * turned)])
     if not far[-1] > 0.0:
-        return film.at([0])
+        return [0]
     chosen = np.searchsorted(far, np.linspace(0.0, far[-1], count) * (1.0 - 1e-12))
-    return film.at(np.unique(chosen))
+    return [int(place) for place in np.unique(chosen)]

@@ -52,7 +52,7 @@ STYLE = {
 
 
 @dataclass(frozen=True)
-class _Panel:
+class Panel:
     """Columns that share an axis; cone: the column and the factor that make its edges."""
 
     title: str
@@ -84,7 +84,7 @@ def figure(
     path : Path or str, optional
         Where to write it, too; svg, png or pdf by its suffix.
     strip : Film, optional
-        What stands above the panels: the bodies at some instants, side by side.
+        What stands above the panels: the bodies, at some of its instants side by side.
 
     Raises
     ------
@@ -94,8 +94,7 @@ def figure(
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    samples = observer.sample(trace, per_step=_per_step(trace))
-    panels = _panels(observer.automaton, trace, samples)
+    samples, panels = curves(observer, trace)
     bands = len(trace.regions)
     heights = [1.6 if i == 0 else 1.3 for i in range(len(panels))] + [0.26 * bands]
     with rc_context(STYLE):
@@ -138,6 +137,12 @@ def write(drawing: Figure, path: Path | str) -> None:
         raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
 
 
+def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
+    """Return a run sampled for curves, and which of them share an axis."""
+    samples = observer.sample(trace, per_step=_per_step(trace))
+    return samples, _panels(observer.automaton, trace, samples)
+
+
 def render(drawing: Figure, kind: str) -> bytes:
     """Return a figure as a file's content: `kind` svg, png or pdf; the same each time."""
     from matplotlib import rc_context
@@ -155,7 +160,7 @@ def _per_step(trace: Trace) -> int:
     return int(np.clip(4000 // max(steps, 1), 4, 64))
 
 
-def _panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[_Panel]:
+def _panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
     # A variable whose rate is another variable is a position, the other its speed.
     places = {symbol: k for k, symbol in enumerate(automaton.variables)}
     speeds = {places[rate] for rate in automaton.rates if rate in places}
@@ -166,7 +171,7 @@ def _panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[_Panel
         # Nothing tells which belong together: few get a panel each, since units may differ.
         few = len(automaton.names) < _MOST_PANELS
         groups = {n: [n] for n in automaton.names} if few else {"variables": groups["position"]}
-    panels = [_Panel(title, tuple(names)) for title, names in groups.items() if names]
+    panels = [Panel(title, tuple(names)) for title, names in groups.items() if names]
     columns = samples.columns
     scale = max((_largest(columns[name]) for name in automaton.names), default=0.0)
     gaps, forces = [], []
@@ -186,10 +191,10 @@ def _panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[_Panel
             drawable = np.where((friction > 0.0) & (friction < np.inf), friction, np.nan)
             cone = None if np.isnan(drawable).all() else (normal, drawable)
             drawn = (normal, tangential) if _largest(columns[tangential]) > 0.0 else (normal,)
-            forces.append(_Panel("force", drawn, cone))
+            forces.append(Panel("force", drawn, cone))
     forces = forces[: _MOST_PANELS - len(panels)]
     if gaps and len(panels) + len(forces) < _MOST_PANELS:
-        panels.append(_Panel("gap", tuple(gaps)))
+        panels.append(Panel("gap", tuple(gaps)))
     # Coefficients of contacts show as the edges of their cones.
     controls = [
         name
@@ -197,7 +202,7 @@ def _panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[_Panel
         if expression in automaton.controls and "." not in name
     ]
     if controls:
-        forces.append(_Panel("control", tuple(controls)))
+        forces.append(Panel("control", tuple(controls)))
     return panels + forces
 
 
@@ -205,7 +210,7 @@ def _largest(values: Array) -> float:
     return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
 
 
-def _draw_panel(ax: Axes, panel: _Panel, samples: Samples) -> None:
+def _draw_panel(ax: Axes, panel: Panel, samples: Samples) -> None:
     # Broken at jumps, which take no time: a vertical line would be no part of the motion.
     breaks = np.flatnonzero(np.diff(samples.j)) + 1
     t = np.insert(samples.t, breaks, np.nan)

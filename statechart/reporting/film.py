@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.errors import StatechartError
@@ -17,7 +15,6 @@ from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
 from statechart.pictures import animation
 from statechart.pictures.film import Film
-from statechart.pictures.snapshots import spread
 from statechart.pictures.stage import Moments, Stage
 
 # What moves less than this part of the picture does not move.
@@ -25,7 +22,6 @@ _STILL = 2e-3
 # How much of a run is shown after that, of what comes before.
 _REST = 0.08
 _LOOKED_AT = 400
-_SIDE_BY_SIDE = 5
 
 
 def stage_of(automaton: Automaton) -> Stage:
@@ -85,13 +81,6 @@ def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
         return trace.t_end
     last = float(times[min(moving[-1] + 1, len(times) - 1)])
     return min(trace.t_end, (1.0 + _REST) * last)
-
-
-def with_events(times: Array, trace: Trace, most: int) -> Array:
-    """Return times with those of events in between, of many the first `most`."""
-    end = times[-1] if len(times) else 0.0
-    events: Sequence[float] = [jump.t for jump in trace.jumps[:most] if jump.t <= end]
-    return np.unique(np.concatenate([times, events]))
 
 
 @dataclass(frozen=True)
@@ -160,9 +149,9 @@ def animate(
 
 
 def strip_of(observer: Observer, trace: Trace) -> Film | None:
-    """Return some instants of a run to be seen side by side; None where nothing is to be seen."""
+    """Return a run to be seen above its curves; None where nothing is to be seen."""
     if kind(observer.automaton.declaration.kind).stage is None:
         return None
     stage = stage_of(observer.automaton)
     end = until_rest(stage, observer, trace)
-    return spread(filmed(stage, observer, trace, np.linspace(0.0, end, _LOOKED_AT)), _SIDE_BY_SIDE)
+    return filmed(stage, observer, trace, np.linspace(0.0, end, _LOOKED_AT))

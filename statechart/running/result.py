@@ -233,7 +233,7 @@ class Result:
         return figure(self.observer, self.trace, path, strip=strip_of(self.observer, self.trace))
 
     def diagram(self, path: Path | str | None = None) -> Diagram:
-        """Return the statechart with the path that the run took.
+        """Return the modes that the run visited, and its path through them.
 
         Parameters
         ----------
@@ -246,7 +246,9 @@ class Result:
 
         setup = self.runner.setup(self._overrides)
         found = feasibility(self.runner.automaton, setup, setup.initial, 0.0)
-        diagram = build(self.runner.automaton, self.trace.start_mode, self.trace, found)
+        diagram = build(
+            self.runner.automaton, self.trace.start_mode, self.trace, found, visited=True
+        )
         if path is not None:
             write(diagram, Path(path))
         return diagram
@@ -279,6 +281,30 @@ class Result:
 
         showing = Showing(speed, size, trail)
         return animate(self.observer, self.trace, path, showing, progress=progress)
+
+    def report(self, path: Path | str) -> Path:
+        """Write the run as one HTML file that needs nothing else.
+
+        The moving scene with the forces, curves, the statechart with its active mode, the events
+        with their reasons, outputs and parameters; see docs/pictures.md.
+
+        Parameters
+        ----------
+        path : Path or str
+            What to write; .html.
+
+        Raises
+        ------
+        StatechartError
+            If the suffix is another, or the file cannot be written.
+        """
+        from statechart.pages.content import content
+        from statechart.pages.page import write
+
+        path = Path(path)
+        told = self.to_dict(explain=True)
+        write(content(self.observer, self.trace, told, self.diagram()), path)
+        return path
 
     @property
     def _overrides(self) -> dict[str, float]:

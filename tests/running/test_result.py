@@ -99,7 +99,9 @@ def test_a_plot_has_a_strip_where_there_are_bodies(result, tmp_path):
 def test_a_diagram_shows_the_run_of_these_parameters(tmp_path):
     result = statechart.run("toppling_stick", parameters={"mu": 3.0})
     diagram = result.diagram(tmp_path / "stick.mmd")
-    assert diagram.path == ("pin", "slide+")[: len(diagram.path)]
+    # With so much friction it slips forwards at the end, if at all.
+    assert {node.name for node in diagram.nodes} == {key[0] for key in result.trace.modes}
+    assert "slide-" not in {node.name for node in diagram.nodes}
     assert (tmp_path / "stick.mmd").exists()
 
 

@@ -1,0 +1,313 @@
+"use strict";
+const data = JSON.parse(document.getElementById("data").textContent);
+const byId = (id) => document.getElementById(id);
+const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
+const float = (text) => new Float32Array(bytes(text));
+const times = new Float64Array(bytes(data.times));
+const mode = new Int32Array(bytes(data.mode));
+for (const region of data.regions) region.state = new Int32Array(bytes(region.state));
+const last = times.length - 1;
+const made = (parent, tag, attributes = {}, text = null) => {
+  const svg = parent.namespaceURI === "http://www.w3.org/2000/svg" || tag === "svg";
+  const node = svg ? document.createElementNS("http://www.w3.org/2000/svg", tag) : document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  if (text !== null) node.textContent = text;
+  return parent.appendChild(node);
+};
+const short = (x) => String(Number(x.toPrecision(6)));
+
+// The scene: y is up, so every place is written with its y turned round.
+const film = data.film;
+const moving = [];
+function placed(point, frame, k) {
+  const at = 3 * (k * film.frames + frame);
+  const [x, y, angle] = [film.poses[at], film.poses[at + 1], film.poses[at + 2]];
+  const [c, s] = [Math.cos(angle), Math.sin(angle)];
+  return [x + c * point[0] - s * point[1], y + s * point[0] + c * point[1]];
+}
+const path = (points, closed = false) =>
+  points.map((p, i) => `${i ? "L" : "M"}${p[0]} ${-p[1]}`).join("") + (closed ? "Z" : "");
+function shaped(scene, shape) {
+  const group = made(scene, "g", { "data-name": shape.name, "data-kind": shape.kind });
+  const unit = film.unit;
+  if (shape.kind === "link" || shape.kind === "spring") {
+    const line = made(group, "path", { class: "link" });
+    moving.push((k) => {
+      const [a, b] = [placed(shape.points[0], shape.frame, k), placed(shape.points.at(-1), shape.other, k)];
+      line.setAttribute("d", path(shape.kind === "link" ? [a, b] : wound(a, b)));
+    });
+    return;
+  }
+  if (shape.kind === "ground") {
+    made(group, "path", { class: "ground", d: path(shape.points) });
+    const marks = shape.strokes.map((s) => path([[s[0], s[1]], [s[2], s[3]]])).join("");
+    made(group, "path", { class: "hatch", d: marks });
+  } else if (shape.kind === "outline") {
+    made(group, "path", { class: "filled", d: path(shape.points, true) });
+  } else if (shape.kind === "disc") {
+    const [x, y] = shape.points[0];
+    made(group, "circle", { class: "filled", cx: x, cy: -y, r: shape.radius });
+    if (shape.region >= 0) made(group, "path", { class: "link", d: path([[x, y], [x + shape.radius, y]]) });
+  } else if (shape.kind === "bar") {
+    const d = path(shape.points);
+    const around = made(group, "path", { d, "stroke-linecap": "round", style: "stroke: var(--frame); fill: none" });
+    const inside = made(group, "path", { d, "stroke-linecap": "round", style: "stroke: var(--body); fill: none" });
+    around.setAttribute("stroke-width", 10);
+    inside.setAttribute("stroke-width", 7.5);
+  } else {
+    const r = (shape.kind === "mass" ? 0.011 : 0.007) * unit;
+    const [x, y] = shape.points[0];
+    const held = shape.kind === "pivot" ? " held" : "";
+    const mass = shape.kind === "mass" ? "filled" : "mark" + held;
+    made(group, "circle", { class: mass, cx: x, cy: -y, r });
+  }
+  if (shape.frame > 0) moving.push((k) => {
+    const at = 3 * (k * film.frames + shape.frame);
+    const turn = (-film.poses[at + 2] * 180) / Math.PI;
+    group.setAttribute("transform", `translate(${film.poses[at]} ${-film.poses[at + 1]}) rotate(${turn})`);
+  });
+  if (shape.region >= 0) moving.push((k) => {
+    const region = data.regions[shape.region];
+    group.firstChild.style.fill = region.colours[region.state[k]];
+  });
+}
+function wound(a, b) {
+  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+  const length = Math.hypot(dx, dy) || 1;
+  const points = [a];
+  for (let i = 0; i <= 14; i++) {
+    const [s, side] = [0.2 + (0.6 * i) / 14, i === 0 || i === 14 ? 0 : (i % 2 ? -1 : 1) * 0.018 * film.unit];
+    points.push([a[0] + s * dx - (side * dy) / length, a[1] + s * dy + (side * dx) / length]);
+  }
+  return [...points, b];
+}
+function touching(scene, touch) {
+  const region = data.regions[touch.region];
+  const cone = made(scene, "path", { class: "cone" });
+  const shaft = made(scene, "path", { class: "force" });
+  const head = made(scene, "path", { class: "head" });
+  const mark = made(scene, "circle", { class: "mark", "data-contact": touch.name });
+  moving.push((k) => {
+    const [x, y] = [touch.places[2 * k], touch.places[2 * k + 1]];
+    const state = region.states[region.state[k]];
+    const closed = state !== "free" && state !== "off";
+    mark.setAttribute("cx", x);
+    mark.setAttribute("cy", -y);
+    mark.setAttribute("r", (closed ? 0.008 : 0.005) * film.unit);
+    mark.setAttribute("data-state", state);
+    mark.style.display = state === "off" ? "none" : "";
+    mark.style.fill = closed ? region.colours[region.state[k]] : "";
+    let [fx, fy] = [touch.forces[2 * k] * film.arrow, touch.forces[2 * k + 1] * film.arrow];
+    const most = 1.7 * film.arrow * film.longest;
+    const size = Math.hypot(fx, fy);
+    if (size > most) [fx, fy] = [(fx * most) / size, (fy * most) / size];
+    const long = Math.min(size, most);
+    const tip = Math.min(0.02 * film.unit, long);
+    const [ux, uy] = size > 0 ? [fx / long, fy / long] : [0, 0];
+    const [bx, by] = [x + fx - tip * ux, y + fy - tip * uy];
+    shaft.setAttribute("d", size > 0 ? path([[x, y], [bx, by]]) : "");
+    const side = 0.4 * tip;
+    head.setAttribute("d", size > 0 ? path([[x + fx, y + fy], [bx - side * uy, by + side * ux], [bx + side * uy, by - side * ux]], true) : "");
+    const [nx, ny, friction] = [touch.normals[2 * k], touch.normals[2 * k + 1], touch.friction[k]];
+    if (!closed || !(friction > 0)) return cone.setAttribute("d", "");
+    const half = Math.atan(friction);
+    const rim = [[x, y]];
+    for (let i = -6; i <= 6; i++) {
+      const [c, s] = [Math.cos((half * i) / 6), Math.sin((half * i) / 6)];
+      const reach = film.arrow * film.longest;
+      rim.push([x + reach * (c * nx - s * ny), y + reach * (s * nx + c * ny)]);
+    }
+    cone.setAttribute("d", path(rim, true));
+  });
+}
+if (film) {
+  for (const name of ["poses", "centres"]) film[name] = float(film[name]);
+  for (const touch of film.touches)
+    for (const name of ["places", "normals", "forces", "friction"]) touch[name] = float(touch[name]);
+  const scene = byId("scene");
+  const [w, h] = film.half;
+  moving.push((k) =>
+    scene.setAttribute("viewBox", `${film.centres[2 * k] - w} ${-film.centres[2 * k + 1] - h} ${2 * w} ${2 * h}`));
+  for (const shape of film.shapes) if (shape.kind === "ground") shaped(scene, shape);
+  for (const frame of film.trails) {
+    const trail = made(scene, "path", { class: "trail" });
+    const points = Array.from(times, (_, k) => placed([0, 0], frame, k));
+    moving.push((k) => trail.setAttribute("d", path(points.slice(0, k + 1))));
+  }
+  for (const shape of film.shapes) if (shape.kind !== "ground") shaped(scene, shape);
+  for (const touch of film.touches) touching(scene, touch);
+} else byId("scene").remove();
+
+// The statechart, its active mode lit.
+byId("diagram").innerHTML = data.chart.svg;
+const nodes = new Map();
+for (const node of byId("diagram").querySelectorAll("g.node"))
+  nodes.set(node.querySelector("title").textContent, node);
+for (const title of byId("diagram").querySelectorAll("title")) title.remove();
+if (!film || !data.chart.svg) document.querySelector(".seen").classList.add("alone");
+let lit = null;
+moving.push((k) => {
+  const node = nodes.get(data.chart.nodes[mode[k]]) || null;
+  if (node === lit) return;
+  if (lit) lit.classList.remove("lit");
+  if (node) node.classList.add("lit");
+  lit = node;
+});
+
+// Curves with a cursor.
+const [left, right, high] = [64, 860, 120];
+const span = times[last] || 1;
+const along = (t) => left + ((right - left) * t) / span;
+const cursors = [];
+function axes(height) {
+  const svg = made(byId("curves"), "svg", { viewBox: `0 0 1000 ${height}` });
+  svg.addEventListener("click", (event) => {
+    const box = svg.getBoundingClientRect();
+    go(at((span * (((event.clientX - box.left) / box.width) * 1000 - left)) / (right - left)));
+  });
+  return svg;
+}
+for (const panel of data.panels) {
+  const svg = axes(high + 22);
+  const t = float(panel.t);
+  const values = panel.curves.map(float);
+  const cone = panel.cone && float(panel.cone);
+  const finite = values.flatMap((v) => Array.from(v)).filter(Number.isFinite);
+  const low = finite.reduce((a, b) => Math.min(a, b), 0);
+  const most = finite.reduce((a, b) => Math.max(a, b), 0);
+  const scale = (high - 12) / (most - low || 1);
+  const up = (v) => 6 + (most - v) * scale;
+  const apart = [low, most].filter((level) => Math.abs(up(level) - up(0)) > 12);
+  for (const level of [0, ...apart]) {
+    made(svg, "line", { x1: left, x2: right, y1: up(level), y2: up(level), style: "stroke: var(--grid)" });
+    made(svg, "text", { x: left - 6, y: up(level) + 4, "text-anchor": "end" }, short(Number(level.toPrecision(3))));
+  }
+  const line = (v, style) => {
+    let d = "";
+    let pen = false;
+    for (let i = 0; i < t.length; i++) {
+      if (!Number.isFinite(v[i]) || !Number.isFinite(t[i])) pen = false;
+      else {
+        const y = Math.max(-20, Math.min(high + 20, up(v[i])));
+        d += `${pen ? "L" : "M"}${along(t[i]).toFixed(1)} ${y.toFixed(1)}`;
+        pen = true;
+      }
+    }
+    made(svg, "path", { d, style: `fill: none; ${style}` });
+  };
+  if (cone) for (const sign of [1, -1]) line(cone.map((v) => sign * v), "stroke: var(--faint); stroke-dasharray: 4 3");
+  values.forEach((v, i) => {
+    const colour = panel.colours[i] === "#000000" ? "var(--ink)" : panel.colours[i];
+    line(v, `stroke: ${colour}; stroke-width: 1.6`);
+    made(svg, "line", { x1: right + 14, x2: right + 32, y1: 14 + 15 * i, y2: 14 + 15 * i, style: `stroke: ${colour}; stroke-width: 2.5` });
+    made(svg, "text", { x: right + 38, y: 18 + 15 * i }, panel.names[i]);
+  });
+  if (panel.more) made(svg, "text", { x: right + 14, y: 18 + 15 * values.length }, `and ${panel.more} more`);
+  made(svg, "text", { x: 4, y: high + 14 }, panel.title);
+  cursors.push(made(svg, "line", { y1: 0, y2: high, style: "stroke: var(--accent); stroke-width: 1.5" }));
+}
+const rows = data.regions.filter((region) => region.shown);
+if (rows.length) {
+  const svg = axes(18 * rows.length + 22);
+  rows.forEach((region, row) => {
+    made(svg, "text", { x: left - 6, y: 18 * row + 13, "text-anchor": "end" }, region.name);
+    for (let k = 0; k <= last; ) {
+      let end = k;
+      while (end < last && region.state[end + 1] === region.state[k]) end++;
+      const [from, to] = [along(times[k]), along(times[Math.min(end + 1, last)])];
+      const band = made(svg, "rect", { x: from, width: Math.max(to - from, 0), y: 18 * row + 2, height: 14, fill: region.colours[region.state[k]] });
+      made(band, "title", {}, region.states[region.state[k]]);
+      k = end + 1;
+    }
+  });
+  made(svg, "text", { x: left, y: 18 * rows.length + 16 }, "0");
+  made(svg, "text", { x: right, y: 18 * rows.length + 16, "text-anchor": "end" }, `t = ${short(span)}${data.cut ? `, where nothing moves any more; the run ends at ${short(data.end)}` : ""}`);
+  cursors.push(made(svg, "line", { y1: 0, y2: 18 * rows.length, style: "stroke: var(--accent); stroke-width: 1.5" }));
+}
+moving.push((k) => {
+  for (const cursor of cursors) for (const x of ["x1", "x2"]) cursor.setAttribute(x, along(times[k]));
+});
+
+// Numbers.
+byId("doc").textContent = data.doc;
+byId("outcome").textContent = `${data.outcome} (${data.engine})`;
+for (const warning of data.warnings) made(byId("warnings"), "p", {}, warning);
+for (const name of ["outputs", "parameters"])
+  for (const [key, value] of Object.entries(data[name])) {
+    const row = made(byId(name), "tr");
+    made(row, "td", {}, key);
+    made(row, "td", {}, value);
+  }
+const lines = data.events.map((event) => {
+  const row = made(byId("events").tBodies[0], "tr", { tabindex: 0 });
+  made(row, "td", {}, String(event.t));
+  made(row, "td", {}, event.what);
+  made(row, "td", {}, event.change);
+  const choose = () => {
+    pause();
+    go(event.instant);
+    byId("why").textContent = event.why;
+  };
+  row.addEventListener("click", choose);
+  row.addEventListener("keydown", (pressed) => pressed.key === "Enter" && choose());
+  return row;
+});
+if (data.more) byId("more").textContent = `${data.more} more: the command line has all, with --json`;
+moving.push((k) => lines.forEach((row, i) => row.classList.toggle("now", data.events[i].instant === k)));
+
+// The clock: an instant is a number, and all that is seen belongs to it.
+const slider = byId("slider");
+slider.max = last;
+let now = 0;
+let playing = 0;
+function at(t) {
+  let [low, high] = [0, last];
+  while (low < high) {
+    const middle = (low + high + 1) >> 1;
+    if (times[middle] <= t) low = middle;
+    else high = middle - 1;
+  }
+  return low;
+}
+function go(k) {
+  now = k;
+  for (const move of moving) move(k);
+  slider.value = k;
+  byId("time").textContent = `t = ${short(times[k])}`;
+  const pills = byId("mode");
+  pills.replaceChildren();
+  pills.dataset.mode = data.modes[mode[k]];
+  for (const region of rows) {
+    const state = region.state[k];
+    made(pills, "span", { style: `background: ${region.colours[state]}` }, `${region.name}: ${region.states[state]}`);
+  }
+}
+const pause = () => {
+  cancelAnimationFrame(playing);
+  playing = 0;
+  byId("play").textContent = "\u25b6";
+};
+byId("play").addEventListener("click", () => {
+  if (playing) return pause();
+  if (now === last) go(0);
+  byId("play").textContent = "\u23f8";
+  const [from, began] = [times[now], performance.now()];
+  const speed = Number(byId("speed").value);
+  const step = (clock) => {
+    const t = from + (speed * Math.max(0, clock - began)) / 1000;
+    const k = at(t);
+    if (k !== now) go(k);
+    if (k === last) return pause();
+    playing = requestAnimationFrame(step);
+  };
+  playing = requestAnimationFrame(step);
+});
+slider.addEventListener("input", () => { pause(); go(Number(slider.value)); });
+byId("speed").addEventListener("change", pause);
+const usual = span >= 3 && span <= 10 ? 1 : 10 ** Math.round(Math.log10(span / 6));
+for (const factor of [0.1, 0.2, 0.5, 1, 2, 5, 10]) {
+  const speed = Number((usual * factor).toPrecision(3));
+  const option = made(byId("speed"), "option", { value: speed }, `\u00d7 ${speed}`);
+  option.selected = factor === 1;
+}
+go(0);

@@ -1,0 +1,51 @@
+"""The page of a run as a file."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from statechart.documents.files import write_atomic
+from statechart.errors import StatechartError
+
+_HERE = Path(__file__).parent
+
+
+def html(shown: Mapping[str, Any]) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    shown : mapping
+        From `statechart.pages.content.content`.
+    """
+    # Nothing in it can end the element that it stands in.
+    data = json.dumps(shown, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    parts = {
+        "TITLE": escape(shown["title"]),
+        "STYLE": (_HERE / "page.css").read_text(encoding="utf-8"),
+        "SCRIPT": (_HERE / "page.js").read_text(encoding="utf-8"),
+        "DATA": data,
+    }
+    text = (_HERE / "page.html").read_text(encoding="utf-8")
+    return re.sub(f"@({'|'.join(parts)})@", lambda found: parts[found[1]], text)
+
+
+def write(shown: Mapping[str, Any], path: Path) -> None:
+    """Write the page, whole or not at all.
+
+    Raises
+    ------
+    StatechartError
+        If the suffix is not .html, or the file cannot be written.
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise StatechartError(f"a page is .html, not {path.suffix or path.name!r}")
+    try:
+        write_atomic(path, html(shown).encode())
+    except OSError as error:
+        raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error

@@ -1,0 +1,138 @@
+"""A headless Chromium spoken to through two pipes, with the DevTools protocol and nothing else."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+FOUND = next(
+    (
+        path
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (path := shutil.which(name))
+    ),
+    None,
+)
+"""The program, where one is installed."""
+
+
+class Browser:
+    """One page in a browser of its own.
+
+    Attributes
+    ----------
+    said : list of str
+        What the page wrote to its console, errors too.
+    """
+
+    def __init__(
+        self, folder: Path, width: int = 1200, height: int = 1000, dark: bool = False
+    ) -> None:
+        assert FOUND is not None
+        to_browser, self._out = os.pipe()
+        self._in, from_browser = os.pipe()
+
+        # The browser reads at 3 and writes at 4.
+        pipes = f"3</proc/self/fd/{to_browser} 4>/proc/self/fd/{from_browser}"
+        command = [
+            "sh", "-c", f'exec "$@" {pipes}', "sh",
+            FOUND, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe",
+            "--disable-dev-shm-usage", f"--user-data-dir={folder}", "about:blank",
+        ]  # fmt: skip
+        self._process = subprocess.Popen(
+            command, pass_fds=(to_browser, from_browser), stderr=subprocess.DEVNULL
+        )
+        os.close(to_browser)
+        os.close(from_browser)
+        self._left, self._count, self.said = b"", 0, list[str]()
+        self._session = ""
+        page = next(t for t in self.do("Target.getTargets")["targetInfos"] if t["type"] == "page")
+        attached = self.do("Target.attachToTarget", targetId=page["targetId"], flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log"):
+            self.do(f"{domain}.enable")
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.do("Emulation.setDeviceMetricsOverride", **size)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.do("Emulation.setEmulatedMedia", features=[scheme])
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._out)
+        os.close(self._in)
+        self._process.kill()
+        self._process.wait()
+
+    def do(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Ask for something and return the answer."""
+        self._count += 1
+        message: dict[str, Any] = {"id": self._count, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._out, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self._next()
+            if answer.get("id") == self._count:
+                assert "error" not in answer, answer
+                return dict(answer["result"])
+            self._hear(answer)
+
+    def open(self, path: Path) -> None:
+        """Open a file and wait until it is there."""
+        self.do("Page.navigate", url=path.resolve().as_uri())
+        while True:
+            answer = self._next()
+            self._hear(answer)
+            if answer.get("method") == "Page.loadEventFired":
+                return
+
+    def value(self, script: str) -> Any:
+        """Return what an expression of the page is; promises are waited for."""
+        found = self.do(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
+        assert "exceptionDetails" not in found, found
+        return found["result"].get("value")
+
+    def click(self, selector: str) -> None:
+        """Click the middle of an element as a mouse does."""
+        x, y = self.value(
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
+            "e.scrollIntoView({block: 'center'}); const b = e.getBoundingClientRect();"
+            "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+        )
+        self.press(x, y)
+
+    def press(self, x: float, y: float, to: tuple[float, float] | None = None) -> None:
+        """Press the mouse at a place, drag it to another, and let go."""
+        button = {"button": "left", "clickCount": 1}
+        self.do("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, **button)
+        x, y = to or (x, y)
+        self.do("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, button="left", buttons=1)
+        self.do("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, **button)
+
+    def screenshot(self, path: Path) -> None:
+        """Write what is seen, the whole page, as a PNG."""
+        shot = self.do("Page.captureScreenshot", captureBeyondViewport=True)
+        path.write_bytes(base64.b64decode(shot["data"]))
+
+    def _next(self) -> dict[str, Any]:
+        while b"\0" not in self._left:
+            part = os.read(self._in, 1 << 16)
+            assert part, "the browser has ended"
+            self._left += part
+        message, _, self._left = self._left.partition(b"\0")
+        return dict(json.loads(message))
+
+    def _hear(self, answer: dict[str, Any]) -> None:
+        if answer.get("method") in (
+            "Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded",
+        ):  # fmt: skip
+            self.said.append(json.dumps(answer["params"])[:500])

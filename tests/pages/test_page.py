@@ -1,0 +1,173 @@
+"""The page of a run: one file that needs nothing else, in which all parts show the same instant."""
+
+import base64
+import json
+import re
+
+import numpy as np
+import pytest
+from browser import FOUND, Browser
+
+import statechart
+from statechart import StatechartError
+from statechart.cli.main import main
+
+in_browser = pytest.mark.skipif(FOUND is None, reason="no Chromium is installed here")
+
+
+@pytest.fixture(scope="module")
+def result():
+    return statechart.run("toppling_stick")
+
+
+@pytest.fixture(scope="module")
+def page(result, tmp_path_factory):
+    return result.report(tmp_path_factory.mktemp("page") / "stick.html")
+
+
+@pytest.fixture(scope="module")
+def browser(page, tmp_path_factory):
+    with Browser(tmp_path_factory.mktemp("browser")) as opened:
+        opened.open(page)
+        yield opened
+
+
+def data_of(text: str) -> dict:
+    return json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])
+
+
+def test_a_page_needs_nothing_else(page):
+    text = page.read_text(encoding="utf-8")
+    assert len(text) < 3_000_000
+    assert not re.search(r'(src|href)="(?!#)', text.split('id="data"')[0])
+    assert "default-src 'none'" in text
+    assert "@" + "TITLE@" not in text
+
+
+def test_what_it_shows_is_the_run(result, page):
+    shown = data_of(page.read_text(encoding="utf-8"))
+    times = np.frombuffer(base64.b64decode(shown["times"]), "<f8")
+    assert times[0] == 0.0
+    assert times[-1] == result.trace.t_end
+    assert [event["t"] for event in shown["events"]] == [jump.t for jump in result.trace.jumps]
+    for event in shown["events"]:
+        assert times[event["instant"]] == event["t"]
+    assert "|H| =" in shown["events"][0]["why"]
+    angle = np.frombuffer(base64.b64decode(shown["film"]["poses"]), "<f4").reshape(-1, 2, 3)[
+        :, 1, 2
+    ]
+    found = result.observer.sample(result.trace, ("stick.angle",), times=times)
+    np.testing.assert_allclose(angle, found.columns["stick.angle"], atol=1e-6)
+
+
+def test_names_cannot_break_out_of_it():
+    from statechart.pages.page import html
+
+    text = html({"title": "</title><b>@DATA@", "doc": "</script><script>alert(1)</script>"})
+    assert "</title><b>" not in text
+    assert "alert(1)</script>" not in text
+    assert text.count("</script>") == 2
+
+
+def test_a_page_is_html(result, tmp_path):
+    with pytest.raises(StatechartError, match=r"\.html"):
+        result.report(tmp_path / "page.pdf")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_line_writes_one_and_refuses_what_is_none(tmp_path, capsys):
+    target = tmp_path / "ball.html"
+    assert main(["run", "bouncing_ball_chart", "--report", str(target)]) == 0
+    assert data_of(target.read_text(encoding="utf-8"))["film"] is None
+    assert main(["run", "bouncing_ball_chart", "--report", str(tmp_path / "no" / "a.html")]) == 2
+    assert main(["run", "bouncing_ball_chart", "--report", str(tmp_path / "a.txt")]) == 2
+    assert ".html" in capsys.readouterr().err
+
+
+def agree(browser: Browser, result: statechart.Result) -> float:
+    """Check that time, mode, picture and chart show the same instant; return it."""
+    k = browser.value("now")
+    time = browser.value("times[now]")
+    assert browser.value("Number(document.querySelector('#slider').value)") == k
+    assert browser.value("document.querySelector('#time').value") == f"t = {time:.6g}"
+    reading = result.at(time)
+    state = reading.mode["tip"]
+    assert browser.value("document.querySelector('#mode').dataset.mode") == f"tip:{state}"
+    assert browser.value("document.querySelector('#mode').textContent") == f"tip: {state}"
+    mark = "document.querySelector('[data-contact=tip]')"
+    assert browser.value(f"{mark}.dataset.state") == state
+    turn = browser.value(
+        "document.querySelector('[data-name=stick]').transform.baseVal.consolidate().matrix.b"
+    )
+    assert turn == pytest.approx(-np.sin(reading.values["stick.angle"]), abs=1e-5)
+    lit = browser.value(
+        "document.querySelector('#diagram g.lit').textContent.trim().split(/\\s/)[0]"
+    )
+    assert lit == state
+    return float(time)
+
+
+@in_browser
+def test_the_slider_moves_everything(browser, result):
+    x, y, width = browser.value(
+        "(() => { const e = document.querySelector('#slider'); e.scrollIntoView();"
+        "const b = e.getBoundingClientRect(); return [b.x, b.y + b.height / 2, b.width]; })()"
+    )
+    seen = [agree(browser, result)]
+    for part in (0.3, 0.8, 0.97):
+        browser.press(x + 0.1 * width, y, to=(x + part * width, y))
+        seen.append(agree(browser, result))
+    assert seen == sorted(set(seen))
+    assert seen[-1] > 5.0
+
+
+@in_browser
+def test_an_event_leads_to_its_instant_and_says_why(browser, result):
+    for place, jump in enumerate(result.trace.jumps, start=1):
+        browser.click(f"#events tbody tr:nth-child({place})")
+        assert agree(browser, result) == jump.t
+        assert jump.cause in browser.value("document.querySelector('#why').textContent")
+        assert browser.value("document.querySelector('#events tr.now').rowIndex") == place
+
+
+@in_browser
+def test_play_runs_to_the_end_and_pauses_where_it_is(browser, result):
+    browser.value("go(0)")
+    browser.value("document.querySelector('#speed').value = '5'")
+    browser.click("#play")
+    browser.value("new Promise((done) => { const wait = () => now > 20 ? done() :"
+                  "requestAnimationFrame(wait); wait(); })")  # fmt: skip
+    browser.click("#play")
+    paused = agree(browser, result)
+    assert 0.0 < paused < result.trace.t_end
+    browser.click("#play")
+    browser.value("new Promise((done) => { const wait = () => now === last ? done() :"
+                  "requestAnimationFrame(wait); wait(); })")  # fmt: skip
+    assert agree(browser, result) == result.trace.t_end
+
+
+@in_browser
+def test_a_curve_leads_to_where_it_is_clicked(browser, result):
+    browser.click("#curves svg")
+    # The middle of the drawing, whose time axis is from 64 to 860 of 1000.
+    expected = result.trace.t_end * (500 - 64) / (860 - 64)
+    assert agree(browser, result) == pytest.approx(expected, abs=0.03)
+    cursor = browser.value("cursors[0].x1.baseVal.value")
+    assert cursor == pytest.approx(500.0, abs=3.0)
+
+
+@in_browser
+@pytest.mark.parametrize("name", ["bouncing_ball_chart", "newtons_cradle", "dice"])
+def test_pages_open_without_a_word_on_the_console(name, tmp_path):
+    shown = statechart.run(name, throw=False).report(tmp_path / "page.html")
+    assert shown.stat().st_size < 3_000_000
+    with Browser(tmp_path / "browser", dark=True) as opened:
+        opened.open(shown)
+        opened.value("go(last)")
+        assert opened.said == []
+        assert opened.value("document.querySelector('#time').value").startswith("t = ")
+
+
+@in_browser
+def test_nothing_was_said_on_the_console(browser):
+    assert browser.said == []
