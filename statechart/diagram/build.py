@@ -148,13 +148,23 @@ def _grid(automaton: Automaton, start: Key, modes: nx.MultiDiGraph) -> Chart:
 
 
 def _of(region: Region, chart: Chart) -> Chart:
-    """Return a chart whose frames say of which region they are."""
-    leaves = {node.name for node in chart.leaves}
+    """Return a chart for a grid: frames say of which region they are, no link stays in a frame.
+
+    A link to a frame around its source leads to the other states in it, one by one.
+    """
+    leaves = [node.name for node in chart.leaves]
     nodes = (
         node if node.name in leaves else replace(node, label=f"{region.name} {node.label}")
         for node in chart.nodes
     )
-    return replace(chart, nodes=tuple(nodes))
+    links: list[Link] = []
+    for link in chart.links:
+        if link.target in chart.around(link.source):
+            held = (leaf for leaf in leaves if link.target in chart.around(leaf))
+            links += [replace(link, target=leaf) for leaf in held if leaf != link.source]
+        else:
+            links.append(link)
+    return replace(chart, nodes=tuple(nodes), links=tuple(links))
 
 
 def _declared(region: Region) -> tuple[str, ...]:

@@ -72,10 +72,23 @@ def region_chart(
     names = (n for s in leaves for n in reversed((s, *_around(region, s))) if n == s or n in frames)
     histories = (remembered(name) for name in region.nesting.histories)
     links = (
-        Link(prefix + e.source, prefix + e.target, e.cause, e.guard, _reset(region, e))
+        Link(
+            prefix + e.source,
+            prefix + _begun(region, e.target),
+            e.cause,
+            e.guard,
+            _reset(region, e),
+        )
         for e in edges
     )
     return Chart((*map(node, dict.fromkeys(names)), *histories), tuple(links), title)
+
+
+def _begun(region: Region, name: str) -> str:
+    """Return the state that a state begins with where its declaration says so; else itself."""
+    while name in region.nesting.initial:
+        name = region.nesting.initial[name]
+    return name
 
 
 def _innermost(region: Region) -> tuple[str, ...]:

@@ -254,3 +254,33 @@ def test_nested_states_of_a_controller_are_drawn_as_declared_with_their_history(
     assert sorted(ends) == [
         ("first", "onward", "second"), ("pause", "go", "last"), ("work", "stop", "pause"),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["double_contact_bar", "compass_walker", "raibert_hopper"])
+def test_arrows_of_a_grid_are_all_transitions_of_its_modes(name: str) -> None:
+    runner = Runner(name)
+    (chart,) = build(runner.automaton, runner.start()[0]).charts
+    assert chart.axes is not None
+    drawn: set[tuple[str, str, str]] = set()
+    for place, (region, axis) in enumerate(zip(runner.automaton.regions, chart.axes, strict=True)):
+        inner = {
+            node.name: [
+                leaf.name.split(":")[1]
+                for leaf in axis.leaves
+                if node.name in (leaf.name, *axis.around(leaf.name))
+            ]
+            for node in axis.nodes
+        }
+        others = [leaf.name.split(":")[1] for leaf in chart.axes[1 - place].leaves]
+        for link in axis.links:
+            for source in inner[link.source]:
+                for target in inner[link.target]:
+                    for other in others:
+                        ends = [
+                            f"{state} {other}" if place == 0 else f"{other} {state}"
+                            for state in (source, target)
+                        ]
+                        drawn.add((ends[0], f"{region.name} {link.cause}", ends[1]))
+    meant = {(link.source, link.event, link.target) for link in chart.links}
+    apart = {link for link in meant if link[0] != link[2]}
+    assert {link for link in drawn if link[0] != link[2]} == apart
