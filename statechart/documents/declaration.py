@@ -31,7 +31,8 @@ from statechart.documents.outputs import (
     check_member,
 )
 from statechart.documents.setting import Setting
-from statechart.errors import DeclarationProblem, FormulaError, close_matches
+from statechart.documents.validation import located
+from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
 from statechart.formulas.constants import Constants
 from statechart.formulas.formula import parse, parse_relation
 
@@ -130,6 +131,37 @@ class Declaration(Part):
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the model that runs with `overrides`: another where they change what it has."""
         return self
+
+    def with_(self, **values: FormulaText) -> Self:
+        """Return the model with other values of parameters.
+
+        Parameters
+        ----------
+        **values : number or str
+            Parameter -> its value, or a formula of the others.
+
+        Raises
+        ------
+        DeclarationError
+            If there is no such parameter, or no model has this value.
+
+        Examples
+        --------
+        >>> from statechart import load
+        >>> load("toppling_stick").with_(mu=0.3).values()["mu"]
+        0.3
+        """
+        for name, text in values.items():
+            if name not in self.parameters:
+                raise DeclarationError(
+                    f"no parameter {name!r}", advice=close_matches(name, self.parameters)
+                )
+            with located(None, {}, ("parameters", name)):
+                parse(text)
+        made = self.model_copy(update={"parameters": {**self.parameters, **values}})
+        with located(None, {}):
+            made.check_values(made.values())
+        return made
 
     def alternatives(self) -> Mapping[str, Self]:
         """Return the model under the other choices that its laws leave open, by their names."""

@@ -6,8 +6,7 @@ import importlib.metadata
 from collections.abc import Callable
 from pathlib import Path
 
-from pydantic import BaseModel
-
+from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read
@@ -16,7 +15,7 @@ from statechart.loading.kind import kind, kinds
 from statechart.loading.offered import module
 
 
-def interpret(document: Document) -> BaseModel:
+def interpret(document: Document) -> Declaration:
     """Build the model of the kind that the document names in its `kind:`.
 
     Parameters
@@ -43,7 +42,7 @@ def interpret(document: Document) -> BaseModel:
     return validate(document, kind(name).model)
 
 
-def load(path_or_name: str | Path) -> BaseModel:
+def load(path_or_name: str | Path) -> Declaration:
     """Read a model: a file, or a shipped model by its name.
 
     Parameters
