@@ -22,7 +22,7 @@ from contacts.scene.collision_checks import check_shapes
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
-from contacts.time_stepping.chunk import FULL, Chunk, softened_remark, stepped
+from contacts.time_stepping.chunk import FULL, IMPULSE_TOLERANCE, NOT_FINITE, Chunk
 from contacts.time_stepping.loop import DEEPEST, Begun
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Array
@@ -135,7 +135,7 @@ class BodyStepper(Stepper):
 
         In it nothing moves far beside the smallest body, at the scene's speed or falling.
         """
-        setup, bodies = self._made({})
+        setup, bodies = self._made({}, IMPULSE_TOLERANCE)
         size = float(bodies.numbers.sizes.min())
         step = _CROSSED * size / setup.scales.speed
         gravity = math.hypot(*bodies.numbers.gravity)
@@ -151,10 +151,10 @@ class BodyStepper(Stepper):
         DeclarationProblem
             If no run can start there.
         """
-        return self._made(overrides)[0]
+        return self._made(overrides, IMPULSE_TOLERANCE)[0]
 
-    def _begin(self, overrides: Mapping[str, float], step: float) -> Begun:
-        setup, bodies = self._made(overrides)
+    def _begin(self, overrides: Mapping[str, float], step: float, allowed: float) -> Begun:
+        setup, bodies = self._made(overrides, allowed)
         size, fall = setup.scales.length, math.hypot(*bodies.numbers.gravity) * step**2
         failure = None
         if fall > DEEPEST * size:
@@ -167,7 +167,9 @@ class BodyStepper(Stepper):
         free = np.full(len(self._scene.bodies), FREE)
         return Begun(setup, bodies, free, self._lacks(setup), failure=failure)
 
-    def _made(self, overrides: Mapping[str, float]) -> tuple[SceneSetup, SteppedHeap]:
+    def _made(
+        self, overrides: Mapping[str, float], allowed: float
+    ) -> tuple[SceneSetup, SteppedHeap]:
         numbers, further = self._mechanics.parameters.values(overrides)
         scene = self._scene
         initial = further[: 6 * len(scene.bodies)]
@@ -181,7 +183,7 @@ class BodyStepper(Stepper):
         names = list(scene.bodies)
         for i, number in enumerate(initial.tolist()):
             check_range(number, "its start", ("bodies", names[i // 3 % len(names)]))
-        bodies = SteppedHeap(scene, self._owners, known)
+        bodies = SteppedHeap(scene, self._owners, known, allowed)
         for name, size in zip(names, bodies.numbers.sizes.tolist(), strict=True):
             check_range(size, "its size", ("bodies", name, "shape"))
         for number in bodies.numbers.gravity.tolist():
@@ -203,7 +205,7 @@ class BodyStepper(Stepper):
             bands={},
         )  # fmt: skip
         # A step of no length finds who overlaps.
-        trial = SteppedHeap(scene, self._owners, known)
+        trial = SteppedHeap(scene, self._owners, known, allowed)
         trial.steps(0.0, 1e-9 * length / speed, initial, 1)
         for name, margin in trial.margins.items():
             if margin < -_START_DEPTH * length:
@@ -227,16 +229,20 @@ class SteppedHeap:
         What each of them is a copy of, or itself.
     known : mapping of str to float
         Parameters.
+    allowed : float
+        Residual of impulses that are good enough.
     """
 
-    def __init__(self, scene: Scene, owners: Sequence[str], known: Mapping[str, float]) -> None:
+    def __init__(
+        self, scene: Scene, owners: Sequence[str], known: Mapping[str, float], allowed: float
+    ) -> None:
         self.numbers = body_numbers(scene, owners, known)
         self._names = tuple(scene.bodies)
         count = len(self._names)
         self._keys = np.zeros((_PER_BODY * count, 2), dtype=np.int64)
         self._memory = np.zeros((_PER_BODY * count, MEMORY))
         self._remembered = np.zeros(1, dtype=np.int64)
-        self._softened = 0
+        self._allowed = allowed
         self._plastic = scene.simultaneous == "plastic"
         self._least = np.full(count, np.inf)
         self._turned = self._length = 0.0
@@ -253,40 +259,34 @@ class SteppedHeap:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a reader must know of the run."""
-        found = softened_remark(self._softened)
-        if self._turned > _TURNED:
-            found += (
-                f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
-                f"{self._length:g}, in which nothing follows how they touch; take "
-                f"{_FOLLOWED * self._length / self._turned:.1g} or less",
-            )
-        return found
+        if not self._turned > _TURNED:
+            return ()
+        return (
+            f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
+            f"{self._length:g}, in which nothing follows how they touch; take "
+            f"{_FOLLOWED * self._length / self._turned:.1g} or less",
+        )
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps; see `SteppedScene.steps`."""
         bodies = len(self._names)
         chunk = Chunk.room(h, state, 3 * bodies, bodies, count)
 
-        def step(
-            left: Chunk, done: int, given: Array, softened: bool
-        ) -> tuple[int, int, Array, Array, Array]:
-            return step_bodies(
+        done, status = 0, FULL
+        while status == FULL:
+            taken, status = step_bodies(
                 self.numbers, self._plastic, self._keys, self._memory, self._remembered,
-                given, softened, left,
+                self._allowed, chunk.after(done),
             )  # fmt: skip
-
-        done, softened = stepped(step, self._failure, chunk)
-        self._softened += softened
+            done += taken
+            if status == FULL:
+                self._keys = np.concatenate([self._keys, np.zeros_like(self._keys)])
+                self._memory = np.concatenate([self._memory, np.zeros_like(self._memory)])
+        if status == NOT_FINITE and done == 0:
+            raise NonFinite("a coordinate became infinite or undefined")
         chunk = chunk.first(done)
         self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
         turns = h * np.abs(chunk.states[1:, 3 * bodies + 2 :: 3]) * (self.numbers.radii == 0.0)
         self._turned = max(self._turned, float(np.max(turns, where=chunk.struck, initial=0.0)))
         self._length = max(self._length, h)
         return chunk
-
-    def _failure(self, status: int) -> NonFinite | None:
-        if status != FULL:
-            return NonFinite("a coordinate became infinite or undefined")
-        self._keys = np.concatenate([self._keys, np.zeros_like(self._keys)])
-        self._memory = np.concatenate([self._memory, np.zeros_like(self._memory)])
-        return None

@@ -1,9 +1,8 @@
 """Time steps of many free bodies that collide, compiled once: block by block, island by island.
 
 The scheme is that of `contacts.time_stepping.scene_step`. The mass matrix is diagonal; bodies that
-touch each other form islands, each with a contact problem of its own, and islands too large for a
-dense problem are swept contact by contact (projected Gauss-Seidel; Moreau and Jean's contact
-dynamics).
+touch each other form islands, each with a contact problem of its own, whose impulses are the best
+that `contacts.solvers.island_impulses` finds.
 """
 
 from __future__ import annotations
@@ -14,38 +13,27 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collisions.detection import FOUND, against_surface, between, place
-from contacts.collisions.islands import (
-    Touching,
-    compliance,
-    island_of,
-    push,
-    swept,
-    swept_steady,
-    velocity,
-)
+from contacts.collisions.islands import gathered, grouped, push, velocity
 from contacts.collisions.meeting import met, nearby, overlap
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS
-from contacts.solvers.step_impulses import solve_impacts, steady_impulses
+from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import (
     APART,
     BESIDE,
     DONE,
     FULL,
-    HARD,
     HIT,
     NOT_FINITE,
     SLOW,
     Chunk,
     arriving,
-    pressed_guess,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import indices, put_rows
+from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel
 
-MEMORY = 5
-"""What is kept of a contact from step to step: level, lasting, impulses, number of its basis."""
+MEMORY = 4
+"""What is kept of a contact from step to step: level, lasting, impulses."""
 
 # Points of contact that a pair can have: a polygon on a surface has as many as corners.
 _POINTS = 16
@@ -60,8 +48,8 @@ _ARRIVED = 0.01
 _ALIKE = 0.8
 # What came in by another side than it leaves by has crossed for this part of a step at most.
 _ELSEWHERE = 0.5
-# Islands of more contacts are swept.
-_DENSE = 40
+# What is no farther from the edge of its cone than this part of its impulse slides.
+_EDGE = 1e-9
 
 
 class BodyNumbers(NamedTuple):
@@ -105,13 +93,10 @@ def step_bodies(
     keys: Ints,
     memory: Array,
     remembered: Ints,
-    given: Array,
-    softened: bool,
+    allowed: float,
     chunk: Chunk,
-) -> tuple[int, int, Array, Array, Array]:
-    """Take the steps of a chunk.
-
-    Return (steps, status, W, free, cones); see `contacts.time_stepping.scene_step.step_scene`.
+) -> tuple[int, int]:
+    """Take the steps of a chunk; return (steps, status).
 
     Parameters
     ----------
@@ -121,20 +106,19 @@ def step_bodies(
     keys : (c, 2), memory : (c, MEMORY), remembered : (1,)
         Contacts of the step before: pair and feature; see `MEMORY`; and how many they are. They
         must be more than take part in a step, else the status is `FULL`. Changed in place.
-    given : (4 m,)
-        Solutions of problems of the first step that were not solved before.
-    softened : bool
-        See `step_scene`.
+    allowed : float
+        Residual of impulses that are good enough.
     chunk : Chunk
         To be filled, per body instead of per contact; the unknowns are accelerations alone.
     """
     vertices, firsts, radii, sizes, cores, inverse, gravity, surfaces, pairs, materials = numbers
-    h, states, solved, codes, struck, _, impulses, gaps, approach, closing, passed, _ = chunk
+    h, states, solved, codes, struck, _, impulses, gaps, approach, closing, passed, _, efforts = (
+        chunk
+    )
     state = states[0].copy()
     b_count, s_count = len(sizes), len(surfaces)
     n = 3 * b_count
     most = len(keys)
-    nothing, none = np.empty((0, 0)), np.empty((0, 2))
     found, aside = np.empty((_POINTS, FOUND)), np.empty((_POINTS, FOUND))
     bodies = np.empty((most, 2), np.int64)
     rows = np.empty((most, 2, 6))
@@ -143,8 +127,10 @@ def step_bodies(
     cones, elastic = np.empty((most, 2)), np.empty(most)
     before, free, wanted = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2))
     pushes, steady = np.empty((most, 2)), np.empty((most, 2))
-    hit, sliding = np.empty(most, np.bool_), np.empty(most, np.bool_)
-    guesses = np.empty((most, UNKNOWNS), np.bool_)
+    hit, bounces = np.empty(most, np.bool_), np.empty(most, np.bool_)
+    parents, begins = np.empty(b_count, np.int64), np.empty(b_count + 1, np.int64)
+    order, local = np.empty(most, np.int64), np.empty(b_count, np.int64)
+    square = gravity[0] * gravity[0] + gravity[1] * gravity[1]
     centres = np.empty((b_count, 2))
     world = np.empty_like(vertices)
     reach = np.empty(b_count)
@@ -210,7 +196,7 @@ def step_bodies(
                     gaps[k, b] = min(gaps[k, b], gap)
                     if c < b_count:
                         gaps[k, c] = min(gaps[k, c], gap)
-                    level, lasting, basis = 0.0, False, -1
+                    level, lasting = 0.0, False
                     pushes[m, 0] = pushes[m, 1] = 0.0
                     place_old = at_old
                     while place_old < remembered[0] and keys[place_old, 0] == pair:
@@ -218,7 +204,6 @@ def step_bodies(
                             level = memory[place_old, 0]
                             lasting = memory[place_old, 1] > 0.0
                             pushes[m, 0], pushes[m, 1] = memory[place_old, 2], memory[place_old, 3]
-                            basis = int(memory[place_old, 4])
                         place_old += 1
                     bodies[m, 0], bodies[m, 1] = b, c if c < b_count else -1
                     for d in range(2):
@@ -274,81 +259,79 @@ def step_bodies(
                         # deeper than that makes was moved there by a change of features.
                         wanted[m, 0] = max(above / h, -0.5 * fall)
                     if m == most - 1:
-                        return k, FULL, nothing, none, none
+                        return k, FULL
                     cones[m, 0], cones[m, 1] = materials[material, 0], materials[material, 1]
                     elastic[m] = materials[material, 2]
                     new_keys[m, 0], new_keys[m, 1] = pair, features[p]
                     new_memory[m, 0] = level
                     new_memory[m, 1] = 0.0 if lasting or hit[m] else above
-                    if basis >= 0:
-                        for u in range(UNKNOWNS):
-                            guesses[m, u] = (basis >> u) & 1 == 1
-                    else:
-                        pressed_guess(guesses[m], free[m, 1], cones[m, 1] > 0.0)
+                    if not lasting:
+                        # An impact's impulses say nothing of the next.
+                        pushes[m, 0] = pushes[m, 1] = 0.0
                     m += 1
-        parents = np.arange(b_count)
-        for i in range(m):
-            if bodies[i, 1] >= 0:
-                one = island_of(parents, bodies[i, 0])
-                parents[one] = island_of(parents, bodies[i, 1])
-        owners = np.empty(m, np.int64)
-        for i in range(m):
-            owners[i] = island_of(parents, bodies[i, 0])
         rates = loose.copy()
-        rebounds = hit[:m] & (elastic[:m] > 0.0)
-        touching = Touching(bodies, rows, inverse, cones, wanted, before, free, rebounds, loose)
+        efforts[k, 0] = efforts[k, 1] = efforts[k, 3] = 0.0
+        efforts[k, 2] = m
+        grouped(bodies, m, parents, begins, order)
         for island in range(b_count):
-            members = indices(owners == island)
+            members = order[begins[island] : begins[island + 1]]
             size = len(members)
             if size == 0:
                 continue
-            if plastic and size > 1:
-                for a in range(size):
-                    if rebounds[members[a]]:
-                        rebounds[members[a]] = False
-                        wanted[members[a], 0] = 0.0
-            soften = softened and k == 0
-            if soften:
-                for a in range(size):
-                    wanted[members[a], 0] = max(wanted[members[a], 0], 0.0)
-            if size > _DENSE and swept(members, touching, pushes, sliding, guesses):
-                swept_steady(members, touching, pushes, sliding, guesses, hit, steady)
-                continue
-            delassus = np.zeros((2 * size, 2 * size))
-            unforced = np.empty((size, 2))
-            ours, start = np.empty((size, 2)), np.empty((size, 2))
-            guess = np.empty(UNKNOWNS * size, np.bool_)
+            contacts = gathered(members, bodies, rows, inverse, cones, local)
+            start, unforced = np.empty((size, 2)), np.empty((size, 2))
+            asked, chosen = np.empty((size, 2)), np.empty((size, 2))
+            rebounds, quiet = np.empty(size, np.bool_), 0
             for a in range(size):
                 i = members[a]
-                for d in range(2):
-                    unforced[a, d] = free[i, d]
-                    ours[a, d], start[a, d] = cones[i, d], before[i, d]
-                    for q in range(size):
-                        for e in range(2):
-                            delassus[2 * a + d, 2 * q + e] = compliance(
-                                bodies, rows, inverse, i, d, members[q], e
-                            )
-                for u in range(UNKNOWNS):
-                    guess[UNKNOWNS * a + u] = guesses[i, u]
-            together = np.zeros(size, np.int64)
-            good, z, basis_found, chosen, least = solve_impacts(
-                delassus, together, start, unforced, wanted[members], ours, rebounds[members],
-                guess, given if k == 0 else given[:0], soften,
-            )  # fmt: skip
-            if not good:
-                # All but degenerate: the sweeps need no basis.
-                if not swept(members, touching, pushes, sliding, guesses):
-                    return k, HARD, delassus, least, ours
-                swept_steady(members, touching, pushes, sliding, guesses, hit, steady)
-                continue
-            forces, _ = steady_impulses(delassus, least, ours, z, chosen, hit[members])
+                put(before[i], start[a])
+                put(free[i], unforced[a])
+                put(pushes[i], chosen[a])
+                rebounds[a] = hit[i] and elastic[i] > 0.0
+                if plastic and size > 1 and rebounds[a]:
+                    rebounds[a], wanted[i, 0] = False, 0.0
+                put(wanted[i], asked[a])
+                bounces[i] = rebounds[a]
+                quiet += 0 if hit[i] else 1
+            bound = 0.0
             for a in range(size):
-                i = members[a]
-                pushes[i, 0], pushes[i, 1] = chosen[a, 0], chosen[a, 1]
-                steady[i, 0], steady[i, 1] = forces[a, 0], forces[a, 1]
-                sliding[i] = z[UNKNOWNS * a + 3] > 0.0
-                for u in range(UNKNOWNS):
-                    guesses[i, u] = basis_found[UNKNOWNS * a + u]
+                for side in range(2):
+                    b = bodies[members[a], side]
+                    # Once for each body.
+                    if b >= 0 and local[b] >= 0:
+                        bound += 0.125 * h * h * square / inverse[b, 0]
+                        local[b] = -1
+            missed, done, softened = island_impulses(
+                contacts, start, unforced, asked, rebounds, chosen, allowed, bound
+            )
+            for a in range(size):
+                put(chosen[a], steady[members[a]])
+                if hit[members[a]]:
+                    steady[members[a], 0] = steady[members[a], 1] = 0.0
+            if 0 < quiet < size:
+                # What is force of it: the impulses without what strikes.
+                others, last = np.empty(quiet, np.int64), 0
+                for i in members:
+                    if not hit[i]:
+                        others[last] = i
+                        last += 1
+                alone, ours = np.empty((quiet, 2)), np.empty((quiet, 2))
+                for a in range(quiet):
+                    for d in range(2):
+                        ours[a, d] = free[others[a], d] + wanted[others[a], d]
+                    put(pushes[others[a]], alone[a])
+                _, further = solve_rows(
+                    gathered(others, bodies, rows, inverse, cones, local), ours, alone, allowed,
+                    False,
+                )  # fmt: skip
+                done += further
+                for a in range(quiet):
+                    put(alone[a], steady[others[a]])
+            for a in range(size):
+                put(chosen[a], pushes[members[a]])
+            efforts[k, 0] = max(efforts[k, 0], missed)
+            efforts[k, 1] += done
+            efforts[k, 3] = max(efforts[k, 3], 1.0 if softened else 0.0)
         forced = loose.copy()
         for i in range(m):
             for d in range(2):
@@ -356,17 +339,13 @@ def step_bodies(
                     push(bodies, rows, inverse, rates, i, d, pushes[i, d])
                 if steady[i, d] != 0.0:
                     push(bodies, rows, inverse, forced, i, d, steady[i, d])
+        for i in range(m):
             pressed = pushes[i, 0] > 0.0
-            lasts = pressed and not rebounds[i]
+            lasts = pressed and not bounces[i]
             keys[i, 0], keys[i, 1] = new_keys[i, 0], new_keys[i, 1]
             memory[i, 0] = new_memory[i, 0]
             memory[i, 1] = 1.0 if lasts else 0.0
             memory[i, 2], memory[i, 3] = pushes[i, 0], pushes[i, 1]
-            number = 0
-            for u in range(UNKNOWNS):
-                if guesses[i, u]:
-                    number |= 1 << u
-            memory[i, 4] = number if guesses[i, 0] else -1
             for side in range(2):
                 b = bodies[i, side]
                 if b < 0:
@@ -378,7 +357,11 @@ def step_bodies(
                 if lasts:
                     if not hit[i]:
                         closing[k] = max(closing[k], new_memory[i, 1])
-                    sticks = cones[i, 1] > 0.0 and not sliding[i]
+                    edge = cones[i, 1] * pushes[i, 0] - cones[i, 0] * abs(pushes[i, 1])
+                    slip = abs(velocity(bodies, rows, rates, i, 1))
+                    sticks = cones[i, 1] > 0.0 and (
+                        edge > _EDGE * pushes[i, 0] or slip <= allowed * fall
+                    )
                     if sticks:
                         codes[k, b] = PIN
                     elif codes[k, b] == FREE:
@@ -391,7 +374,7 @@ def step_bodies(
                 state[n + at] = rates[b, d]
                 state[at] += 0.5 * h * rates[b, d]
                 if not math.isfinite(state[at]):
-                    return k, NOT_FINITE, nothing, none, none
+                    return k, NOT_FINITE
         for i in range(2 * n):
             states[k + 1, i] = state[i]
-    return len(codes), DONE, nothing, none, none
+    return len(codes), DONE

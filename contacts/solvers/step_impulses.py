@@ -21,6 +21,13 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel, part
 
+# Of the terms of a work: what it is known to.
+_WORK_ROUNDING = 64.0 * 2.0**-52
+
+AS_ASKED, SOFTENED, AS_GIVEN = range(3)
+"""What is asked of the impulses of a step: that contacts part as they should; that none parts; and
+nothing, where no impulses were found that do even that: the best ones are taken."""
+
 
 @part
 def _without_rounding(velocities: Array, size: float) -> None:
@@ -70,14 +77,15 @@ def solve_impacts(
     rebounds: Bools,
     guess: Bools,
     given: Array,
-    softened: bool,
+    how: int,
 ) -> tuple[bool, Array, Bools, Array, Array]:
     """Return (solved, z, basis, impulses, least velocities) of the contacts of a step.
 
     Where it is not solved, the velocities are those of the problem that was not. Restitution that
     would add energy to a group of contacts is reduced in it. Where contacts oppose each other there
-    need be no impulses that make all of them part as they should: `softened`, none is asked to
-    part. Then rest is allowed, and there are some (Anitescu and Potra 1997).
+    need be no impulses that make all of them part as they should: `SOFTENED`, none is asked to
+    part. Then rest is allowed, and there are some (Anitescu and Potra 1997). Where they are not
+    found the impulses given are taken `AS_GIVEN`, but for what would add energy.
 
     Parameters
     ----------
@@ -94,20 +102,25 @@ def solve_impacts(
     guess : (4 m,) array of bool
     given : (k,)
         Solutions of problems that `solve_contacts` did not solve.
-    softened : bool
+    how : int
+        `AS_ASKED`, `SOFTENED` or `AS_GIVEN`.
     """
     limit = pivots(len(cones))
     least = free + wanted
     soft = least.copy()
     for a in range(len(cones)):
-        if softened:
+        if how != AS_ASKED:
             soft[a, 0] = free[a, 0] + max(wanted[a, 0], 0.0)
         elif rebounds[a]:
             soft[a, 0] = free[a, 0]
     size = max(np.abs(free).max(), np.abs(before).max())
     _without_rounding(least, size)
     _without_rounding(soft, size)
-    if softened:
+    if how == AS_GIVEN:
+        best = impulses_of(given)
+        share = part_within(best, before, free, moved_by(delassus, best), 0.0)
+        return True, given, given > 0.0, share * best, soft
+    if how == SOFTENED:
         good, z, basis = _known(delassus, soft, cones, guess, limit, given)
         return good, z, basis, impulses_of(z), soft
     good, z, basis = _known(delassus, least, cones, guess, limit, given)
@@ -175,6 +188,25 @@ def shares(begin: float, end: float, curvature: float) -> tuple[float, float]:
     return min(max(rest, 0.0), 1.0), min(max(share, 0.0), 1.0)
 
 
+@part
+def part_within(impulses: Array, before: Array, free: Array, moved: Array, bound: float) -> float:
+    """Return the largest part of impulses (m, 2), up to 1, whose work is within a bound.
+
+    Parameters
+    ----------
+    impulses : (m, 2)
+    before, free, moved : (m, 2)
+        See `capped`.
+    bound : float
+        Not below zero.
+    """
+    curvature = 0.5 * (impulses * moved).sum()
+    end = _work_at(before, free, impulses, moved)
+    sizes = np.abs(impulses * before).sum() + np.abs(impulses * free).sum()
+    limit = bound + _WORK_ROUNDING * sizes
+    return shares(-limit, end - limit, curvature)[1] if end > limit else 1.0
+
+
 @kernel
 def capped(
     before: Array,
@@ -199,7 +231,7 @@ def capped(
     begin = _work_at(before, free, plastic, moved_plastic)
     end = _work_at(before, free, elastic, moved_elastic)
     sizes = np.abs(elastic * before).sum() + np.abs(elastic * free).sum()
-    limit = max(begin, 0.0) + 64.0 * 2.0**-52 * sizes
+    limit = max(begin, 0.0) + _WORK_ROUNDING * sizes
     if end <= limit:
         return elastic, 1.0
     further = elastic - plastic

@@ -30,6 +30,7 @@ import numpy as np
 
 from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.effort import Effort
 from contacts.time_stepping.energy import MOST_ADDED
 from contacts.time_stepping.recorder import TERMS, Recorder
 from contacts.time_stepping.stops import StopConditions
@@ -162,6 +163,8 @@ class Span(NamedTuple):
     step: float
     until: float
     max_jumps: int
+    tolerance: float
+    bound: float
     show: Callable[[float, int, int], None]
 
 
@@ -198,6 +201,7 @@ class _Run:
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
+        self.effort = Effort(span.tolerance, span.bound)
 
     def end(self, outcome: Outcome, message: str) -> None:
         self.outcome, self.message = outcome, message
@@ -239,16 +243,21 @@ class _Run:
 
     def _accept(self, chunk: Chunk, start: float) -> bool:
         """Record steps; True where the run ends in them."""
-        failure = None
+        failure: SimulationError | None = None
         wrong = self._too_large(chunk)
         if wrong is not None:
             failure = wrong[1]
             chunk = chunk.first(wrong[0])
+        missed = self.effort.beyond(chunk)
+        if missed is not None:
+            failure = missed[1]
+            chunk = chunk.first(missed[0])
         stopped = self.stops.met(chunk, start)
         if stopped is not None:
             chunk = chunk.first(stopped[0] + 1)
         if len(chunk.codes):
             self.recorder.add(chunk)
+            self.effort.add(chunk, start)
             self.fastest = max(self.fastest, float(chunk.approach.max()))
         self.taken += len(chunk.codes)
         self.state = chunk.states[-1]
@@ -346,13 +355,14 @@ class _Run:
             tolerances=tolerances,
             engine="impulse",
             tolerance=math.nan,
-            warnings=(*self.setup.warnings, *warnings, *self.stepped.remarks),
+            warnings=(*self.setup.warnings, *warnings, *self.effort.remarks, *self.stepped.remarks),
             counts={
                 "steps": self.taken,
                 "evaluations": self.taken,
                 "boxes": 0,
                 "jumps": len(recorder.jumps),
                 "modes_built": 0,
+                **self.effort.counts,
             },
             step=self.span.step,
             margins=self.stepped.margins,

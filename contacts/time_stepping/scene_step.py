@@ -14,6 +14,7 @@ import numpy as np
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import (
+    AS_ASKED,
     coupled_contacts,
     into_cone,
     relieve,
@@ -75,7 +76,7 @@ def step_scene(
     light: Bools,
     bases: Bools,
     given: Array,
-    softened: bool,
+    how: int,
     chunk: Chunk,
 ) -> tuple[int, int, Array, Array, Array]:
     """Take the steps of a chunk; return (steps, status, W, free, cones).
@@ -122,13 +123,27 @@ def step_scene(
         Positive unknowns of the last problem.
     given : (k,)
         Solutions of problems of the first step that were not solved before.
-    softened : bool
-        Whether no contact is made to part in the first step: nothing else solves it.
+    how : int
+        What is asked of the first step: `AS_ASKED`, `SOFTENED` or `AS_GIVEN`.
     chunk : Chunk
         To be filled; unknowns are accelerations (n,), forces of joints and of contacts that last
         (2 c,; not a number where the step holds an impact as well), what controllers set (u,).
     """
-    h, states, solved, codes, struck, shared, impulses, gaps, approach, closing, _, gained = chunk
+    (
+        h,
+        states,
+        solved,
+        codes,
+        struck,
+        shared,
+        impulses,
+        gaps,
+        approach,
+        closing,
+        _,
+        gained,
+        efforts,
+    ) = chunk
     state = states[0].copy()
     n, c = len(state) // 2, len(cones)
     nothing, none = np.empty((0, 0)), np.empty((0, 2))
@@ -196,6 +211,7 @@ def step_scene(
                 closing[k] = max(closing[k], -gap)
         which = indices(active)
         m = len(which)
+        efforts[k, 2] = m
         total = np.zeros(size)
         for i in range(size):
             total[i] = change[i]
@@ -243,7 +259,7 @@ def step_scene(
                     pressed_guess(mine, least[a, 1], ours[a, 1] > 0.0)
             good, z, basis, pushes, least = solve_impacts(
                 delassus, groups, start_at, free[which], wanted[which], ours, rebounds, guess,
-                given if k == 0 else given[:0], softened and k == 0,
+                given if k == 0 else given[:0], how if k == 0 else AS_ASKED,
             )  # fmt: skip
             if not good:
                 return k, HARD, delassus, least, ours

@@ -60,23 +60,24 @@ class SceneStepper(Stepper):
         self._numbers = SceneNumbers(mechanics, stops)
         self._regions = regions
 
-    def _begin(self, overrides: Mapping[str, float], step: float) -> Begun:
+    def _begin(self, overrides: Mapping[str, float], step: float, allowed: float) -> Begun:
         try:
-            return self._checked(overrides)
+            return self._checked(overrides, allowed)
         except SimulationError as error:
             setup = self._numbers.at(overrides, RELATIVE)
             free = np.full(len(setup.contacts), FREE)
-            return self._begun(setup, free, np.zeros(len(free), np.bool_), (), error)
+            return self._begun(setup, free, np.zeros(len(free), np.bool_), allowed, (), error)
 
     def _begun(
         self,
         setup: SceneSetup,
         codes: Ints,
         off: Bools,
+        allowed: float,
         warnings: tuple[str, ...],
         failure: SimulationError | None = None,
     ) -> Begun:
-        scene = SteppedScene(self._tapes.at(self._tapes.initial), setup, off)
+        scene = SteppedScene(self._tapes.at(self._tapes.initial), setup, off, allowed)
         control = None
         if self._scene.regions:
             control = StepControl(
@@ -84,7 +85,7 @@ class SceneStepper(Stepper):
             )
         return Begun(setup, scene, codes, warnings, control, failure)
 
-    def _checked(self, overrides: Mapping[str, float]) -> Begun:
+    def _checked(self, overrides: Mapping[str, float], allowed: float) -> Begun:
         setup = self._numbers.at(overrides, RELATIVE)
         warnings = [*self._lacks(setup), *self._cut(setup)]
         if self._mechanics.joint_rows:
@@ -102,7 +103,7 @@ class SceneStepper(Stepper):
             )
             if not off[i]:
                 check_start(law, row[:3], near, near, setup.tolerances["speed"])
-        trial = SteppedScene(tape, setup, off)
+        trial = SteppedScene(tape, setup, off, allowed)
         h = _TRIAL * setup.scales.length / setup.scales.speed
         first = trial.steps(0.0, h, setup.initial, 1)
         codes = first.codes[0]
@@ -115,7 +116,7 @@ class SceneStepper(Stepper):
                 "coordinates without an inertia of their own are computed with 1e-9 of the bodies' "
                 "at the contacts"
             )
-        return self._begun(setup, codes, off, tuple(warnings))
+        return self._begun(setup, codes, off, allowed, tuple(warnings))
 
     def _cut(self, setup: SceneSetup) -> Iterator[str]:
         """Yield whose friction is computed as less."""

@@ -12,7 +12,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
-from contacts.time_stepping.chunk import BAD_INERTIA, Chunk, softened_remark, stepped
+from contacts.time_stepping.chunk import BAD_INERTIA, Chunk, stepped
 from contacts.time_stepping.limits import Swings, check_swing, remarks
 from contacts.time_stepping.misses import Equations, Misses
 from contacts.time_stepping.passing import passed
@@ -61,12 +61,14 @@ class SteppedScene:
         The run's numbers.
     off : (c,) array of bool
         Contacts that are off at the start.
+    allowed : float
+        Residual of impulses that are good enough.
     """
 
-    def __init__(self, source: SteppedTape, setup: SceneSetup, off: Bools) -> None:
+    def __init__(self, source: SteppedTape, setup: SceneSetup, off: Bools, allowed: float) -> None:
         count = len(setup.contacts)
         self._values, self._near = setup.values, setup.tolerances["gap"]
-        self._speed = setup.scales.speed
+        self._speed, self._allowed = setup.scales.speed, allowed
         self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
         self.switch(source, setup.contacts)
         self._memory = _Memory(
@@ -81,7 +83,6 @@ class SteppedScene:
             np.full((count, 2), np.inf),
         )
         self._kept = self._memory.copy()
-        self._softened = 0
         self._swing = self._length = 0.0
         self._misses = Misses(setup.scales)
         self._misses_kept = self._misses.copy()
@@ -121,7 +122,6 @@ class SteppedScene:
     def remarks(self) -> tuple[str, ...]:
         """What a reader must know of the run."""
         return (
-            *softened_remark(self._softened),
             *remarks(self._swing, self._length),
             *self._misses.remarks(self._length),
         )
@@ -136,7 +136,7 @@ class SteppedScene:
 
         Raises
         ------
-        UnsolvedImpulses, SingularMode, NonFinite, NoConsistentMode
+        SingularMode, NonFinite, NoConsistentMode
             Where not one step can be made.
         """
         source, tape = self._source, self._source.tape
@@ -147,18 +147,17 @@ class SteppedScene:
         swings = self._check_springs(chunk, start)
 
         def step(
-            left: Chunk, done: int, given: Array, softened: bool
+            left: Chunk, done: int, given: Array, how: int
         ) -> tuple[int, int, Array, Array, Array]:
             return step_scene(
                 tape.code, tape.constants, tape.outputs, source.damped, self._values,
                 self._cones, self._restitution, source.plastic, source.held, source.slips, r,
                 self._near, _SLOWEST * self._speed, self._negligible, start + done * h,
                 memory.level, memory.closed, memory.fresh, memory.off, memory.light, memory.bases,
-                given, softened, left,
+                given, how, left,
             )  # fmt: skip
 
-        done, softened = stepped(step, _failure, chunk)
-        self._softened += softened
+        done = stepped(step, _failure, chunk, self._allowed)
         chunk = chunk.first(self._declared(chunk.codes[:done], start, h))
         forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
         self._note(chunk.gaps, forces, chunk.codes)

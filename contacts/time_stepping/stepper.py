@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 
@@ -12,6 +13,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.other_laws import replaced
 from contacts.states import STATES
+from contacts.time_stepping.chunk import IMPULSE_TOLERANCE
 from contacts.time_stepping.loop import Begun, Span, Stepping, run
 from statechart.arrays import Bools
 from statechart.automaton.regions import Margin
@@ -68,7 +70,7 @@ class Stepper(ABC):
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""
-        begun = self._begin(overrides, 0.0)
+        begun = self._begin(overrides, 0.0, IMPULSE_TOLERANCE)
         if begun.failure is not None:
             raise begun.failure
         states = tuple(STATES[code] for code in begun.codes.tolist())
@@ -84,11 +86,13 @@ class Stepper(ABC):
         show: Callable[[float, int, int], None],
     ) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
-        begun = self._begin(overrides, step)
-        return run(self._stepping, begun, Span(step, until, max_jumps, show))
+        begun = self._begin(overrides, step, IMPULSE_TOLERANCE)
+        return run(
+            self._stepping, begun, Span(step, until, max_jumps, IMPULSE_TOLERANCE, math.inf, show)
+        )
 
     @abstractmethod
-    def _begin(self, overrides: Mapping[str, float], step: float) -> Begun:
+    def _begin(self, overrides: Mapping[str, float], step: float, allowed: float) -> Begun:
         """Check the initial state; return a run by steps of this length, or why there is none."""
 
     def _lacks(self, setup: SceneSetup) -> tuple[str, ...]:

@@ -1,0 +1,225 @@
+"""Impulses of contacts that feel each other: the best that are found, and how good they are.
+
+What rests is solved by its last impulses, once they are verified. Few contacts are solved by their
+status (Newton), many by sweeps, and what neither solves by both in turn, then by Lemke's algorithm.
+There always are impulses: where they miss the contact laws their residual tells by how much, and
+they never add more energy than the scheme may.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS, impulses_of, pivots, solve_contacts
+from contacts.solvers.contact_rows import (
+    ContactRows,
+    add,
+    moved,
+    own_compliances,
+    residual,
+    swept,
+)
+from contacts.solvers.status_newton import by_status
+from contacts.solvers.step_impulses import capped, part_within
+from statechart.arrays import Array, Bools
+from statechart.kernels.copies import put_rows
+from statechart.kernels.jit import kernel, part
+
+# Impulses of the step before are taken as they are where they miss by no more than this: what
+# rests does not creep.
+_VERIFIED = 1e-10
+# So many contacts are solved by their status at once; so many at all; and by Lemke's algorithm.
+_FEW, _DENSE, _LEMKE = 24, 200, 48
+# Sweeps of the rounds.
+_SWEEPS = (64, 128, 256, 512, 1024)
+
+
+@kernel
+def solve_rows(
+    contacts: ContactRows, least: Array, impulses: Array, allowed: float, rests: bool
+) -> tuple[float, int]:
+    """Solve contacts from the impulses given; return the residual of the best, and iterations.
+
+    Parameters
+    ----------
+    contacts : ContactRows
+    least : (m, 2)
+        Velocities without impulses, plus what may be missing of them.
+    impulses : (m, 2)
+        Of the step before; the best that are found, in place.
+    allowed : float
+        Residual (see `contacts.solvers.contact_rows.residual`) at which they are good enough.
+    rests : bool
+        Whether nothing moves: then they are found as exactly as can be, for the steps to come.
+    """
+    count = len(impulses)
+    parting = True
+    for i in range(count):
+        parting = parting and least[i, 0] >= 0.0
+    if parting:
+        impulses[:] = 0.0
+        return 0.0, 0
+    rates = np.zeros(contacts.places.max() + 1)
+    moved(contacts, impulses, rates)
+    left = residual(contacts, least, impulses, rates)
+    if left <= _VERIFIED:
+        return left, 0
+    done = 0
+    if count <= _FEW or (rests and count <= _DENSE):
+        left, done = by_status(contacts, least, impulses, _VERIFIED)
+    for most in _SWEEPS:
+        if left <= allowed:
+            return left, done
+        left, done = swept(contacts, least, impulses, allowed, most, done)
+        if left > allowed and count <= _DENSE:
+            left, steps = by_status(contacts, least, impulses, allowed)
+            done += steps
+    if left > allowed and count <= _LEMKE:
+        other = _by_lemke(contacts, least, rates)
+        moved(contacts, other, rates)
+        missed = residual(contacts, least, other, rates)
+        if missed < left:
+            left = missed
+            put_rows(other, impulses)
+    return left, done
+
+
+@kernel
+def dense_impulses(
+    delassus: Array, least: Array, cones: Array, allowed: float
+) -> tuple[float, Array]:
+    """Return the residual of the best impulses of a dense problem, and these (m, 2).
+
+    Parameters
+    ----------
+    delassus : (2 m, 2 m)
+        Velocities of the contacts per unit impulses.
+    least, cones : (m, 2)
+    allowed : float
+    """
+    count = len(cones)
+    places = np.empty((count, 2 * count), np.int64)
+    rows, columns = np.zeros((count, 2, 2 * count)), np.empty((count, 2, 2 * count))
+    own, impulses = np.empty((count, 3)), np.zeros((count, 2))
+    for i in range(count):
+        for d in range(2):
+            rows[i, d, 2 * i + d] = 1.0
+            for k in range(2 * count):
+                places[i, k] = k
+                columns[i, d, k] = delassus[k, 2 * i + d]
+    own_compliances(rows, columns, own)
+    contacts = ContactRows(places, rows, columns, own, cones)
+    left, _ = solve_rows(contacts, least, impulses, allowed, False)
+    return left, impulses
+
+
+@part
+def _by_lemke(contacts: ContactRows, least: Array, felt: Array) -> Array:
+    """Return the impulses of the dense problem; zero where none are found."""
+    count, width = len(least), contacts.places.shape[1]
+    delassus = np.zeros((2 * count, 2 * count))
+    for k in range(len(felt)):
+        felt[k] = 0.0
+    for b in range(2 * count):
+        j, along = b // 2, b % 2
+        add(contacts, j, 1.0 - along, 1.0 * along, felt)
+        for a in range(2 * count):
+            i = a // 2
+            for k in range(width):
+                delassus[a, b] += contacts.rows[i, a % 2, k] * felt[contacts.places[i, k]]
+        for k in range(width):
+            felt[contacts.places[j, k]] = 0.0
+    nothing = np.zeros(UNKNOWNS * count, np.bool_)
+    good, z, _ = solve_contacts(delassus, least, contacts.cones, nothing, pivots(count))
+    return impulses_of(z) if good else np.zeros((count, 2))
+
+
+@part
+def _velocities(contacts: ContactRows, impulses: Array) -> Array:
+    """Return how impulses change the velocities (m, 2) of the contacts."""
+    rates = np.zeros(contacts.places.max() + 1)
+    moved(contacts, impulses, rates)
+    result = np.zeros_like(impulses)
+    for i in range(len(impulses)):
+        for d in range(2):
+            for k in range(contacts.places.shape[1]):
+                result[i, d] += contacts.rows[i, d, k] * rates[contacts.places[i, k]]
+    return result
+
+
+@kernel
+def island_impulses(
+    contacts: ContactRows,
+    before: Array,
+    free: Array,
+    wanted: Array,
+    rebounds: Bools,
+    impulses: Array,
+    allowed: float,
+    bound: float,
+) -> tuple[float, int, bool]:
+    """Find the impulses of a step; return their residual, iterations, and whether none rebounds.
+
+    Restitution that would add energy is reduced. Where contacts oppose each other there need be no
+    impulses that make all of them part as they should: then none is asked to part, for which there
+    are some (Anitescu and Potra 1997).
+
+    Parameters
+    ----------
+    contacts : ContactRows
+    before, free : (m, 2)
+        Velocities before the step, and after it without impulses.
+    wanted : (m, 2)
+        What these may not fall below, negated.
+    rebounds : (m,) array of bool
+        Whose `wanted` is that of restitution.
+    impulses : (m, 2)
+        Of the step before; what is found, in place.
+    allowed : float
+        Residual.
+    bound : float
+        The work that impulses may do on bodies in a step: ``h^2/8 f^T M^-1 f``.
+    """
+    count = len(impulses)
+    least, soft = free + wanted, free + wanted
+    fastest = slowest = 0.0
+    for i in range(count):
+        if rebounds[i]:
+            soft[i, 0] = free[i, 0]
+        slowest = max(slowest, abs(free[i, 0] - before[i, 0]))
+        fastest = max(fastest, abs(before[i, 0]), abs(before[i, 1]))
+    rests = fastest <= slowest
+    plastic = impulses.copy()
+    left, done = solve_rows(contacts, least, impulses, allowed, rests)
+    softened = False
+    if rebounds.any():
+        # Without it nobody knows how much energy restitution may give back.
+        calm, further = solve_rows(contacts, soft, plastic, allowed, False)
+        done += further
+        if left <= allowed and calm <= allowed:
+            chosen, _ = capped(
+                before, free, plastic, impulses,
+                _velocities(contacts, plastic), _velocities(contacts, impulses),
+            )  # fmt: skip
+            put_rows(chosen, impulses)
+            left = max(left, calm)
+        else:
+            softened, left = True, calm
+            put_rows(plastic, impulses)
+    share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)
+    if left > allowed or share < 1.0:
+        # What is pushed out may be pushed against others, and gains energy.
+        for i in range(count):
+            soft[i, 0] = free[i, 0] if rebounds[i] else free[i, 0] + max(wanted[i, 0], 0.0)
+        other = impulses.copy()
+        calm, further = solve_rows(contacts, soft, other, allowed, False)
+        done += further
+        if calm <= max(left, allowed):
+            softened, left = softened or left > allowed, calm
+            put_rows(other, impulses)
+            share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)
+    if share < 1.0:
+        for i in range(count):
+            impulses[i, 0] *= share
+            impulses[i, 1] *= share
+    return left, done, softened

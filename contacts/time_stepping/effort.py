@@ -1,0 +1,76 @@
+"""What the impulses of a run took, and by how much they miss the contact laws."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contacts.time_stepping.chunk import Chunk
+from statechart.errors import SimulationError, UnsolvedImpulses
+
+
+class Effort:
+    """Counts contacts and iterations, and the steps whose impulses are not as asked.
+
+    Parameters
+    ----------
+    tolerance : float
+        Residual of impulses that are good enough.
+    bound : float
+        Residual that ends a run.
+    """
+
+    def __init__(self, tolerance: float, bound: float) -> None:
+        self._tolerance, self._bound = tolerance, bound
+        self._iterations = self._contacts = self._most = self._missed = self._softened = 0
+        self._worst = self._when = 0.0
+
+    def beyond(self, chunk: Chunk) -> tuple[int, SimulationError] | None:
+        """Return the first step whose impulses miss by more than the bound, and why it ends."""
+        wrong = chunk.efforts[:, 0] > self._bound
+        if not wrong.any():
+            return None
+        k = int(np.argmax(wrong))
+        return k, UnsolvedImpulses(
+            f"the impulses of a step miss the contact laws by {chunk.efforts[k, 0]:.2g} of the "
+            f"fastest approach, and {self._bound:g} is the bound; a shorter step may take the "
+            "bodies past it"
+        )
+
+    def add(self, chunk: Chunk, start: float) -> None:
+        """Count steps, of which the first begins at `start`."""
+        missed, iterations, contacts, softened = chunk.efforts.T
+        self._iterations += int(iterations.sum())
+        self._contacts += int(contacts.sum())
+        self._most = max(self._most, int(contacts.max()))
+        self._missed += int((missed > self._tolerance).sum())
+        self._softened += int(softened.sum())
+        k = int(np.argmax(missed))
+        if missed[k] > self._worst:
+            self._worst, self._when = float(missed[k]), start + k * chunk.h
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Iterations; contacts that took part, of all steps and of one; steps that missed."""
+        return {
+            "iterations": self._iterations,
+            "contacts": self._contacts,
+            "most_contacts": self._most,
+            "inexact_steps": self._missed,
+        }
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader must know of the impulses."""
+        found: tuple[str, ...] = ()
+        if self._softened:
+            found += (
+                f"in {self._softened} steps no impulses were found that make all contacts part as "
+                "Moreau's law of impact asks: what was hit then did not rebound",
+            )
+        if self._missed:
+            found += (
+                f"in {self._missed} steps impulses miss the contact laws by more than the "
+                f"tolerance of {self._tolerance:g}: by up to {self._worst:.2g} of the fastest "
+                f"approach, at t = {self._when:.6g}",
+            )
+        return found
