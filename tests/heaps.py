@@ -46,7 +46,7 @@ def heap(seed: int, most: int = 50) -> str:
     mu = float(generator.choice([0.0, 10.0 ** generator.uniform(-3, 3)], p=[0.1, 0.9]))
     e = float(generator.choice([0.0, 1.0, generator.uniform(0, 1)]))
     wide = size * (1.1 * across + 0.1)
-    step = 0.02 * size / speed
+    step = 0.005 * size / speed
     return f"""\
 kind: scene
 name: heap
@@ -59,7 +59,7 @@ bodies:
 collisions:
   all: {{bodies: [{", ".join(names)}], surfaces: [ground, left, right], friction: {mu!r},
     restitution: {e!r}}}
-stop: {{time: {300 * step!r}}}
+stop: {{time: {600 * step!r}}}
 settings: {{engine: impulse, step: {step!r}}}
 """
 

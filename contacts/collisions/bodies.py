@@ -22,11 +22,12 @@ from contacts.scene.collision_checks import check_shapes
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
-from contacts.time_stepping.chunk import FULL, IMPULSE_TOLERANCE, NOT_FINITE, Chunk
+from contacts.time_stepping.chunk import FULL, NOT_FINITE, Chunk
 from contacts.time_stepping.loop import DEEPEST, Begun
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import USUAL
 from statechart.automaton.regions import Margin, Region, State, stop_margins
 from statechart.errors import (
     DeclarationProblem,
@@ -135,7 +136,7 @@ class BodyStepper(Stepper):
 
         In it nothing moves far beside the smallest body, at the scene's speed or falling.
         """
-        setup, bodies = self._made({}, IMPULSE_TOLERANCE)
+        setup, bodies = self._made({}, USUAL.tolerance)
         size = float(bodies.numbers.sizes.min())
         step = _CROSSED * size / setup.scales.speed
         gravity = math.hypot(*bodies.numbers.gravity)
@@ -151,7 +152,7 @@ class BodyStepper(Stepper):
         DeclarationProblem
             If no run can start there.
         """
-        return self._made(overrides, IMPULSE_TOLERANCE)[0]
+        return self._made(overrides, USUAL.tolerance)[0]
 
     def _begin(self, overrides: Mapping[str, float], step: float, allowed: float) -> Begun:
         setup, bodies = self._made(overrides, allowed)

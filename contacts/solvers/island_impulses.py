@@ -30,8 +30,8 @@ from statechart.kernels.jit import kernel, part
 _VERIFIED = 1e-10
 # So many contacts are solved by their status at once; so many at all; and by Lemke's algorithm.
 _FEW, _DENSE, _LEMKE = 24, 200, 48
-# Sweeps of the rounds.
-_SWEEPS = (64, 128, 256, 512, 1024)
+# Sweeps of the trials, of which this one starts from nothing.
+_SWEEPS, _ANEW = (64, 64, 256, 1024), 1
 
 
 @kernel
@@ -67,17 +67,23 @@ def solve_rows(
     done = 0
     if count <= _FEW or (rests and count <= _DENSE):
         left, done = by_status(contacts, least, impulses, _VERIFIED)
-    for most in _SWEEPS:
+    other = impulses.copy()
+    for trial in range(len(_SWEEPS)):
         if left <= allowed:
-            return left, done
-        left, done = swept(contacts, least, impulses, allowed, most, done)
-        if left > allowed and count <= _DENSE:
-            left, steps = by_status(contacts, least, impulses, allowed)
+            break
+        # From elsewhere it may be near: impulses of the step before mislead where much changes.
+        if trial == _ANEW:
+            other[:] = 0.0
+        else:
+            put_rows(impulses, other)
+        missed, done = swept(contacts, least, other, allowed, _SWEEPS[trial], done)
+        if missed > allowed and count <= _DENSE:
+            missed, steps = by_status(contacts, least, other, allowed)
             done += steps
-    if left > allowed and count <= _LEMKE:
-        other = _by_lemke(contacts, least, rates)
-        moved(contacts, other, rates)
-        missed = residual(contacts, least, other, rates)
+        if missed > allowed and trial == _ANEW and count <= _LEMKE:
+            put_rows(_by_lemke(contacts, least, rates), other)
+            moved(contacts, other, rates)
+            missed = residual(contacts, least, other, rates)
         if missed < left:
             left = missed
             put_rows(other, impulses)

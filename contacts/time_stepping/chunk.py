@@ -34,10 +34,6 @@ SLOW = 2.0 + BESIDE
 """Impulses of contacts that approach slower than what so many steps without contact would make of
 rest are those of a contact that lasts."""
 
-IMPULSE_TOLERANCE = 1e-6
-"""Residual of impulses that are good enough, where nothing else is said: a millionth of the fastest
-approach of a step."""
-
 # Unknowns of a step solved outside its kernel.
 _MOST_GIVEN = 4096
 

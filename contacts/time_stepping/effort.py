@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.time_stepping.chunk import Chunk
+from statechart.automaton.laws import Impulses
 from statechart.errors import SimulationError, UnsolvedImpulses
 
 
@@ -13,14 +14,11 @@ class Effort:
 
     Parameters
     ----------
-    tolerance : float
-        Residual of impulses that are good enough.
-    bound : float
-        Residual that ends a run.
+    asked : Impulses
     """
 
-    def __init__(self, tolerance: float, bound: float) -> None:
-        self._tolerance, self._bound = tolerance, bound
+    def __init__(self, asked: Impulses) -> None:
+        self._tolerance, self._bound = asked
         self._iterations = self._contacts = self._most = self._missed = self._softened = 0
         self._worst = self._when = 0.0
 

@@ -36,6 +36,7 @@ from contacts.time_stepping.recorder import TERMS, Recorder
 from contacts.time_stepping.stops import StopConditions
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.laws import Impulses
 from statechart.automaton.trace import (
     FAR_TOO_MANY,
     LARGEST,
@@ -163,8 +164,7 @@ class Span(NamedTuple):
     step: float
     until: float
     max_jumps: int
-    tolerance: float
-    bound: float
+    impulses: Impulses
     show: Callable[[float, int, int], None]
 
 
@@ -201,7 +201,7 @@ class _Run:
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
-        self.effort = Effort(span.tolerance, span.bound)
+        self.effort = Effort(span.impulses)
 
     def end(self, outcome: Outcome, message: str) -> None:
         self.outcome, self.message = outcome, message

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 
@@ -13,9 +12,9 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.other_laws import replaced
 from contacts.states import STATES
-from contacts.time_stepping.chunk import IMPULSE_TOLERANCE
 from contacts.time_stepping.loop import Begun, Span, Stepping, run
 from statechart.arrays import Bools
+from statechart.automaton.laws import USUAL, Impulses
 from statechart.automaton.regions import Margin
 from statechart.automaton.trace import Key, Trace
 
@@ -70,7 +69,7 @@ class Stepper(ABC):
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""
-        begun = self._begin(overrides, 0.0, IMPULSE_TOLERANCE)
+        begun = self._begin(overrides, 0.0, USUAL.tolerance)
         if begun.failure is not None:
             raise begun.failure
         states = tuple(STATES[code] for code in begun.codes.tolist())
@@ -84,12 +83,11 @@ class Stepper(ABC):
         until: float,
         max_jumps: int,
         show: Callable[[float, int, int], None],
+        impulses: Impulses = USUAL,
     ) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
-        begun = self._begin(overrides, step, IMPULSE_TOLERANCE)
-        return run(
-            self._stepping, begun, Span(step, until, max_jumps, IMPULSE_TOLERANCE, math.inf, show)
-        )
+        begun = self._begin(overrides, step, impulses.tolerance)
+        return run(self._stepping, begun, Span(step, until, max_jumps, impulses, show))
 
     @abstractmethod
     def _begin(self, overrides: Mapping[str, float], step: float, allowed: float) -> Begun:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -288,6 +289,25 @@ class Ordinary(Protocol):
         ...
 
 
+class Impulses(NamedTuple):
+    """How well the impulses of a step are to satisfy the contact laws.
+
+    Attributes
+    ----------
+    tolerance : float
+        In parts of the step's fastest approach; more is told.
+    bound : float
+        More ends the run.
+    """
+
+    tolerance: float = 1e-6
+    bound: float = math.inf
+
+
+USUAL = Impulses()
+"""Where nothing else is said."""
+
+
 class TimeStepper(Protocol):
     """Steps a model through time, and recognises the state of every region at every step."""
 
@@ -311,6 +331,7 @@ class TimeStepper(Protocol):
         until: float,
         max_jumps: int,
         show: Callable[[float, int, int], None],
+        impulses: Impulses = USUAL,
     ) -> Trace:
         """Run from the declared initial state.
 
@@ -326,6 +347,7 @@ class TimeStepper(Protocol):
             End after so many jumps.
         show : callable
             Called now and then with the time reached, the number of jumps and that of steps.
+        impulses : Impulses
 
         Returns
         -------

@@ -146,6 +146,16 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--engine", choices=("auto", "taylor", "scipy", "impulse"))
     run.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
     run.add_argument(
+        "--impulse-tolerance", metavar="R", type=_number,
+        help="of the impulses of a step of the engine impulse, in parts of its fastest approach",
+    )  # fmt: skip
+    run.add_argument(
+        "--impulse-bound",
+        metavar="R",
+        type=_number,
+        help="of the same: what is above it ends the run",
+    )
+    run.add_argument(
         "--max-step", metavar="H", type=_number, help="longest step of the other engines, in time"
     )
     run.add_argument(

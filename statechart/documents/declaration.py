@@ -69,6 +69,15 @@ class Settings(Part):
         default=None,
         description="Length of the longest step in time, of an engine that chooses its own.",
     )
+    impulse_tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
+        default=None,
+        description="By how much the impulses of a step of the engine impulse may miss the contact "
+        "laws, in parts of the step's fastest approach: 1e-6. What misses by more is told.",
+    )
+    impulse_bound: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=None,
+        description="What misses by more than this ends the run; nothing does by itself.",
+    )
     max_jumps: Annotated[StrictInt, Field(gt=0)] = 100_000
 
     @model_validator(mode="after")
@@ -80,6 +89,8 @@ class Settings(Part):
             self.accuracy,
             self.step,
             max_step=self.max_step,
+            impulse_tolerance=self.impulse_tolerance,
+            impulse_bound=self.impulse_bound,
         ).check()
         return self
 

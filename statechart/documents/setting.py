@@ -32,6 +32,9 @@ class Setting:
         Seconds allowed: tolerances are tightened as long as there is time.
     max_step : float or None
         Length of the longest step in time, of an engine that chooses its own.
+    impulse_tolerance, impulse_bound : float or None
+        By how much the impulses of a step of impulse may miss the contact laws, in parts of the
+        step's fastest approach: more is told, and beyond the bound ends the run.
     """
 
     engine: str | None = None
@@ -41,6 +44,8 @@ class Setting:
     step: float | None = None
     budget: float | None = None
     max_step: float | None = None
+    impulse_tolerance: float | None = None
+    impulse_bound: float | None = None
 
     def check(self) -> None:
         """Check that the parts go together, and their numbers.
@@ -67,6 +72,15 @@ class Setting:
                 f"the engine {engine} chooses its own steps",
                 "leave the step out, or take the engine impulse",
             )
+        else:
+            for what in ("impulse_tolerance", "impulse_bound"):
+                if getattr(self, what) is not None:
+                    raise _misplaced(
+                        what,
+                        f"the engine {engine} has no {what}",
+                        "it solves for no impulses of steps: leave it out, or take the engine "
+                        "impulse",
+                    )
         if engine == "taylor" and self.method not in (None, LONG_DOUBLE):
             raise _misplaced(
                 "method",
@@ -79,12 +93,17 @@ class Setting:
                 f"{' and '.join(named)} exclude each other",
                 "accuracy and budget find the tolerance that they need",
             )
-        for what in ("tolerance", "accuracy"):
+        for what in ("tolerance", "accuracy", "impulse_tolerance"):
             value = getattr(self, what)
             if value is not None and not 0.0 < value < 1.0:
                 raise DeclarationProblem(
                     f"{what} must be above 0 and below 1, not {value:g}", loc=(what,)
                 )
+        if self.impulse_bound is not None and not self.impulse_bound > 0.0:
+            raise DeclarationProblem(
+                f"impulse_bound must be above 0, not {self.impulse_bound:g}",
+                loc=("impulse_bound",),
+            )
         times = (("step", "time"), ("budget", "time in seconds"), ("max_step", "time"))
         for what, kind in times:
             value = getattr(self, what)

@@ -152,6 +152,12 @@ def _stepping(asked: Setting, model: Declaration, automaton: Automaton, steps_on
         )
     if asked.step is None and asked.accuracy is None:
         asked = replace(asked, accuracy=model.settings.accuracy)
+    settings = model.settings
+    asked = replace(
+        asked,
+        impulse_tolerance=asked.impulse_tolerance or settings.impulse_tolerance,
+        impulse_bound=asked.impulse_bound or settings.impulse_bound,
+    )
     step, basis = asked.step or model.settings.step, "as given"
     searched = asked.accuracy is not None
     if step is None and automaton.own_step is not None and (steps_only or searched):

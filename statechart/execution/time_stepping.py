@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from statechart.automaton.laws import TimeStepper
+from statechart.automaton.laws import USUAL, Impulses, TimeStepper
 from statechart.errors import SimulationError
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ class SteppingSimulator:
         What to run; it has a stepper.
     step : float
         Length of a step; what is longer than a run is as long as it.
+    impulses : Impulses
     progress : bool
         Whether runs above about a second report to stderr.
     """
@@ -30,6 +31,7 @@ class SteppingSimulator:
         self,
         automaton: Automaton,
         step: float,
+        impulses: Impulses = USUAL,
         *,
         progress: bool = False,
     ) -> None:
@@ -40,7 +42,7 @@ class SteppingSimulator:
                 "taylor or scipy"
             )
         self.automaton = automaton
-        self.step = step
+        self.step, self.impulses = step, impulses
         self.stepper: TimeStepper = automaton.stepper()
         self.progress = progress
 
@@ -63,6 +65,7 @@ class SteppingSimulator:
             until=until,
             max_jumps=max_jumps,
             show=shown.show if shown else _silent,
+            impulses=self.impulses,
         )
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.laws import USUAL, Impulses
 from statechart.documents.setting import Setting
 from statechart.engines.budget import Allowance, Limited
 from statechart.engines.choice import choose
@@ -81,7 +82,10 @@ class Observers:
 
     def _simulator(self, setting: Setting, off: bool) -> Simulator | SteppingSimulator:
         if setting.step is not None:
-            return SteppingSimulator(self._automaton, setting.step, progress=self._progress)
+            asked = Impulses(
+                setting.impulse_tolerance or USUAL.tolerance, setting.impulse_bound or USUAL.bound
+            )
+            return SteppingSimulator(self._automaton, setting.step, asked, progress=self._progress)
         automaton = nudged(self._automaton) if off else self._automaton
         engine, solved = self.engine(setting), self._solved
         return Simulator(automaton, engine, solved=solved, progress=self._progress)

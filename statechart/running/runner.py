@@ -58,6 +58,10 @@ class Runner:
         Seconds allowed for a run: tolerances are tightened as long as there is time.
     max_step : float, optional
         Longest step in time, of the engines that choose their own.
+    impulse_tolerance, impulse_bound : float, optional
+        By how much the impulses of a step of the engine impulse may miss the contact laws, in parts
+        of the step's fastest approach, 1e-6 by default: more is told, and beyond the bound, which
+        is none by default, ends the run.
     study : Study, optional
         What was measured of this model: engine and tolerance are chosen by it.
     once : bool
@@ -84,6 +88,8 @@ class Runner:
         step: float | None = None,
         budget: float | None = None,
         max_step: float | None = None,
+        impulse_tolerance: float | None = None,
+        impulse_bound: float | None = None,
         study: Measured | None = None,
         once: bool = False,
         progress: bool = False,
@@ -107,7 +113,10 @@ class Runner:
                 raise
         self._timings = {"read": read_at - began, "compose": working_time() - read_at}
         self._progress = progress
-        self._asked = Setting(engine, method, tolerance, accuracy, step, budget, max_step)
+        self._asked = Setting(
+            engine, method, tolerance, accuracy, step, budget, max_step, impulse_tolerance,
+            impulse_bound,
+        )  # fmt: skip
         self._study, self._alone = study, once
         with located(self.document, {}):
             self._plan = planned(self._asked, model, self.automaton, study, once=once)
@@ -324,6 +333,8 @@ def run(
     step: float | None = None,
     budget: float | None = None,
     max_step: float | None = None,
+    impulse_tolerance: float | None = None,
+    impulse_bound: float | None = None,
     study: Measured | None = None,
     progress: bool = False,
     certify: bool = False,
@@ -339,7 +350,10 @@ def run(
     >>> result.trace.outcome.name
     'HORIZON'
     """
-    asked = Setting(engine, method, tolerance, accuracy, step, budget, max_step)
+    asked = Setting(
+        engine, method, tolerance, accuracy, step, budget, max_step, impulse_tolerance,
+        impulse_bound,
+    )  # fmt: skip
     runner = Runner(model, **asdict(asked), study=study, once=True, progress=progress)
     return runner.run(parameters, until=until, certify=certify, throw=throw)
 

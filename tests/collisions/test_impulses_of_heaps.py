@@ -1,0 +1,75 @@
+"""Random heaps, and scenes whose impulses were once not found: none ends for want of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from heaps import heap
+
+from contacts.collisions.outlines import body_numbers, owners_of
+from contacts.testing.body_properties import assert_energy_of_steps
+from statechart.automaton.trace import Outcome
+from statechart.cli.main import main
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+from statechart.testing.subject import Subject
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_heaps_are_never_unsolved_and_keep_their_energy(seed):
+    subject = Subject(interpret(read_text(heap(seed, most=20))))
+    trace = subject.case({}).trace
+    assert trace.outcome is not Outcome.UNSOLVED_IMPULSES
+    scene = subject.model
+    single = scene.model_copy(update={"bodies": scene.single_bodies()})
+    numbers = body_numbers(single, owners_of(scene), scene.values())
+    assert_energy_of_steps(numbers, subject, trace)
+
+
+@pytest.mark.parametrize("values", [{"n": 40}, {"mu": 0.05612329752074041}])
+def test_dice_that_wedge_are_solved_to_the_tolerance(values):
+    # Two corners of a face press a die between others: Lemke's bases are singular there.
+    trace = Runner("dice").run(values, until=0.7).trace
+    assert trace.counts["inexact_steps"] == 0
+    assert trace.counts["iterations"] > 0
+    assert trace.counts["contacts"] >= trace.counts["most_contacts"] > 10
+
+
+def test_a_stack_at_rest_takes_no_iterations_and_does_not_creep():
+    runner = Runner("box_stack")
+    short, long = (runner.run({"offset": 0.01}, until=until).trace for until in (0.1, 2))
+    assert long.counts["iterations"] <= short.counts["iterations"] + 20
+    assert np.abs(long.final - long.initial).max() < 1e-12
+
+
+def test_the_tolerance_trades_iterations_for_exactness():
+    iterations = []
+    for tolerance in (1e-2, 1e-6):
+        trace = Runner("granular_column", impulse_tolerance=tolerance).run({"n": 40}).trace
+        assert trace.counts["inexact_steps"] == 0
+        iterations.append(trace.counts["iterations"])
+    assert iterations[0] < 0.7 * iterations[1]
+
+
+def test_what_misses_the_tolerance_is_told_and_ends_the_run_at_a_bound_only(capsys):
+    arguments = ["run", "granular_column", "--until", "0.2", "--impulse-tolerance", "1e-15"]
+    assert main(arguments) == 0
+    assert "miss the contact laws by more than the tolerance of 1e-15" in capsys.readouterr().out
+    assert main([*arguments, "--impulse-bound", "1e-15"]) == 1
+    printed = capsys.readouterr()
+    assert "UNSOLVED_IMPULSES" in printed.out + printed.err
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"impulse_tolerance": 0.0}, "above 0 and below 1"),
+        ({"impulse_bound": -1.0}, "above 0"),
+        ({"impulse_tolerance": 1e-3, "engine": "scipy"}, "has no impulse_tolerance"),
+    ],
+)
+def test_wrong_tolerances_of_impulses_are_refused(asked, words):
+    with pytest.raises(DeclarationError, match=words):
+        Runner("block_on_incline", **{"engine": "impulse", "step": 1e-3, **asked})
