@@ -15,7 +15,6 @@ import numpy as np
 
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS, solve_contacts
 from contacts.time_stepping.chunk import widened
-from statechart.errors import UnsolvedImpulses
 from statechart.running.runner import Runner
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -42,7 +41,7 @@ def problems(count: int, seed: int) -> None:
     from test_step_problems import random_problem
 
     generator = np.random.default_rng(seed)
-    directly = by_ladder = refused = 0
+    directly = by_ladder = inexact = 0
     began = time.perf_counter()
     for _ in range(count):
         contacts = int(generator.integers(1, 9))
@@ -52,15 +51,14 @@ def problems(count: int, seed: int) -> None:
         if solve_contacts(delassus, free, cones, guess, 500)[0]:
             directly += 1
             continue
-        try:
-            widened(delassus, free, cones)
+        if widened(delassus, free, cones, 1e-9)[1]:
             by_ladder += 1
-        except UnsolvedImpulses:
-            refused += 1
+        else:
+            inexact += 1
     taken = time.perf_counter() - began
     print(
         f"{count} problems in {taken:.1f} s: {directly} solved at once, {by_ladder} by the "
-        f"ladder, {refused} refused; each solution verified"
+        f"ladder, {inexact} inexact; each solution verified"
     )
 
 

@@ -253,7 +253,7 @@ class StepTooLarge(SimulationError):
 
 
 class UnsolvedImpulses(SimulationError):
-    """The impulses of a time step could not be found."""
+    """The impulses of a time step miss the contact laws by more than the bound that is set."""
 
 
 class TooLong(SimulationError):

@@ -15,7 +15,7 @@ def heap(seed: int, most: int = 50) -> str:
     """Return a scene of 2 to `most` bodies, polygons and discs, as text.
 
     They fall between walls, in rows; restitution is none, one or between. A step takes no body
-    farther than a seventh of its size.
+    farther than a hundredth of its size at first.
     """
     generator = np.random.default_rng(seed)
     count = round(math.exp(generator.uniform(math.log(2), math.log(most))))

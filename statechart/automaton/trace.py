@@ -42,7 +42,7 @@ class Outcome(Enum):
     ZENO = "Jumps accumulate at a finite time and nothing declared says what follows."
     SINGULAR_MODE = "The equations of the mode entered do not determine the motion."
     STEP_TOO_LARGE = "The time step is too large for this model: take a smaller one."
-    UNSOLVED_IMPULSES = "The impulses of a time step could not be found: take a smaller step."
+    UNSOLVED_IMPULSES = "The impulses of a time step miss the contact laws by more than the bound."
     UNSUPPORTED = "The engine asked for cannot run this model: take the one named."
 
     @property

@@ -1,0 +1,176 @@
+"""Many bodies: time and exactness by the tolerance of impulses, beside others; and random heaps.
+
+Same discs, same step, one process, one core: medians. Of others what is installed is measured:
+pymunk and MuJoCo (`pip install "contact-statecharts[bench]"`). They give no impulses of contacts
+that this measures alike, so that their exactness is not told.
+
+python benchmarks/many_bodies.py [--discs 100] [--dice 10 40] [--heaps 1000] [--repeats 5]
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from contacts.collisions.outlines import body_numbers, owners_of
+from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+from statechart.testing.subject import Subject
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+_STEP, _END = 1e-3, 0.6
+_RADIUS, _MASS, _FRICTION, _RESTITUTION = 0.01, 0.01, 0.5, 0.2
+
+
+def median(function: Callable[[], object], repeats: int) -> float:
+    """Return the median of so many times, after one that is not counted."""
+    function()
+    taken = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        function()
+        taken.append(time.perf_counter() - began)
+    return statistics.median(taken)
+
+
+def ours(name: str, count: int, tolerance: float, repeats: int) -> None:
+    """Print what a run of a shipped model takes, and what it reaches."""
+    runner = Runner(name, impulse_tolerance=tolerance)
+    trace = runner.run({"n": count}, throw=False).trace
+    taken = median(lambda: runner.run({"n": count}, throw=False), repeats)
+    counts = trace.counts
+    per = taken / max(counts["contacts"], 1)
+    print(
+        f"{name:16}{count:6}{tolerance:10.0e}{taken:10.3f} s{1e6 * per:10.2f} us"
+        f"{counts['iterations'] / counts['steps']:10.1f}{counts['inexact_steps']:9}"
+        f"{-min(trace.margins.values()) / trace.tolerances['gap']:10.2f}  {trace.outcome.name}",
+        flush=True,
+    )
+
+
+def starts(count: int) -> list[tuple[float, float]]:
+    """Return where the discs of granular_column start."""
+    trace = Runner("granular_column").run({"n": count}, until=_STEP).trace
+    places = trace.initial[: 3 * count].reshape(-1, 3)
+    return [(x, y) for x, y, _ in places.tolist()]
+
+
+def by_pymunk(places: list[tuple[float, float]]) -> Callable[[], None]:
+    pymunk = importlib.import_module("pymunk")
+
+    def run() -> None:
+        space = pymunk.Space()
+        space.gravity, space.iterations = (0.0, -9.81), 30
+        for ends in (((-10.0, 0.0), (10.0, 0.0)), ((0.0, 0.0), (0.0, 10.0))):
+            wall = pymunk.Segment(space.static_body, *ends, 0.0)
+            wall.friction, wall.elasticity = 1.0, 1.0
+            space.add(wall)
+        for place in places:
+            body = pymunk.Body(_MASS, _MASS * _RADIUS**2 / 2)
+            body.position = place
+            disc = pymunk.Circle(body, _RADIUS)
+            # Coefficients of a pair are products.
+            disc.friction, disc.elasticity = _FRICTION**0.5, _RESTITUTION**0.5
+            space.add(body, disc)
+        for _ in range(round(_END / _STEP)):
+            space.step(_STEP)
+
+    return run
+
+
+def by_mujoco(places: list[tuple[float, float]]) -> Callable[[], None]:
+    mujoco = importlib.import_module("mujoco")
+    inertia = _MASS * _RADIUS**2 / 2
+    discs = "".join(
+        f'<body pos="{x} 0 {z}"><joint type="slide" axis="1 0 0"/>'
+        f'<joint type="slide" axis="0 0 1"/><joint type="hinge" axis="0 1 0"/>'
+        f'<geom type="sphere" size="{_RADIUS}"/><inertial '
+        f'pos="0 0 0" mass="{_MASS}" diaginertia="{inertia} {inertia} {inertia}"/></body>'
+        for x, z in places
+    )
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{_STEP}" gravity="0 0 -9.81"/><default><geom condim="3" '
+        f'friction="{_FRICTION} 0 0"/></default><worldbody><geom type="plane" size="9 9 1"/>'
+        f'<geom type="plane" size="9 9 1" zaxis="1 0 0"/>{discs}</worldbody></mujoco>'
+    )
+
+    def run() -> None:
+        data = mujoco.MjData(model)
+        for _ in range(round(_END / _STEP)):
+            mujoco.mj_step(model, data)
+
+    return run
+
+
+def heaps(count: int) -> None:
+    """Print how random heaps end, and which break a bound."""
+    from heaps import heap
+
+    ends: dict[str, int] = {}
+    deep, gained, inexact, began = [], [], [], time.perf_counter()
+    for seed in range(count):
+        subject = Subject(interpret(read_text(heap(seed))))
+        trace = subject.case({}).trace
+        ends[trace.outcome.name] = ends.get(trace.outcome.name, 0) + 1
+        scene = subject.model
+        single = scene.model_copy(update={"bodies": scene.single_bodies()})
+        numbers = body_numbers(single, owners_of(scene), scene.values())
+        try:
+            assert_depths(numbers, trace)
+        except AssertionError:
+            deep.append(seed)
+        try:
+            assert_energy_of_steps(numbers, subject, trace)
+        except AssertionError:
+            gained.append(seed)
+        if trace.counts["inexact_steps"]:
+            inexact.append(seed)
+        if sys.stderr.isatty() or seed % 50 == 49:
+            print(f"\r{seed + 1} of {count} heaps", end="", file=sys.stderr, flush=True)
+    print(
+        f"\n{count} heaps in {time.perf_counter() - began:.0f} s: {ends}; unsolved "
+        f"{ends.get(Outcome.UNSOLVED_IMPULSES.name, 0)}; energy above the bound {gained}; with "
+        f"steps above the tolerance {len(inexact)}; deeper than a step at the fastest approach "
+        f"{len(deep)} {deep[:20]}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--discs", type=int, nargs="*", default=[100])
+    parser.add_argument("--dice", type=int, nargs="*", default=[10, 40])
+    parser.add_argument("--tolerances", type=float, nargs="*", default=[1e-2, 1e-4, 1e-6, 1e-8])
+    parser.add_argument("--heaps", type=int, default=0)
+    parser.add_argument("--repeats", type=int, default=5)
+    chosen = parser.parse_args()
+    print(
+        f"{'model':16}{'bodies':>6}{'tolerance':>10}{'median':>12}{'a contact':>13}"
+        f"{'iterations':>10}{'inexact':>9}{'overlap':>10}"
+    )
+    for count in chosen.discs:
+        for tolerance in chosen.tolerances:
+            ours("granular_column", count, tolerance, chosen.repeats)
+        for peer, made in (("pymunk", by_pymunk), ("mujoco", by_mujoco)):
+            try:
+                taken = median(made(starts(count)), chosen.repeats)
+            except ImportError:
+                print(f"{peer:16}{count:6}  is not installed")
+                continue
+            print(f"{peer:16}{count:6}{'':10}{taken:10.3f} s")
+    for count in chosen.dice:
+        ours("dice", count, 1e-6, chosen.repeats)
+    if chosen.heaps:
+        heaps(chosen.heaps)
+
+
+if __name__ == "__main__":
+    main()
