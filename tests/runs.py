@@ -43,6 +43,12 @@ def number(value: Any) -> float:
     return math.inf if value in ("inf", None) else float(value)
 
 
+def without_compilation(stderr: str) -> str:
+    """Return what was said beside what was compiled: that depends on how long it takes."""
+    lines = stderr.splitlines(keepends=True)
+    return "".join(line for line in lines if not line.startswith(("compiling ", "compiled ")))
+
+
 @functools.cache
 def automaton(model: str) -> Automaton:
     """Return the automaton of a shipped model."""

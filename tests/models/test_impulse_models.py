@@ -9,6 +9,7 @@ import pytest
 
 import models
 from statechart.cli.main import main
+from statechart.errors import DeclarationError
 from statechart.running.runner import Runner
 
 # Model, parameters, end; step, and the largest error that a step so long may make, over the step.
@@ -36,6 +37,8 @@ SCENES = [
 CHARTS = ("bouncing_ball_chart", "simplest_walker")
 # Asks that contacts strike one after another, which no time step does.
 SEQUENTIAL = "newtons_cradle"
+# Their controllers have variables and clocks, which time steps do not know.
+REMEMBERING = ("raibert_hopper", "sampled_balance")
 # Modes differ where a few steps slide before they stick.
 SLIDES_ON = ("double_contact_bar",)
 
@@ -57,7 +60,13 @@ def test_no_shipped_model_is_left_out():
     folder = Path(models.__file__).parent
     shipped = {path.stem for path in folder.glob("*.yaml")}
     stepped = {name for name in shipped if Runner(name).setting.step is not None}
-    assert shipped == {name for name, *_ in SCENES} | {*CHARTS, SEQUENTIAL} | stepped
+    assert shipped == {name for name, *_ in SCENES} | {*CHARTS, SEQUENTIAL, *REMEMBERING} | stepped
+
+
+@pytest.mark.parametrize("name", REMEMBERING)
+def test_controllers_that_remember_are_refused_in_a_sentence(name):
+    with pytest.raises(DeclarationError, match="whose controllers have no variables"):
+        Runner(name, engine="impulse", step=1e-3).run()
 
 
 def test_blows_that_are_not_passed_on_one_by_one_are_said_to_be():
