@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from crossings import first_crossing
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from strategies import P, Q, T, X, Y, examples, expressions, tape_of
 
@@ -16,9 +16,11 @@ numbers = st.floats(-2.0, 2.0)
 
 @examples(200)
 @given(expressions, numbers, numbers, numbers, numbers)
+@example(sp.Min(X, sp.atan(sp.log(sp.sqrt(T**2 + 1)) / (2 + (sp.pi - 3 * T) ** 2))), 1, 0, 0, 4e-85)
 def test_values_agree_with_sympy(expression, x, y, p, t):
+    # Of fractions SymPy cannot always tell which is less.
     exact = expression.subs(
-        {X: sp.Rational(x), Y: sp.Rational(y), P: sp.Rational(p), T: sp.Rational(t)}
+        {s: sp.Float(v, 60) for s, v in ((X, x), (Y, y), (P, p), (T, t))}
     ).evalf(30)
     if not (exact.is_Float or exact.is_Integer or exact.is_zero) or not abs(exact) < 1e6:
         return  # undefined there, or out of reach of a comparison

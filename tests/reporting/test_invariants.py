@@ -24,7 +24,7 @@ def ball(tmp_path: Path, invariants: str) -> Path:
 
 
 def least(found: Result) -> dict[str, float]:
-    return dict(found.report()["invariants"])
+    return dict(found.to_dict()["invariants"])
 
 
 def test_the_least_margin_of_an_invariant_is_reported(tmp_path: Path) -> None:
