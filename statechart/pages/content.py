@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Key, Trace
-from statechart.diagram.model import Diagram, identifiers
+from statechart.diagram.model import Chart, Diagram, identifiers
 from statechart.diagram.write import write
 from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
@@ -182,7 +183,7 @@ def _chart(automaton: Automaton, diagram: Diagram, samples: Samples) -> dict[str
         return {"svg": "", "nodes": [""] * len(samples.modes)}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "chart.svg"
-        write(diagram, path)
+        write(_bare(diagram), path)
         svg = path.read_text(encoding="utf-8")
     names = identifiers(diagram)
 
@@ -191,6 +192,18 @@ def _chart(automaton: Automaton, diagram: Diagram, samples: Samples) -> dict[str
         return names.get(" ".join(key), names.get(" ".join(declared), ""))
 
     return {"svg": svg[svg.index("<svg") :], "nodes": [node(key) for key in samples.modes]}
+
+
+def _bare(diagram: Diagram) -> Diagram:
+    """Return a diagram without guards and conditions: events tell theirs as they are chosen."""
+
+    def bare(chart: Chart) -> Chart:
+        nodes = tuple(replace(node, invariants=()) for node in chart.nodes)
+        links = tuple(replace(link, guard="", reset="") for link in chart.links)
+        axes = None if chart.axes is None else (bare(chart.axes[0]), bare(chart.axes[1]))
+        return replace(chart, nodes=nodes, links=links, axes=axes)
+
+    return replace(diagram, charts=tuple(map(bare, diagram.charts)), notes=(), explained=())
 
 
 def _told(value: object) -> str:
