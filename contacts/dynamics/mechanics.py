@@ -19,8 +19,8 @@ from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
 from statechart.automaton.regions import Hold, Margin
+from statechart.formulas.determinants import Definition
 from statechart.formulas.formula import parse_relation
-from statechart.formulas.linear import Definition
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 

@@ -11,8 +11,8 @@ import sympy as sp
 
 from statechart.automaton.nesting import Nesting
 from statechart.automaton.trace import Role
+from statechart.formulas.determinants import Definition
 from statechart.formulas.formula import parse_relation
-from statechart.formulas.linear import Definition
 
 MarginKind = Literal["plain", "gap", "speed", "force"]
 

@@ -13,33 +13,19 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import sympy as sp
 from sympy.utilities.iterables import connected_components
 
-from statechart.errors import SingularMode
+from statechart.formulas.determinants import (
+    CRAMER_LIMIT,
+    Definition,
+    Singular,
+    by_determinants,
+)
 
-Definition = tuple[sp.Symbol, sp.Expr]
-
-# Laplace expansion grows as n!, and is exact in structure; beyond this, fraction by fraction. One
-# body with a pinned point makes a system of 5.
-_CRAMER_LIMIT = 5
 # A force that follows from an acceleration is a difference: of weight and what moves, say, of which
 # little is left where it is small. By Cramer's rule it is not, where systems are as small as this.
 _TOGETHER = 3
 # A pivot that is a number must not be small: the symbols beside it are of unknown size. The ones of
 # mechanics (a force in its own equation, an acceleration in a constraint) are 1.
 _SMALLEST = 0.5
-
-
-class Singular(SingularMode):
-    """The equations do not determine every unknown, whatever the numbers are.
-
-    Parameters
-    ----------
-    unknowns : sequence of Symbol
-        The unknowns that nothing determines.
-    """
-
-    def __init__(self, unknowns: Sequence[sp.Symbol]) -> None:
-        super().__init__("no equation determines " + ", ".join(str(u) for u in unknowns))
-        self.unknowns = tuple(unknowns)
 
 
 Row = dict[sp.Symbol, sp.Expr]
@@ -85,7 +71,7 @@ def solve_linear(
     first, rows, last = _reduced(given, unknowns, before, paired)
     if paired and _largest(rows) > 2 * _TOGETHER:
         first, rows, last = _reduced(given, unknowns, before)
-    if paired and _largest(rows) > 2 * _CRAMER_LIMIT:
+    if paired and _largest(rows) > 2 * CRAMER_LIMIT:
         mirrors = _mirrors(given, unknowns, paired)
         first, rows, last = _reduced(given, unknowns, before, mirrors=mirrors)
     block = _blocks(rows, place, (paired, len(unknowns)) if paired else ())
@@ -279,13 +265,13 @@ def _blocks(
         unknowns = sorted((u for u in component if not isinstance(u, int)), key=str)
         if len(indices) != len(unknowns):
             raise Singular(unknowns)
-        if len(unknowns) > _CRAMER_LIMIT and pairs:
+        if len(unknowns) > CRAMER_LIMIT and pairs:
             named, rest, later = _by_pairs([rows[i] for i in indices], unknowns, place, pairs[0])
             definitions += [*named, *_blocks(rest, place, pairs[1:]), *reversed(later)]
             continue
         matrix = sp.Matrix([[rows[i][0].get(u, 0) for u in unknowns] for i in indices])
         right = sp.Matrix([rows[i][1] for i in indices])
-        definitions += _cramer(matrix, right, unknowns)
+        definitions += by_determinants(matrix, right, unknowns)
     return definitions
 
 
@@ -336,77 +322,3 @@ def _by_pairs(
         rest = [_eliminate(e, unknown, others, right, pivot, name) for e in rest if e[2] != origin]
         last.append((unknown, sum((-c * u for u, c in others.items()), start=right) / pivot))
     return named, rest, last
-
-
-def _cramer(matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]) -> list[Definition]:
-    """Cramer's rule with every entry named, so that the determinants stay small."""
-    size = len(unknowns)
-    tag = str(unknowns[0])
-    named: list[Definition] = []
-
-    def name(entry: sp.Expr) -> sp.Expr:
-        if entry.is_number or entry.is_Symbol:
-            return entry
-        symbol = sp.Dummy(f"entry_{tag}", real=True)
-        named.append((symbol, entry))
-        return symbol
-
-    matrix = matrix.applyfunc(name)
-    right = right.applyfunc(name)
-    if size > _CRAMER_LIMIT:
-        return named + _gauss(matrix, right, unknowns)
-    determinant = sp.Dummy(f"det_{tag}", real=True)
-    total = matrix.det(method="laplace")
-    if total == 0:
-        raise Singular(unknowns)
-    result = [*named, (determinant, total)]
-    for column, unknown in enumerate(unknowns):
-        replaced = matrix.copy()
-        replaced[:, column] = right
-        result.append((unknown, replaced.det(method="laplace") / determinant))
-    return result
-
-
-def _gauss(matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]) -> list[Definition]:
-    """Elimination with every intermediate named: a straight-line program of O(n^3) operations."""
-    size = len(unknowns)
-    rows = [[matrix[i, k] for k in range(size)] + [right[i]] for i in range(size)]
-    definitions: list[Definition] = []
-
-    def name(entry: sp.Expr) -> sp.Expr:
-        if entry.is_number or entry.is_Symbol:
-            return entry
-        symbol = sp.Dummy("elimination", real=True)
-        definitions.append((symbol, entry))
-        return symbol
-
-    order: list[tuple[int, list[sp.Expr]]] = []
-    columns = list(range(size))
-    while rows:
-        candidates = [
-            (sum(e != 0 for e in row[:size]), i, k)
-            for i, row in enumerate(rows)
-            for k in columns
-            if row[k] != 0
-        ]
-        if not candidates:
-            raise Singular([unknowns[k] for k in columns])
-        _, index, column = min(candidates)
-        pivot = rows.pop(index)
-        order.append((column, pivot))
-        columns.remove(column)
-        for row in rows:
-            if row[column] == 0:
-                continue
-            factor = name(row[column] / pivot[column])
-            for k in (*columns, size):
-                if pivot[k] != 0:
-                    row[k] = name(row[k] - factor * pivot[k])
-            row[column] = sp.S.Zero
-    for column, pivot in reversed(order):
-        known = sum(
-            (-pivot[k] * unknowns[k] for k in range(size) if k != column and pivot[k] != 0),
-            start=pivot[size],
-        )
-        definitions.append((unknowns[column], known / pivot[column]))
-    return definitions
