@@ -191,7 +191,7 @@ surfaces: {floor: {height: 0}}
 contacts:
   left: {point: {body: block, at: [-b, -h]}, surface: floor, friction: mu, restitution: 0}
   right: {point: {body: block, at: [b, -h]}, surface: floor, friction: mu, restitution: 0}
-forces: {shake: {body: block, at: [0, p*h], force: ["max(-F/2, F*sin(w*time))", 0]}}
+forces: {shake: {body: block, at: [0, p*h], force: ["F*(sin(w*time) + cos(2*w*time)/4)", 0]}}
 stop: {time: 6}
 """,
     "rod on a shaking floor": """

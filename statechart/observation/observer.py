@@ -71,7 +71,8 @@ class Observer:
         automaton = simulator.automaton
         # What a mode solves for, or sets.
         self._solved = (*automaton.unknowns, *automaton.controls)
-        self._unknowns = frozenset(self._solved)
+        given = (*automaton.variables, *automaton.parameters, automaton.time)
+        self._given: frozenset[sp.Basic] = frozenset(given)
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
         self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
         self._actives: dict[tuple[Key, tuple[Where, ...], tuple[sp.Expr, ...]], _Active] = {}
@@ -365,7 +366,7 @@ class Observer:
         """Tell whether the expressions use what a mode solves for."""
         found = self._needs.get(expressions)
         if found is None:
-            found = any(self._unknowns & e.free_symbols for e in expressions)
+            found = any(e.free_symbols - self._given for e in expressions)
             self._needs[expressions] = found
         return found
 
