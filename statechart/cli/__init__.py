@@ -1,5 +1,7 @@
 """The command line.
 
-`main` is the grammar and the exit codes, `verbs` has a function for each verb, `places` says where
-results go, `streams` is what stdout and stderr do where they cannot be written.
+`main` is the process and its exit codes, `grammar` its verbs and options, `verbs` has a function
+for each verb, `texts` for those that run nothing. `places` says where results go, `streams` what
+stdout and stderr do where they cannot be written, `terminal` how texts look on one, `completion`
+what shells complete.
 """

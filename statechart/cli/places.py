@@ -65,7 +65,7 @@ def check_file(option: str, output: str | None) -> None:
         )
 
 
-def check_page(output: str | None) -> None:
+def check_page(option: str, output: str | None) -> None:
     """Check that a page can be written, before the run that it shows.
 
     Raises
@@ -73,9 +73,9 @@ def check_page(output: str | None) -> None:
     DeclarationError
         If it is no page, or its place is not writable.
     """
-    check_file("--report", output)
+    check_file(option, output)
     if output is not None and Path(output).suffix.lower() not in (".html", ".htm"):
-        raise DeclarationError(f"--report {output}: a page is .html", advice="name it so")
+        raise DeclarationError(f"{option} {output}: a page is .html", advice="name it so")
 
 
 def check_animation(runner: Runner, output: str | None) -> None:

@@ -55,6 +55,9 @@ class _Out(io.TextIOBase):
     def fileno(self) -> int:
         return 1
 
+    def isatty(self) -> bool:
+        return self._stream is not None and self._stream.isatty()
+
     @property
     def encoding(self) -> str:  # type: ignore[override]
         return "utf-8" if self._stream is None else self._stream.encoding

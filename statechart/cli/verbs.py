@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
 from statechart.cli.places import check_animation, check_folder, check_page, kept_study
+from statechart.cli.terminal import show
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.pieces import Pieces
 
 T = TypeVar("T")
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from statechart.running.result import Result
     from statechart.running.runner import Runner
@@ -57,11 +58,11 @@ def run(arguments: argparse.Namespace) -> int:
         **{part.name: getattr(arguments, part.name) for part in fields(Setting)},
         study=kept_study(arguments),
         once=True,
-        progress=True,
+        progress=not arguments.quiet,
     )
     check_folder(arguments.output)
     check_animation(runner, arguments.animate)
-    check_page(arguments.report)
+    check_page("--report", arguments.report)
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
@@ -105,16 +106,17 @@ def _tell(
 
         print(dumps(report), end="")
     else:
-        from statechart.reporting.text import summary
+        from statechart.reporting.text import told
 
-        print(summary(report), end="")
+        show(told(report))
         if arguments.explain and report["events"]:
             from statechart.reporting.text import explanation
 
             print(f"\n{explanation(report)}", end="")
     sys.stdout.flush()
     if arguments.animate is not None:
-        draw = functools.partial(result.animate, arguments.animate, progress=True)
+        shown = not arguments.quiet
+        draw = functools.partial(result.animate, arguments.animate, progress=shown)
         pieces.attempt(arguments.animate, draw, None)
     if arguments.report is not None:
         pieces.attempt(arguments.report, lambda: result.report(arguments.report), None)
@@ -124,9 +126,30 @@ def _tell(
     return not failure
 
 
+def view(arguments: argparse.Namespace) -> int:
+    """Run a model, write the run as a page, and open that."""
+    import webbrowser
+
+    check_page("-o", arguments.output)
+    runner = _runner(arguments.file, once=True, progress=not arguments.quiet)
+    parameters = _assigned("--set", arguments.parameters)
+    result = runner.run(parameters, until=arguments.until, throw=False)
+    _warn(result.warnings)
+    place = arguments.output or Path(
+        tempfile.mkdtemp(prefix="statechart-"), f"{runner.model.name}.html"
+    )
+    page = result.report(place).resolve()
+    print(page)
+    if not webbrowser.open(page.as_uri()):
+        print("no browser could be opened; open the page with one", file=sys.stderr)
+    if not result.trace.outcome.succeeded:
+        _warn([f"the run ended early: {result.trace.outcome.name}, {result.trace.message}"])
+    return 0 if result.trace.outcome.succeeded else 1
+
+
 def trade(arguments: argparse.Namespace) -> int:
     """Run a model at many settings; print what each costs and gives."""
-    from statechart.study.report import report, text
+    from statechart.study.report import report, told
     from statechart.study.trade import trade as study_of
 
     runner = _runner(arguments.file)
@@ -134,7 +157,7 @@ def trade(arguments: argparse.Namespace) -> int:
     study = study_of(
         runner,
         folder=arguments.output,
-        progress=lambda line: print(line, file=sys.stderr, flush=True),
+        progress=_teller(arguments),
     )
     pieces = Pieces()
     if arguments.output is not None:
@@ -144,7 +167,7 @@ def trade(arguments: argparse.Namespace) -> int:
     if arguments.json:
         _print_json(report(study))
     else:
-        print(text(study), end="")
+        show(told(study))
     _say_left_out(pieces)
     if not study.complete:
         again = "the same command goes on" if arguments.output is not None else "-o DIR keeps it"
@@ -169,8 +192,9 @@ def sweep(arguments: argparse.Namespace) -> int:
     )
     target = Target(arguments.output, arguments.plot, arguments.resume)
     target.check(plan)
+    shown = not arguments.quiet
     with crew(arguments.workers, arguments.scheduler) as executor:
-        made = make(plan, executor, store=target.store, resume=arguments.resume, progress=True)
+        made = make(plan, executor, store=target.store, resume=arguments.resume, progress=shown)
     pieces = Pieces()
     with interrupts.held(), interrupts.limited(_PATIENCE):
         data = made.dataset().load()
@@ -202,16 +226,17 @@ def _alternatives(
 def modes(arguments: argparse.Namespace) -> int:
     """List modes, which of them are possible at a configuration, and every region's chart."""
     from statechart.automaton.product import feasibility
-    from statechart.reporting.modes import check_variables, listing, text
+    from statechart.reporting.modes import check_variables, listing, told
 
     parameters = _assigned("--set", arguments.parameters)
-    runner = _runner(arguments.file, progress=True)
+    runner = _runner(arguments.file, progress=not arguments.quiet)
     automaton = runner.automaton
     if arguments.equations is not None or arguments.latex:
-        from statechart.reporting.equations import told
+        from statechart.reporting import equations
 
         form = "latex" if arguments.latex else "json" if arguments.json else "text"
-        print(told(automaton, runner.setup(parameters), arguments.equations, form), end="")
+        setup = runner.setup(parameters)
+        print(equations.told(automaton, setup, arguments.equations, form), end="")
         return 0
     at = _assigned("--at", arguments.at)
     check_variables(automaton, at)
@@ -237,7 +262,7 @@ def modes(arguments: argparse.Namespace) -> int:
     if arguments.json:
         _print_json(listed)
     else:
-        print(text(listed), end="")
+        show(told(listed))
     return 0
 
 
@@ -257,7 +282,8 @@ def draw(arguments: argparse.Namespace) -> int:
         raise DeclarationError(
             f"-o {arguments.output}: the suffix must be one of {', '.join(SUFFIXES)}"
         )
-    diagram, trace = drawn(_runner(arguments.file, progress=True), visited=arguments.visited)
+    runner = _runner(arguments.file, progress=not arguments.quiet)
+    diagram, trace = drawn(runner, visited=arguments.visited)
     code = 0
     if trace is not None:
         _warn(trace.warnings)
@@ -283,7 +309,7 @@ def check(arguments: argparse.Namespace) -> int:
             runner.model,
             examples=arguments.examples,
             seed=arguments.seed,
-            progress=lambda name: print(f"testing: {name}", file=sys.stderr),
+            progress=_teller(arguments, "testing: "),
         )
     pieces, written = Pieces(), None
     if not report.passed:
@@ -299,39 +325,6 @@ def check(arguments: argparse.Namespace) -> int:
             print(f"{written} reproduces it")
     _say_left_out(pieces)
     return 0 if report.passed else 1
-
-
-def schema(arguments: argparse.Namespace) -> int:
-    """Print the JSON Schema of one kind of document, or of all."""
-    from statechart.loading.schema import schema as schema_of
-
-    print(schema_of(arguments.kind), end="")
-    return 0
-
-
-def new(arguments: argparse.Namespace) -> int:
-    """Write a scene to start from."""
-    from statechart.documents.files import write_atomic
-    from statechart.documents.yaml_reader import read_text
-    from statechart.formulas.syntax import NAME
-    from statechart.formulas.tree import RESERVED
-    from statechart.loading.kind import kind
-    from statechart.loading.load import interpret
-
-    name = arguments.name
-    if not NAME.fullmatch(name) or name in RESERVED:
-        raise DeclarationError(
-            f"{name!r} cannot be the name of a model",
-            advice="letters, digits and _, not beginning with a digit, no word of formulas",
-        )
-    path = Path(f"{name}.yaml")
-    if path.exists() or path.is_symlink():
-        raise DeclarationError(f"{path} exists already", advice="choose another name")
-    text = kind("scene").starter.read_text(encoding="utf-8").replace("NAME", name)
-    interpret(read_text(text, str(path)))
-    write_atomic(path, text.encode())
-    print(f"{path} written; run it with: statechart run {path}")
-    return 0
 
 
 @contextmanager
@@ -360,6 +353,16 @@ def _assigned(option: str, pairs: Iterable[tuple[str, T]]) -> dict[str, T]:
             raise DeclarationError(f"{option} {name} is given twice", advice="give it once")
         found[name] = value
     return found
+
+
+def _teller(arguments: argparse.Namespace, before: str = "") -> Callable[[str], None]:
+    """Return what is told how far work is, and says it, unless that is not wanted."""
+
+    def tell(line: str) -> None:
+        if not arguments.quiet:
+            print(f"{before}{line}", file=sys.stderr, flush=True)
+
+    return tell
 
 
 def _warn(warnings: Iterable[str]) -> None:

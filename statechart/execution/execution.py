@@ -115,6 +115,8 @@ class Execution:
             flow = self.flow
             where = "at the start" if flow is None else self.automaton.label(flow.mode)
             self._end(Outcome[error.outcome], f"mode {where}: {error}" if where else str(error))
+        finally:
+            self._progress.close()
         return trace_of(self)
 
     def _end(self, outcome: Outcome, message: str) -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import sys
 
+from statechart import progress
 from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
 from statechart.errors import SimulationError
 
-_PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown
+_PROGRESS_AFTER = 1.0  # seconds of wall time before progress is shown, and between lines
+_MOVES = 0.2  # seconds between what a bar shows
 
 
 class Progress:
-    """Reports to stderr on runs above about a second.
+    """Reports to stderr on runs above about a second: a bar on a terminal, else lines.
 
     Parameters
     ----------
@@ -23,18 +25,31 @@ class Progress:
     def __init__(self, until: float) -> None:
         self._until = until
         self._began = self._shown = working_time()
+        self._bar: progress.Bar | None = None
 
     def show(self, time: float, jumps: int, steps: int) -> None:
-        """Say how far the run is, if that was not said within the last second."""
+        """Say how far the run is, if that was not said just before."""
         now = working_time()
-        if now - self._shown < _PROGRESS_AFTER:
+        if now - self._shown < (_PROGRESS_AFTER if self._bar is None else _MOVES):
             return
         self._shown = now
-        sys.stderr.write(
+        words = (
             f"t = {time:.6g} of {self._until:g}, {jumps} jumps, {steps} steps, "
-            f"{now - self._began:.0f} s\n"
+            f"{now - self._began:.0f} s"
         )
+        if self._bar is None and progress.possible():
+            self._bar = progress.Bar(self._until)
+        if self._bar is not None:
+            self._bar.show(time, words)
+            return
+        sys.stderr.write(f"{words}\n")
         sys.stderr.flush()
+
+    def close(self) -> None:
+        """Say nothing more."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
 
 
 def error_of(trace: Trace) -> SimulationError:

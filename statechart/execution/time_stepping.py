@@ -59,14 +59,18 @@ class SteppingSimulator:
         from statechart.execution.outcome import Progress, error_of
 
         shown = Progress(until) if self.progress else None
-        trace = self.stepper.run(
-            parameters or {},
-            step=min(self.step, until) or self.step,
-            until=until,
-            max_jumps=max_jumps,
-            show=shown.show if shown else _silent,
-            impulses=self.impulses,
-        )
+        try:
+            trace = self.stepper.run(
+                parameters or {},
+                step=min(self.step, until) or self.step,
+                until=until,
+                max_jumps=max_jumps,
+                show=shown.show if shown else _silent,
+                impulses=self.impulses,
+            )
+        finally:
+            if shown:
+                shown.close()
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         return trace

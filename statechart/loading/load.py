@@ -78,16 +78,21 @@ def find(path_or_name: str) -> Path:
         raise DeclarationError(f"not a path: {error}", source=repr(path_or_name)) from None
     if is_file:
         return path
-    names: list[str] = []
     for entry in importlib.metadata.entry_points(group="statechart.models"):
-        offering = module(entry)
-        shipped: Callable[[str], Path | None] = getattr(offering, entry.attr)
-        if (found := shipped(path_or_name)) is not None:
+        of_name: Callable[[str], Path | None] = getattr(module(entry), entry.attr)
+        if (found := of_name(path_or_name)) is not None:
             return found
-        names += getattr(offering, "names", list)()
     if exists:
         return path
     raise DeclarationError(
         f"no such file, and no shipped model of this name: {path_or_name!r}",
-        advice=close_matches(path_or_name, names),
+        advice=close_matches(path_or_name, shipped()),
     )
+
+
+def shipped() -> list[str]:
+    """Return the names of the models that installed packages offer."""
+    names: list[str] = []
+    for entry in importlib.metadata.entry_points(group="statechart.models"):
+        names += getattr(module(entry), "names", list)()
+    return names

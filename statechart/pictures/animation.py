@@ -23,6 +23,7 @@ from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing
 from statechart.pictures.film import Film
 from statechart.pictures.scenery import BODY
 from statechart.pictures.snapshots import shaped
+from statechart.progress import counted
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -133,7 +134,9 @@ def write(
         As `check` does, and if the file cannot be written.
     """
     check(path, size)
-    pictures = _pictures(film, _clock(speed), size, trail, progress)
+    pictures = _pictures(film, _clock(speed), size, trail)
+    if progress:
+        pictures = counted(pictures, len(film.times), f"pictures of {path.name}")
     # A long run was thinned: each picture stays for longer.
     lasting = (film.times[-1] - film.times[0]) / speed / max(len(film.times) - 1, 1) or 1.0 / _RATE
     make = _gif if path.suffix.lower() == ".gif" else _mp4
@@ -149,9 +152,7 @@ def _clock(speed: float) -> str:
     return f", {speed:.3g} times faster" if speed > 1.0 else f", {1.0 / speed:.3g} times slower"
 
 
-def _pictures(
-    film: Film, clock: str, size: int, trail: float | None, progress: bool
-) -> Iterator[Image.Image]:
+def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterator[Image.Image]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from PIL import Image
@@ -164,8 +165,6 @@ def _pictures(
     for instant in range(len(film.times)):
         drawing.show(instant)
         canvas.draw()
-        if progress and instant % 20 == 0:
-            pass
         yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 
 

@@ -12,7 +12,7 @@ from statechart.automaton.nesting import HierarchicalEdge
 from statechart.automaton.product import graph
 from statechart.automaton.regions import Region
 from statechart.errors import DeclarationError, close_matches
-from statechart.reporting.text import table
+from statechart.reporting.text import Block, Table, apart, plain
 
 
 def listing(
@@ -63,21 +63,26 @@ def check_variables(automaton: Automaton, names: Iterable[str]) -> None:
 
 def text(listed: Mapping[str, Any]) -> str:
     """Return a listing as lines of text; of modes those without direction of sliding."""
+    return plain(told(listed))
+
+
+def told(listed: Mapping[str, Any]) -> list[Block]:
+    """Return a listing as `text` does, its tables as such."""
     count = counted(listed["modes_declared"], listed["modes_total"])
     built = listed["modes_built"]
-    blocks = [f"{listed['model']}: {count}; {built or 'none'} built, each when a run enters it\n"]
+    head = f"{listed['model']}: {count}; {built or 'none'} built, each when a run enters it\n"
+    parts: list[list[Block]] = [[head]]
     if not listed["enumerated"]:
-        blocks.append(
-            f"the product is not enumerated nor judged (above {MOST_MODES} modes); regions:\n"
-            + table(
-                [(f"  {r['name']}", counted(r["modes_declared"], r["modes_total"]))
-                 for r in listed["regions"]]
-            )
-        )  # fmt: skip
+        counts = [
+            (f"  {r['name']}", counted(r["modes_declared"], r["modes_total"]))
+            for r in listed["regions"]
+        ]
+        words = f"the product is not enumerated nor judged (above {MOST_MODES} modes); regions:\n"
+        parts.append([words, Table(counts)])
     if listed["feasibility"] is not None:
-        blocks.append(_possible(listed))
-    blocks += [_edges(region) for region in listed["regions"]]
-    return "\n".join(blocks)
+        parts.append(_possible(listed))
+    parts += [_edges(region) for region in listed["regions"]]
+    return apart(parts)
 
 
 def counted(declared: int, total: int) -> str:
@@ -137,7 +142,7 @@ def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
     }
 
 
-def _possible(listed: Mapping[str, Any]) -> str:
+def _possible(listed: Mapping[str, Any]) -> list[Block]:
     found = listed["feasibility"]
     plain, directed = found["without_direction"], found["with_direction"]
     counts = f"{len(plain['feasible'])} of {plain['declared']}"
@@ -152,7 +157,7 @@ def _possible(listed: Mapping[str, Any]) -> str:
         rows.append(_row(mode, "possible"))
     for refused in plain["infeasible"]:
         rows.append(_row(refused["mode"], f"not: {refused['reason']}"))
-    return "".join(lines) + table(rows)
+    return ["".join(lines), *([Table(rows, headed=True)] if rows else [])]
 
 
 def _row(mode: Mapping[str, str], verdict: str) -> tuple[str, ...]:
@@ -160,7 +165,7 @@ def _row(mode: Mapping[str, str], verdict: str) -> tuple[str, ...]:
     return (f"  {first}", *others, verdict)
 
 
-def _edges(region: Mapping[str, Any]) -> str:
+def _edges(region: Mapping[str, Any]) -> list[Block]:
     rows = [
         (
             f"  {edge['from']} -> {edge['to']}",
@@ -170,7 +175,7 @@ def _edges(region: Mapping[str, Any]) -> str:
         )
         for edge in region["hierarchical_edges"]
     ]
-    return f"{region['name']}: {_nested(region)}\n" + (table(rows) if rows else "")
+    return [f"{region['name']}: {_nested(region)}\n", *([Table(rows)] if rows else [])]
 
 
 def _nested(region: Mapping[str, Any]) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from statechart.automaton.trace import Outcome
@@ -17,6 +18,40 @@ _CERTIFIED: Mapping[object, str] = {
 }
 
 
+@dataclass(frozen=True)
+class Table:
+    """Rows of a text that belong under each other.
+
+    Attributes
+    ----------
+    rows : sequence of sequence of str
+        Those of one table are of one length.
+    headed : bool
+        Whether the first row is the head.
+    """
+
+    rows: Sequence[Sequence[str]]
+    headed: bool = False
+
+
+Block = str | Table
+"""A part of a text: lines, or a table."""
+
+
+def plain(blocks: Iterable[Block]) -> str:
+    """Return a text as it is written to a file."""
+    return "".join(block if isinstance(block, str) else table(block.rows) for block in blocks)
+
+
+def apart(parts: Iterable[Sequence[Block]]) -> list[Block]:
+    """Return parts of a text as one, an empty line between them."""
+    result: list[Block] = []
+    for part in parts:
+        if part:
+            result += [*(["\n"] if result else []), *part]
+    return result
+
+
 def summary(report: Mapping[str, Any]) -> str:
     """Return the report of a run as lines of text; numbers keep all their digits.
 
@@ -25,8 +60,13 @@ def summary(report: Mapping[str, Any]) -> str:
     report : mapping
         From `statechart.reporting.report.report`.
     """
-    blocks = [_head(report), _events(report)]
-    blocks += [
+    return plain(told(report))
+
+
+def told(report: Mapping[str, Any]) -> list[Block]:
+    """Return the report of a run as `summary` does, its tables as such."""
+    parts: list[list[Block]] = [[_head(report)], _events(report)]
+    parts += [
         _values(title, values)
         for title, values in (
             ("outputs", report["outputs"]),
@@ -37,8 +77,8 @@ def summary(report: Mapping[str, Any]) -> str:
         if values
     ]
     if "alternatives" in report:
-        blocks.append(_alternatives(report["alternatives"]))
-    return "\n".join(block for block in blocks if block)
+        parts.append(_alternatives(report["alternatives"]))
+    return apart(parts)
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
@@ -90,17 +130,17 @@ def _how(report: Mapping[str, Any]) -> str:
     return f"tolerance {report['tolerance']:.3g}"
 
 
-def _events(report: Mapping[str, Any]) -> str:
+def _events(report: Mapping[str, Any]) -> list[Block]:
     events = report["events"]
     if not events:
-        return "no events\n"
+        return ["no events\n"]
     rows = [("t", "region", "cause", "from -> to")]
     for event in shown(events):
         if isinstance(event, int):
             rows.append((f"... {event} more: --json or --output has all", "", "", ""))
         else:
             rows.append((repr(event["t"]), event["contact"] or "", event["cause"], change(event)))
-    return table(rows)
+    return [Table(rows, headed=True)]
 
 
 def shown(events: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any] | int]:
@@ -126,9 +166,9 @@ def change(event: Mapping[str, Any]) -> str:
     )
 
 
-def _alternatives(rows: Sequence[Mapping[str, Any]]) -> str:
+def _alternatives(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
     if not rows:
-        return "alternatives: none, no two contacts can be hit together\n"
+        return ["alternatives: none, no two contacts can be hit together\n"]
     lines = [
         (
             f"  {row['choice']}",
@@ -138,11 +178,11 @@ def _alternatives(rows: Sequence[Mapping[str, Any]]) -> str:
         )
         for row in rows
     ]
-    return "alternatives\n" + table(lines)
+    return ["alternatives\n", Table(lines)]
 
 
-def _values(title: str, values: Mapping[str, Any]) -> str:
-    return f"{title}\n" + table([(f"  {name}", _text(value)) for name, value in values.items()])
+def _values(title: str, values: Mapping[str, Any]) -> list[Block]:
+    return [f"{title}\n", Table([(f"  {name}", _text(value)) for name, value in values.items()])]
 
 
 def _text(value: object) -> str:

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from statechart.automaton.trace import Outcome
-from statechart.reporting.text import table
+from statechart.reporting.text import Block, Table, plain
 from statechart.study.notes import Note, beyond, notes, reasons
 from statechart.study.point import Point, Third
 from statechart.study.record import Study
@@ -21,6 +21,11 @@ _NOTES = 8
 
 def text(study: Study) -> str:
     """Return a study as a table, with what follows from it below."""
+    return plain(told(study))
+
+
+def told(study: Study) -> list[Block]:
+    """Return a study as `text` does, its table as such."""
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
     front, cold = study.front(), study.front(once=True)
     head = ["error", "state", "events", "outputs", "path", "energy"]
@@ -46,7 +51,8 @@ def text(study: Study) -> str:
                 "" if point.cold is None else _seconds(point.cold),
             )
         )
-    return "".join(f"{line}\n" for line in _head(study)) + "\n" + table(rows) + _foot(study)
+    above = "".join(f"{line}\n" for line in _head(study)) + "\n"
+    return [above, Table(rows, headed=True), _foot(study)]
 
 
 def _head(study: Study) -> list[str]:
@@ -234,12 +240,12 @@ def report(study: Study) -> dict[str, Any]:
     shown = study.model_dump(mode="json")
     shown["least"] = study.least
     front, cold = study.front(), study.front(once=True)
-    for point, plain in zip(study.points, shown["points"], strict=True):
-        plain["label"] = point.setting.label
-        plain["error"] = study.error(point)
-        plain["kept"] = study.kept(point)
-        plain["on_front"] = point in front
-        plain["on_cold_front"] = point in cold
+    for point, one in zip(study.points, shown["points"], strict=True):
+        one["label"] = point.setting.label
+        one["error"] = study.error(point)
+        one["kept"] = study.kept(point)
+        one["on_front"] = point in front
+        one["on_cold_front"] = point in cold
     shown["complete"] = study.complete
     shown["missed"] = {
         family: {"missed": missed, "of": count}

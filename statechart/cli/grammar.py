@@ -1,0 +1,251 @@
+"""The grammar of the command line: verbs, options, and the types of their values."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+SHELLS = ("bash", "zsh", "fish")
+"""Those whose commands can be completed."""
+
+_EPILOG = """\
+FILE is a path, or the name of a shipped model such as toppling_stick.
+Results go to stdout, progress and warnings to stderr.
+Exit code: 0 done, 1 the run or the check failed, 2 the input is wrong.
+"""
+
+
+# A grammar reads best in one piece, in the order in which --help shows it.
+def parser() -> argparse.ArgumentParser:
+    """Return the grammar of the command line."""
+    whole = argparse.ArgumentParser(
+        prog="statechart",
+        description="Statecharts of rigid bodies in contact: declare, draw, run, check.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    whole.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    verbs = whole.add_subparsers(dest="verb", required=True, metavar="VERB")
+
+    def verb(name: str, words: str, *, file: bool = True) -> argparse.ArgumentParser:
+        added = verbs.add_parser(name, help=words, description=words, allow_abbrev=False)
+        if file:
+            added.add_argument("file", metavar="FILE", help="a path, or a shipped model's name")
+            added.add_argument(
+                "-q", "--quiet", action="store_true",
+                help="say nothing of progress; warnings and errors remain",
+            )  # fmt: skip
+        return added
+
+    verb("validate", "read a model and check it, its initial state too")
+    run = verb("run", "run a model and report what happened")
+    _settable(run)
+    run.add_argument("--until", metavar="T", type=_number, help="end of the run")
+    run.add_argument("--engine", choices=("auto", "taylor", "scipy", "impulse"))
+    run.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
+    run.add_argument(
+        "--impulse-tolerance", metavar="R", type=_number,
+        help="of the impulses of a step of the engine impulse, in parts of its fastest approach",
+    )  # fmt: skip
+    run.add_argument(
+        "--impulse-bound",
+        metavar="R",
+        type=_number,
+        help="of the same: what is above it ends the run",
+    )
+    run.add_argument(
+        "--max-step", metavar="H", type=_number, help="longest step of the other engines, in time"
+    )
+    run.add_argument(
+        "--method", metavar="M",
+        help="RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)",
+    )  # fmt: skip
+    error = run.add_mutually_exclusive_group()
+    error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
+    error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")
+    error.add_argument(
+        "--budget", metavar="S", type=_number, help="best accuracy within so many seconds"
+    )
+    run.add_argument(
+        "--certify", action="store_true",
+        help="prove of every step how far it is off, and estimate the error of the whole",
+    )  # fmt: skip
+    run.add_argument(
+        "--alternatives", action="store_true",
+        help="run under the other choices of simultaneous: too, and show where that matters",
+    )  # fmt: skip
+    run.add_argument(
+        "--explain", action="store_true",
+        help="of every event: what fired, the margins, what else was considered, the energy",
+    )  # fmt: skip
+    run.add_argument("--output", metavar="DIR", help="write tables, data set and figure there")
+    run.add_argument(
+        "--animate", metavar="FILM", help="draw the bodies in motion: .gif, or .mp4 with ffmpeg"
+    )
+    run.add_argument(
+        "--report", metavar="PAGE", help="write the run as one page to look at and to send: .html"
+    )
+    run.add_argument("--json", action="store_true", help="print one JSON object")
+    view = verb("view", "run a model, write the run as a page and open it in the browser")
+    _settable(view)
+    view.add_argument("--until", metavar="T", type=_number, help="end of the run")
+    view.add_argument(
+        "-o", "--output", metavar="PAGE", help="write the page there, and not to a passing folder"
+    )  # fmt: skip
+    trade = verb("trade", "measure what speed costs in accuracy")
+    trade.add_argument("--json", action="store_true", help="print one JSON object")
+    trade.add_argument(
+        "-o", "--output", metavar="DIR",
+        help="keep table, data and figure there; what was interrupted goes on from there",
+    )  # fmt: skip
+    sweep = verb("sweep", "run a model over its parameters: grids, tables, samples")
+    _sweeping(sweep)
+    modes = verb("modes", "list a model's modes, which are possible, and their transitions")
+    _settable(modes)
+    where = modes.add_mutually_exclusive_group()
+    where.add_argument(
+        "--at", metavar="NAME=VALUE", action="append", default=[], type=_place,
+        help="judge another configuration than the initial one, such as bar.angle=0.3",
+    )  # fmt: skip
+    where.add_argument("--until", metavar="T", type=_number, help="judge where a run is then")
+    modes.add_argument("--json", action="store_true", help="print one JSON object")
+    modes.add_argument(
+        "--equations", metavar="MODE",
+        help="print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'",
+    )  # fmt: skip
+    modes.add_argument("--latex", action="store_true", help="print them in LaTeX")
+    draw = verb("draw", "draw the statechart of a model, or its scene")
+    draw.add_argument(
+        "-o",
+        "--output",
+        metavar="PATH",
+        required=True,
+        help=".svg .png .pdf .dot .mmd .scxml .graphml",
+    )
+    what = draw.add_mutually_exclusive_group()
+    what.add_argument(
+        "--visited", action="store_true", help="run, and draw the modes and the path it took"
+    )
+    what.add_argument(
+        "--scene", action="store_true",
+        help="draw bodies, surfaces and contacts where a run starts: .svg .png .pdf",
+    )  # fmt: skip
+    draw.add_argument(
+        "--guards", choices=("legend", "inline"), default="legend",
+        help="guards and resets once below, or at every arrow; legend",
+    )  # fmt: skip
+    check = verb("check", "test a model's invariants over its ranges of parameters")
+    check.add_argument(
+        "--examples", metavar="N", type=_positive, default=50, help="per property; 50"
+    )
+    check.add_argument("--seed", metavar="S", type=_count, help="repeats a check exactly")
+    check.add_argument("--json", action="store_true", help="print one JSON object")
+    schema = verb("schema", "print the JSON Schema of the documents", file=False)
+    schema.add_argument("kind", nargs="?", metavar="KIND", help="scene or chart; else both")
+    new = verb("new", "write a commented scene to start from", file=False)
+    new.add_argument("name", metavar="NAME")
+    completion = verb("completion", "print what completes commands in a shell", file=False)
+    completion.add_argument("shell", choices=SHELLS)
+    return whole
+
+
+class _Version(argparse.Action):
+    """Prints the version, which is looked up for that alone."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        import statechart
+
+        print(f"statechart {statechart.__version__}")
+        parser.exit()
+
+
+def _sweeping(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--over", metavar="NAME=RANGE", action="append", default=[], type=_range,
+        help="values of a parameter: lin:A:B:N, log:A:B:N, or 0.1,1/3,inf; "
+        "all combinations of them are run",
+    )  # fmt: skip
+    cells = parser.add_mutually_exclusive_group()
+    cells.add_argument(
+        "--sobol", metavar="N", type=_positive,
+        help="so many points of a Sobol sequence over NAME=lin:A:B, a power of two",
+    )  # fmt: skip
+    cells.add_argument(
+        "--samples", metavar="TABLE.csv", help="a column for every parameter, a row for every run"
+    )
+    parser.add_argument(
+        "--outputs", metavar="NAMES", type=_names, help="separated by commas; else all"
+    )
+    parser.add_argument("--until", metavar="T", type=_number, help="end of the runs")
+    parser.add_argument("--engine", choices=("auto", "taylor", "scipy", "impulse"))
+    parser.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
+    error = parser.add_mutually_exclusive_group()
+    error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
+    error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", metavar="N", type=_positive, help="processes of this machine")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://HOST:PORT")
+    parser.add_argument(
+        "-o", "--output", metavar="PATH",
+        help="STORE.zarr, which is written block by block, or FILE.nc",
+    )  # fmt: skip
+    parser.add_argument("--resume", action="store_true", help="go on with the sweep in STORE.zarr")
+    parser.add_argument("--plot", metavar="PICTURE", help="draw it: .svg .png .pdf")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _settable(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set", dest="parameters", metavar="NAME=VALUE", action="append", default=[],
+        type=_assignment, help="give a parameter another value: a number, 1/3, inf, 20*pi/180",
+    )  # fmt: skip
+
+
+def _number(text: str) -> float:
+    from statechart.errors import FormulaError
+    from statechart.formulas.formula import parse
+
+    try:
+        return parse(text).value({})
+    except FormulaError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: {error}") from None
+
+
+def _assignment(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    if not equals or not name.strip():
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
+    return name.strip(), _number(value)
+
+
+def _range(text: str) -> tuple[str, str]:
+    name, equals, values = text.partition("=")
+    if not equals or not name.strip() or not values.strip():
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=RANGE")
+    return name.strip(), values.strip()
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _place(text: str) -> tuple[str, float]:
+
+    name, value = _assignment(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be finite")
+    return name, value
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or len(text) > 18:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
+    return int(text)
+
+
+def _positive(text: str) -> int:
+    count = _count(text)
+    if count == 0:
+        raise argparse.ArgumentTypeError("at least 1 is needed")
+    return count

@@ -1,0 +1,38 @@
+"""Texts on stdout: with tables that fit where it is a terminal, plain where it is not."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+
+from statechart.reporting.text import Block, Table, plain
+
+
+def show(blocks: Iterable[Block]) -> None:
+    """Print a text."""
+    if not sys.stdout.isatty():
+        print(plain(blocks), end="")
+        return
+    from rich.console import Console
+
+    console = Console(markup=False, emoji=False, highlight=False)
+    for block in blocks:
+        if isinstance(block, Table):
+            console.print(_ruled(block))
+        else:
+            console.print(block, end="", soft_wrap=True)
+
+
+def _ruled(table: Table) -> object:
+    """Return a table whose long cells go on in the next line, below where they began."""
+    from rich.table import Table as Ruled
+    from rich.text import Text
+
+    rows = [[Text(cell) for cell in row] for row in table.rows]
+    head = rows.pop(0) if table.headed else [Text()] * len(rows[0])
+    ruled = Ruled(box=None, show_header=table.headed, pad_edge=False, header_style="bold")
+    for cell in head:
+        ruled.add_column(cell, overflow="fold")
+    for row in rows:
+        ruled.add_row(*row)
+    return ruled

@@ -1,0 +1,60 @@
+"""How far work is, as a bar on a terminal; elsewhere whoever works says it in lines."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+class Bar:
+    """A bar on stderr that is gone once it is closed.
+
+    Parameters
+    ----------
+    total : float
+        What there is to do.
+    """
+
+    def __init__(self, total: float) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+        self._shown = Progress(
+            BarColumn(),
+            TaskProgressColumn(),
+            TextColumn("{task.description}", markup=False),
+            console=Console(file=sys.stderr),
+            transient=True,
+        )
+        self._shown.start()
+        self._task = self._shown.add_task("", total=total)
+
+    def show(self, done: float, words: str) -> None:
+        """Say how much is done, and what besides."""
+        self._shown.update(self._task, completed=done, description=words)
+
+    def close(self) -> None:
+        """Leave the terminal as it was."""
+        self._shown.stop()
+
+
+def possible() -> bool:
+    """Whether there is a terminal for a bar."""
+    return sys.stderr.isatty()
+
+
+def counted(items: Iterable[T], total: int, words: str) -> Iterator[T]:
+    """Yield items, with a bar where one is possible."""
+    if not possible():
+        yield from items
+        return
+    bar = Bar(total)
+    try:
+        for done, item in enumerate(items):
+            bar.show(done, words)
+            yield item
+    finally:
+        bar.close()

@@ -1,0 +1,157 @@
+"""What people meet at a terminal: version, completion, tables, bars, pages, quiet."""
+
+from __future__ import annotations
+
+import os
+import pty
+import shutil
+import subprocess
+import sys
+import webbrowser
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from statechart import progress
+from statechart.cli.main import main
+from statechart.execution.outcome import Progress
+
+STATECHART = str(Path(sys.executable).with_name("statechart"))
+
+
+def on_a_terminal(*arguments: str) -> str:
+    """Return what a command shows on a terminal of 60 columns."""
+    ours, theirs = pty.openpty()
+    settings = {**os.environ, "COLUMNS": "60", "TERM": "dumb"}
+    with subprocess.Popen(
+        (STATECHART, *arguments), stdout=theirs, stderr=subprocess.DEVNULL, env=settings
+    ):
+        os.close(theirs)
+        found = b""
+        while True:
+            try:
+                piece = os.read(ours, 4096)
+            except OSError:  # the other end is closed
+                break
+            if not piece:
+                break
+            found += piece
+    os.close(ours)
+    return found.decode()
+
+
+@pytest.mark.parametrize("command", [(STATECHART,), (sys.executable, "-m", "statechart")])
+def test_the_version_is_told(command: tuple[str, ...]) -> None:
+    made = subprocess.run((*command, "--version"), capture_output=True, text=True, check=True)
+    assert made.stdout == f"statechart {version('contact-statecharts')}\n"
+
+
+def test_bash_completes_verbs_options_and_models(tmp_path: Path) -> None:
+    bash = shutil.which("bash")
+    assert bash is not None
+    script = subprocess.run(
+        (STATECHART, "completion", "bash"), capture_output=True, text=True, check=True
+    ).stdout
+    (tmp_path / "toppling_mine.yaml").write_text("")
+    asked = """
+    ask() { COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=()
+            $(complete -p statechart | sed 's/.*-F \\([^ ]*\\).*/\\1/') statechart "${@: -1}" ""
+            echo "${COMPREPLY[@]}"; }
+    ask statechart swe
+    ask statechart run topp
+    ask statechart run toppling_stick --acc
+    """
+    made = subprocess.run(
+        (bash, "-c", f"{script}\n{asked}"), capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    assert made.stdout.splitlines() == [
+        "sweep",
+        "toppling_stick toppling_mine.yaml",
+        "--accuracy",
+    ]
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells_can_read_what_completes(
+    shell: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["completion", shell]) == 0
+    said = capsys.readouterr().out
+    assert "toppling_stick" in said
+    assert "accuracy" in said
+    program = shutil.which(shell)
+    if program is None:
+        pytest.skip(f"{shell} is not here")
+    (tmp_path / "script").write_text(said)
+    subprocess.run((program, "-n", tmp_path / "script"), check=True)
+
+
+def test_a_run_is_a_table_on_a_terminal() -> None:
+    lines = on_a_terminal("modes", "painleve_rod").splitlines()
+    plain = subprocess.run(
+        (STATECHART, "modes", "painleve_rod"), capture_output=True, text=True, check=True
+    ).stdout
+    assert max(map(len, plain.splitlines())) > 60
+    cells = [line.split() for line in lines if line.strip().startswith(("free ", "slide ", "pin "))]
+    assert ["free", "possible"] in cells
+    # Nothing is cut off: what is long goes on in the next line.
+    assert sorted("".join(plain.split())) == sorted("".join("".join(lines).split()))
+
+
+def test_the_page_of_a_run_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or len(opened) == 1)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert main(["view", "bouncing_ball", "--quiet", "--until", "0.5"]) == 0
+    page = Path(capsys.readouterr().out.strip())
+    assert page.name == "bouncing_ball.html"
+    assert page.is_relative_to(tmp_path)
+    assert opened == [page.as_uri()]
+    assert "<html" in page.read_text(encoding="utf-8")
+    named = tmp_path / "mine.html"
+    assert main(["view", "bouncing_ball", "--until", "0.1", "-o", str(named)]) == 0
+    assert named.is_file()
+    assert "no browser could be opened" in capsys.readouterr().err
+    assert main(["view", "bouncing_ball", "-o", str(tmp_path / "mine.pdf")]) == 2
+    assert "a page is .html" in capsys.readouterr().err
+
+
+def test_quiet_says_nothing_of_progress(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    wanted = ["check", "bouncing_ball_chart", "--examples", "1", "--seed", "1"]
+    assert main(wanted) == 0
+    assert "testing: runs come to their end" in capsys.readouterr().err
+    assert main([*wanted, "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_long_work_is_a_bar_on_a_terminal_and_lines_elsewhere(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr("statechart.execution.outcome.working_time", lambda: now[0])
+    lines = Progress(10.0)
+    for time in (0.5, 1.5, 1.7, 3.0):
+        now[0] = time
+        lines.show(time, 2, 30)
+    lines.close()
+    assert capsys.readouterr().err == (
+        "t = 1.5 of 10, 2 jumps, 30 steps, 2 s\nt = 3 of 10, 2 jumps, 30 steps, 3 s\n"
+    )
+    monkeypatch.setattr(progress, "possible", lambda: True)
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes the stream for a terminal
+    now[0] = 0.0
+    bar = Progress(10.0)
+    for time in (0.5, 5.0):
+        now[0] = time
+        bar.show(time, 2, 30)
+    bar.close()
+    shown = capsys.readouterr().err
+    assert "50%" in shown
+    assert list(progress.counted("abc", 3, "letters")) == ["a", "b", "c"]
+    assert "letters" in capsys.readouterr().err
