@@ -23,11 +23,10 @@ def friction_cones(
     """Return (cone_n, cone_t) per contact: symbols, or numbers where nothing is to be known."""
     result: dict[str, tuple[sp.Expr, sp.Expr]] = {}
     for i, (name, contact) in enumerate(scene.contacts.items()):
-        if contact.friction is None:
-            # Without slide a pin holds whatever it takes (no-slip); free needs no cone at all.
-            result[name] = (sp.S.Zero, sp.S.One)
-        elif contact.frictionless:
+        if contact.frictionless:
             result[name] = (sp.S.One, sp.S.Zero)
+        elif contact.friction is None:  # without slide a pin holds whatever it takes (no-slip)
+            result[name] = (sp.S.Zero, sp.S.One)
         elif scene.controlled.region_of(contact.friction) is not None:
             # What states set; their values are parameters (see `COEFFICIENTS`).
             result[name] = (sp.Symbol(f"n{i}", real=True), sp.Symbol(f"m{i}", real=True))

@@ -57,11 +57,20 @@ def _along(
 
 
 @part
+def _guided(jacobian: Array) -> bool:
+    """Whether the point can move along its normal alone: then friction has nothing to hold."""
+    for i in range(jacobian.shape[1]):
+        if abs(jacobian[1, i]) > _ROUNDING * abs(jacobian[0, i]):
+            return False
+    return True
+
+
+@part
 def _piece(
     mass: Array, jacobian: Array, cone_n: float, cone_t: float, u_t: float, change: Array
 ) -> tuple[int, int, float, float, float, float]:
     """Piece that follows; `WEDGE` where friction keeps the point from going anywhere."""
-    if cone_t == 0.0:
+    if cone_t == 0.0 or (u_t == 0.0 and _guided(jacobian)):
         status, un, ut, normal, along = _along(mass, jacobian, cone_n, 0.0, change)
         return status, SLIP, un, ut, normal, along
     if u_t == 0.0:

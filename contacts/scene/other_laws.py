@@ -47,6 +47,8 @@ def _meet(scene: SceneFields) -> bool:
 
 def _agrees(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
     """Whether all laws are one: no friction, or a particle whose push moves it along the push."""
+    if contact.frictionless:
+        return True
     if contact.friction is not None:
         friction = parse(contact.friction)
         if set(friction.names) <= set(values) and friction.value(values) == 0.0:

@@ -256,8 +256,10 @@ class Contact(Part):
 
     @property
     def frictionless(self) -> bool:
-        """Whether friction is declared to be the number zero."""
-        return self.friction is not None and _is_zero(self.friction)
+        """Whether no force acts along the surface: friction is the number 0, or it only bounces."""
+        if self.friction is None:
+            return self.kinds == {"free"}
+        return _is_zero(self.friction)
 
 
 def _is_zero(text: str | int | float) -> bool:

@@ -55,7 +55,7 @@ class Scene(SceneFields):
             missing = [mode for mode in ("free", "slide", "pin") if mode not in contact.kinds]
             for mode in missing:
                 found[f"{mode} of {name}"] = "not among its modes"
-            if contact.frictionless:
+            if contact.frictionless and "slide" in contact.kinds:
                 found[f"friction of {name}"] = "frictionless: one slide, without direction"
             elif "slide" not in contact.kinds:
                 found[f"the coefficient of friction of {name}"] = "it may not slide"

@@ -76,8 +76,9 @@ def cone_edges(scene: Scene, trace: Trace, mode: Key) -> dict[str, tuple[float, 
 
     result = {}
     for name, contact in scene.contacts.items():
-        # Without friction declared the contact does not slide, whatever that takes.
-        mu = math.inf if contact.friction is None else value(contact.friction)
+        # Where friction is not declared a pin does not slide, whatever that takes.
+        held = 0.0 if contact.frictionless else math.inf
+        mu = held if contact.friction is None else value(contact.friction)
         result[name] = edge(mu)
     return result
 
