@@ -387,7 +387,8 @@ class Mechanics(Geometry):
             (jacobian_n, jacobian_t),
             tuple(row.jacobian for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows),
-            Hold((unit * gap,), (normal_a,), (V,)),
+            # Not its distance: of the height of a ground y follows with a factor of 1.
+            Hold((gap,), (normal_a,), (V,), steep=self.curved(name)),
             Hold(stuck, (normal_a, tangential_a), (V, H), anchors),
         )
         return ContactGeometry(

@@ -52,17 +52,19 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
     margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
     margins = tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins)
     rates = tuple(rate.xreplace(substitution) for rate in automaton.rates)
+    follows: dict[str, Any] = {}
     if automaton.coordinates is not None and not loads:
         held = [hold for state in states for hold in state.holds]
         about = {e for hold in held for e in hold.equations}
         laws = [e for state in states for e in state.equations if e not in about]
         elimination = eliminated(automaton.coordinates, held, substitution, laws)
         if elimination is not None:
-            minimal = _minimal(automaton, states, elimination, substitution)
             follows = _follows(automaton, elimination)
-            return Mode((*controls, *minimal), rates, margins, **follows)
+            if not elimination.steep:
+                minimal = _minimal(automaton, states, elimination, substitution)
+                return Mode((*controls, *minimal), rates, margins, **follows)
     solved = _solved(automaton, states, loads, substitution)
-    return Mode((*controls, *solved), rates, margins)
+    return Mode((*controls, *solved), rates, margins, **follows)
 
 
 def _solved(

@@ -39,6 +39,9 @@ class Elimination:
         Equation for accelerations -> place of the coordinate whose equation stands for it now.
     forces : frozenset of Symbol
         Those that hold the coordinates eliminated.
+    steep : bool
+        Whether they may move without bound when the others move: forces are then lost in the
+        difference of accelerations, so that these are found together.
     """
 
     positions: Known
@@ -47,6 +50,7 @@ class Elimination:
     anchors: Known
     replaced: Mapping[sp.Expr, int]
     forces: frozenset[sp.Symbol]
+    steep: bool
 
     @property
     def known(self) -> dict[sp.Symbol, sp.Expr]:
@@ -121,7 +125,8 @@ def eliminated(
     anchors: dict[sp.Symbol, sp.Expr] = {}
     replaced: dict[sp.Expr, int] = {}
     forces: set[sp.Symbol] = set()
-    for hold in (*coordinates.joints, *held):
+    holds = (*coordinates.joints, *held)
+    for hold in holds:
         # Friction depends on it, or other rows imply it.
         known = (e.xreplace(substitution) for e in (*hold.equations, *laws))
         if any(e.has(*hold.forces) for e in known):
@@ -153,6 +158,7 @@ def eliminated(
         anchors,
         replaced,
         frozenset(forces),
+        any(hold.steep for hold in holds),
     )
 
 

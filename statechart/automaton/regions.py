@@ -81,12 +81,15 @@ class Hold:
         As many; in motions that keep the places they do no work.
     anchors : mapping
         Constant of a flow that is in `places` -> the expression of the variables that is constant.
+    steep : bool
+        Whether gradients of the places may grow without bound.
     """
 
     places: tuple[sp.Expr, ...]
     equations: tuple[sp.Expr, ...]
     forces: tuple[sp.Symbol, ...]
     anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    steep: bool = False
 
 
 @dataclass(frozen=True)

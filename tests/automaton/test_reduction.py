@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 import sympy as sp
 from runs import ENGINES, engine
 from runs import automaton as shipped
+from scipy.integrate import solve_ivp
 
 from contacts.kind import automaton as compose
 from contacts.scene.scene import Scene
@@ -189,11 +191,8 @@ def test_a_closed_loop_keeps_all_coordinates() -> None:
     assert mode_of(model, zeros=zeros_of(model)).eliminated == {}
 
 
-@pytest.mark.parametrize(
-    "hill", [{"circle": [0, 0], "radius": 1}, {"height": "1 - x**2"}, {"incline": "steep"}]
-)
-def test_what_is_curved_or_lies_by_a_formula_keeps_all_coordinates(hill: dict[str, Any]) -> None:
-    # On a height that becomes vertical, y follows x as little as x does y.
+@pytest.mark.parametrize("hill", [{"circle": [0, 0], "radius": 1}, {"incline": "steep"}])
+def test_what_is_round_or_lies_by_a_formula_keeps_all_coordinates(hill: dict[str, Any]) -> None:
     ball = scene(
         parameters={"steep": 1.5},
         gravity=1,
@@ -210,6 +209,50 @@ def test_what_is_curved_or_lies_by_a_formula_keeps_all_coordinates(hill: dict[st
         },
     )
     assert mode_of(ball, "slide").eliminated == {}
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize(
+    ("height", "slope", "bend"),
+    [
+        ("x**2", lambda x: 2 * x, lambda x: 2.0),
+        ("1000*x**4", lambda x: 4e3 * x**3, lambda x: 12e3 * x**2),
+        ("cosh(x) - 1", math.sinh, math.cosh),
+    ],
+)
+def test_a_bead_follows_the_height_of_its_bowl(
+    name: str,
+    height: str,
+    slope: Callable[[float], float],
+    bend: Callable[[float], float],
+) -> None:
+    model = scene(
+        gravity=9.81,
+        bodies={"bead": {"mass": 2, "start": {"dx": 4}}},
+        surfaces={"bowl": {"height": height}},
+        contacts={
+            "c": {"point": {"body": "bead"}, "surface": "bowl", "modes": ["slide"], "friction": 0}
+        },
+    )
+    trace = Simulator(model, engine(name)).run(until=1.5)
+    (arc,) = trace.arcs
+    assert names(model, mode_of(model, "slide")) == ["bead.y", "bead.dy"]
+    x, y, dx, dy = arc.coefficients[:, :, 0].T
+    profile = sp.lambdify(sp.Symbol("x"), sp.sympify(height))
+    assert dy == pytest.approx(np.array([slope(u) for u in x]) * dx, rel=1e-14, abs=1e-15)
+    assert y == pytest.approx(profile(x), rel=1e-14, abs=1e-15)
+    energy = (dx**2 + dy**2) / 2 + 9.81 * y
+    assert np.abs(energy / 8 - 1).max() < (1e-13 if name == "taylor" else 1e-9)
+
+    def rates(t: float, state: Array) -> list[float]:
+        # Of x along the bowl, from the energy by hand.
+        u, v = state
+        f = slope(u)
+        return [v, -f * (bend(u) * v * v + 9.81) / (1 + f * f)]
+
+    if name == "taylor":
+        expected = solve_ivp(rates, (0, 1.5), [0, 4], method="DOP853", rtol=1e-13, atol=1e-14)
+        assert trace.final[0] == pytest.approx(expected.y[0, -1], abs=2e-11)
 
 
 def test_friction_that_slides_keeps_all_coordinates() -> None:
