@@ -13,6 +13,8 @@ import numpy as np
 import sympy as sp
 
 from contacts.collisions.body_step import MEMORY, step_bodies
+from contacts.collisions.declared_surfaces import SurfacePaths
+from contacts.collisions.inside import check_inside
 from contacts.collisions.outlines import body_numbers, owners_of
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales, check_range
@@ -130,6 +132,7 @@ class BodyStepper(Stepper):
             sticks=np.zeros(len(mechanics.scene.bodies), dtype=np.bool_),
         )
         self._owners = owners
+        self._paths = SurfacePaths(mechanics.scene)
 
     def own_step(self) -> float:
         """Return a step by the scales: of declared parameters, rounded to a digit.
@@ -184,7 +187,7 @@ class BodyStepper(Stepper):
         names = list(scene.bodies)
         for i, number in enumerate(initial.tolist()):
             check_range(number, "its start", ("bodies", names[i // 3 % len(names)]))
-        bodies = SteppedHeap(scene, self._owners, known, allowed)
+        bodies = SteppedHeap(scene, self._owners, known, allowed, self._paths)
         for name, size in zip(names, bodies.numbers.sizes.tolist(), strict=True):
             check_range(size, "its size", ("bodies", name, "shape"))
         for number in bodies.numbers.gravity.tolist():
@@ -205,8 +208,9 @@ class BodyStepper(Stepper):
             capture=0.0,
             bands={},
         )  # fmt: skip
+        check_inside(scene, bodies.numbers, initial, self._paths.at(known, np.zeros(1))[0])
         # A step of no length finds who overlaps.
-        trial = SteppedHeap(scene, self._owners, known, allowed)
+        trial = SteppedHeap(scene, self._owners, known, allowed, self._paths)
         trial.steps(0.0, 1e-9 * length / speed, initial, 1)
         for name, margin in trial.margins.items():
             if margin < -_START_DEPTH * length:
@@ -232,11 +236,18 @@ class SteppedHeap:
         Parameters.
     allowed : float
         Residual of impulses that are good enough.
+    paths : SurfacePaths
     """
 
     def __init__(
-        self, scene: Scene, owners: Sequence[str], known: Mapping[str, float], allowed: float
+        self,
+        scene: Scene,
+        owners: Sequence[str],
+        known: Mapping[str, float],
+        allowed: float,
+        paths: SurfacePaths,
     ) -> None:
+        self._known, self._paths = known, paths
         self.numbers = body_numbers(scene, owners, known)
         self._names = tuple(scene.bodies)
         count = len(self._names)
@@ -272,12 +283,12 @@ class SteppedHeap:
         """Take steps; see `SteppedScene.steps`."""
         bodies = len(self._names)
         chunk = Chunk.room(h, state, 3 * bodies, bodies, count)
-
+        looks = self._paths.looks(self._known, start, h, count)
         done, status = 0, FULL
         while status == FULL:
             taken, status = step_bodies(
-                self.numbers, self._plastic, self._keys, self._memory, self._remembered,
-                self._allowed, chunk.after(done),
+                self.numbers, looks[done:], self._plastic, self._keys, self._memory,
+                self._remembered, self._allowed, chunk.after(done),
             )  # fmt: skip
             done += taken
             if status == FULL:

@@ -12,9 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.detection import FOUND, against_surface, between, place
+from contacts.collisions.detection import FOUND, between, place
 from contacts.collisions.islands import gathered, grouped, push, velocity
 from contacts.collisions.meeting import met, nearby, overlap
+from contacts.collisions.surfaces import (
+    SurfaceNumbers,
+    against_surface,
+    carried,
+    crossed,
+    distance,
+    seen_from,
+)
 from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import (
@@ -30,7 +38,8 @@ from contacts.time_stepping.chunk import (
 )
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put, put_rows
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, part
+from statechart.kernels.tapes import BLOCK, filled
 
 MEMORY = 4
 """What is kept of a contact from step to step: level, lasting, impulses."""
@@ -66,8 +75,7 @@ class BodyNumbers(NamedTuple):
     inverse : (b, 3)
         1/mass, 1/mass, 1/moment of inertia.
     gravity : (2,)
-    surfaces : (s, 4)
-        A point, and the unit normal out of the solid.
+    surfaces : SurfaceNumbers
     pairs : (b, b + s) array of int
         Which law bodies touch each other and surfaces by; -1: they do not.
     materials : (m, 3)
@@ -81,14 +89,35 @@ class BodyNumbers(NamedTuple):
     cores: Array
     inverse: Array
     gravity: Array
-    surfaces: Array
+    surfaces: SurfaceNumbers
     pairs: Ints
     materials: Array
+
+
+@part
+def _frames(
+    paths: Array, s: int, carrier: int, k: int, places: Array, old: Array, h: float, frames: Array
+) -> None:
+    """Write the frames (3, 3) of a surface: at the look before, at this one and the next."""
+    for look in range(3):
+        for d in range(3):
+            if carrier >= 0:
+                frames[look, d] = places[carrier, d] + (look - 1) * h * old[carrier, d]
+            else:
+                frames[look, d] = paths[k + look, s, d]
+
+
+@part
+def _moved(frames: Array, x: float, y: float, look: int) -> tuple[float, float]:
+    """Return where the point of a surface that now is at x, y is at a look."""
+    u, v = seen_from(frames[1], x, y)
+    return carried(frames[look], u, v)
 
 
 @kernel
 def step_bodies(
     numbers: BodyNumbers,
+    paths: Array,
     plastic: bool,
     keys: Ints,
     memory: Array,
@@ -101,6 +130,9 @@ def step_bodies(
     Parameters
     ----------
     numbers : BodyNumbers
+    paths : (k + 2, s, 3) array
+        Where the frames of surfaces are at the midpoints of the steps, of the one before and of
+        the one after; (1, s, 3) where none moves.
     plastic : bool
         Whether what is hit together does not rebound.
     keys : (c, 2), memory : (c, MEMORY), remembered : (1,)
@@ -116,7 +148,10 @@ def step_bodies(
         chunk
     )
     state = states[0].copy()
-    b_count, s_count = len(sizes), len(surfaces)
+    b_count, s_count = len(sizes), len(surfaces.kinds)
+    registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
+    registers[1][1] = 0.0
+    still, swung = np.zeros((3, 3)), np.zeros((3, 3))
     n = 3 * b_count
     most = len(keys)
     found, aside = np.empty((_POINTS, FOUND)), np.empty((_POINTS, FOUND))
@@ -128,9 +163,10 @@ def step_bodies(
     before, free, wanted = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2))
     pushes, steady = np.empty((most, 2)), np.empty((most, 2))
     hit, bounces = np.empty(most, np.bool_), np.empty(most, np.bool_)
+    carries = np.zeros(most)
+    pull = np.empty(b_count)
     parents, begins = np.empty(b_count, np.int64), np.empty(b_count + 1, np.int64)
     order, local = np.empty(most, np.int64), np.empty(b_count, np.int64)
-    square = gravity[0] * gravity[0] + gravity[1] * gravity[1]
     centres = np.empty((b_count, 2))
     world = np.empty_like(vertices)
     reach = np.empty(b_count)
@@ -155,7 +191,7 @@ def step_bodies(
         m, at_old = 0, 0
         approach[k] = closing[k] = passed[k] = 0.0
         for b in range(b_count):
-            gaps[k, b] = math.inf
+            gaps[k, b], pull[b] = math.inf, fall
             struck[k, b] = False
             codes[k, b] = FREE
             impulses[k, b, 0] = impulses[k, b, 1] = 0.0
@@ -165,6 +201,7 @@ def step_bodies(
                 material = pairs[b, c]
                 if material < 0:
                     continue
+                other, moves = c, False
                 if c < b_count:
                     within = reach[b] + reach[c]
                     away = math.hypot(centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1])
@@ -180,22 +217,42 @@ def step_bodies(
                         centres[c], radii[c], within, found,
                     )  # fmt: skip
                 else:
-                    within = reach[b]
-                    px, py, nx, ny = surfaces[c - b_count]
-                    away = nx * (centres[b, 0] - px) + ny * (centres[b, 1] - py)
+                    s = c - b_count
+                    other, within = surfaces.carriers[s], reach[b]
+                    if other == b:
+                        continue
+                    moves = other >= 0 or surfaces.moves[s]
+                    frames = swung if moves else still
+                    if moves:
+                        _frames(paths, s, other, k, places, old, h, frames)
+                        u, v = _moved(frames, centres[b, 0], centres[b, 1], 2)
+                        within += 2.0 * math.hypot(u - centres[b, 0], v - centres[b, 1])
+                    away = distance(surfaces, s, frames[1], centres[b, 0], centres[b, 1])
                     if away > sizes[b] + within:
                         continue
+                    passed[k] = max(
+                        passed[k],
+                        crossed(
+                            surfaces, s,
+                            seen_from(
+                                frames[0], centres[b, 0] - h * old[b, 0],
+                                centres[b, 1] - h * old[b, 1],
+                            ),
+                            seen_from(frames[1], centres[b, 0], centres[b, 1]), cores[b],
+                        ),
+                    )  # fmt: skip
                     count, features = against_surface(
-                        mine, centres[b], radii[b], surfaces[c - b_count], within, found
-                    )
+                        surfaces, s, frames[1], registers, mine, centres[b], radii[b], within,
+                        found,
+                    )  # fmt: skip
                 pair = b * (b_count + s_count) + c
                 while at_old < remembered[0] and keys[at_old, 0] < pair:
                     at_old += 1
                 for p in range(count):
                     nx, ny, x, y, gap = found[p]
                     gaps[k, b] = min(gaps[k, b], gap)
-                    if c < b_count:
-                        gaps[k, c] = min(gaps[k, c], gap)
+                    if other >= 0:
+                        gaps[k, other] = min(gaps[k, other], gap)
                     level, lasting = 0.0, False
                     pushes[m, 0] = pushes[m, 1] = 0.0
                     place_old = at_old
@@ -205,17 +262,30 @@ def step_bodies(
                             lasting = memory[place_old, 1] > 0.0
                             pushes[m, 0], pushes[m, 1] = memory[place_old, 2], memory[place_old, 3]
                         place_old += 1
-                    bodies[m, 0], bodies[m, 1] = b, c if c < b_count else -1
+                    bodies[m, 0], bodies[m, 1] = b, other
                     for d in range(2):
                         ux, uy = (nx, ny) if d == 0 else (ny, -nx)
                         rx, ry = x - centres[b, 0], y - centres[b, 1]
                         rows[m, d, 0], rows[m, d, 1], rows[m, d, 2] = ux, uy, rx * uy - ry * ux
-                        if c < b_count:
-                            rx, ry = x - centres[c, 0], y - centres[c, 1]
+                        if other >= 0:
+                            rx, ry = x - centres[other, 0], y - centres[other, 1]
                             rows[m, d, 3], rows[m, d, 4] = -ux, -uy
                             rows[m, d, 5] = -(rx * uy - ry * ux)
                         before[m, d] = velocity(bodies, rows, old, m, d)
                         free[m, d] = velocity(bodies, rows, loose, m, d)
+                    carries[m] = 0.0
+                    if moves and other < 0:
+                        # What the surface moves by from look to look, as the bodies do.
+                        u, v = _moved(frames, x, y, 0)
+                        before[m, 0] -= (nx * (x - u) + ny * (y - v)) / h
+                        before[m, 1] -= (ny * (x - u) - nx * (y - v)) / h
+                        u, v = _moved(frames, x, y, 2)
+                        carries[m] = (ny * (u - x) - nx * (v - y)) / h
+                        free[m, 0] -= (nx * (u - x) + ny * (v - y)) / h
+                        free[m, 1] -= carries[m]
+                        pull[b] = max(pull[b], math.hypot(
+                            free[m, 0] - before[m, 0], free[m, 1] - before[m, 1]
+                        ))  # fmt: skip
                     nearing = -before[m, 0]
                     slow = SLOW * max(abs(free[m, 0] - before[m, 0]), fall)
                     # Struck in the step whose middle is nearest to the instant of touching.
@@ -299,7 +369,7 @@ def step_bodies(
                     b = bodies[members[a], side]
                     # Once for each body.
                     if b >= 0 and local[b] >= 0:
-                        bound += 0.125 * h * h * square / inverse[b, 0]
+                        bound += 0.125 * pull[b] * pull[b] / inverse[b, 0]
                         local[b] = -1
             missed, done, softened = island_impulses(
                 contacts, start, unforced, asked, rebounds, chosen, allowed, bound
@@ -358,7 +428,7 @@ def step_bodies(
                     if not hit[i]:
                         closing[k] = max(closing[k], new_memory[i, 1])
                     edge = cones[i, 1] * pushes[i, 0] - cones[i, 0] * abs(pushes[i, 1])
-                    slip = abs(velocity(bodies, rows, rates, i, 1))
+                    slip = abs(velocity(bodies, rows, rates, i, 1) - carries[i])
                     sticks = cones[i, 1] > 0.0 and (
                         edge > _EDGE * pushes[i, 0] or slip <= allowed * fall
                     )

@@ -1,4 +1,4 @@
-"""Where convex bodies touch: discs, polygons and straight surfaces in the plane, compiled once.
+"""Where convex bodies touch: discs and polygons in the plane, compiled once.
 
 Two polygons are told apart by the edge normal along which they are farthest from each other (the
 separating axis theorem); the edge that faces it is cut to the width of the first, and its ends
@@ -25,7 +25,8 @@ _SAME = 1e-3
 
 
 @part
-def _write(found: Array, nx: float, ny: float, x: float, y: float, gap: float) -> None:
+def write(found: Array, nx: float, ny: float, x: float, y: float, gap: float) -> None:
+    """Write a point of contact; see `FOUND`."""
     found[0], found[1], found[2], found[3], found[4] = nx, ny, x, y, gap
 
 
@@ -38,45 +39,6 @@ def place(vertices: Array, x: float, y: float, angle: float) -> Array:
         placed[i, 0] = x + c * vertices[i, 0] - s * vertices[i, 1]
         placed[i, 1] = y + s * vertices[i, 0] + c * vertices[i, 1]
     return placed
-
-
-@part
-def against_surface(
-    body: Array, centre: Array, radius: float, surface: Array, within: float, found: Array
-) -> tuple[int, Ints]:
-    """Find the points of a body near a straight surface; return their number and features.
-
-    Parameters
-    ----------
-    body : (k, 2)
-        Vertices in the world; none of a disc.
-    centre : (2,)
-    radius : float
-        Of a disc.
-    surface : (4,)
-        A point, and the unit normal out of the solid.
-    within : float
-        Gaps up to this are found.
-    found : (m, FOUND)
-        To be filled.
-    """
-    features = np.empty(len(found), np.int64)
-    px, py, nx, ny = surface
-    count = 0
-    if len(body) == 0:
-        gap = nx * (centre[0] - px) + ny * (centre[1] - py) - radius
-        if gap <= within:
-            _write(found[0], nx, ny, centre[0] - radius * nx, centre[1] - radius * ny, gap)
-            features[0] = 0
-            count = 1
-        return count, features
-    for i in range(len(body)):
-        gap = nx * (body[i, 0] - px) + ny * (body[i, 1] - py)
-        if gap <= within and count < len(found):
-            _write(found[count], nx, ny, body[i, 0], body[i, 1], gap)
-            features[count] = i
-            count += 1
-    return count, features
 
 
 @part
@@ -141,7 +103,7 @@ def _clipped(
             count = 0
         if gap <= within:
             sign = -1.0 if flip else 1.0
-            _write(found[count], -sign * nx, -sign * ny, x, y, gap)
+            write(found[count], -sign * nx, -sign * ny, x, y, gap)
             features[count] = 4 * (64 * edge + facing) + 2 * end + (1 if flip else 0)
             count += 1
     return count, features
@@ -160,7 +122,7 @@ def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int,
     if best > within or best == 0.0:
         return 0, features
     nx, ny = (one[a, 0] - other[b, 0]) / best, (one[a, 1] - other[b, 1]) / best
-    _write(found[0], nx, ny, other[b, 0], other[b, 1], best)
+    write(found[0], nx, ny, other[b, 0], other[b, 1], best)
     features[0] = -1 - (64 * a + b)
     return 1, features
 
@@ -186,13 +148,14 @@ def _disc_and_polygon(
     x, y = polygon[edge, 0] + part * ex, polygon[edge, 1] + part * ey
     nx, ny = ey / length, -ex / length
     gap = best - radius
-    if best > 0.0 and (s < 0.0 or s > length):
+    # What has no thickness may have the centre on its line.
+    if best >= 0.0 and (s < 0.0 or s > length):
         away = math.hypot(centre[0] - x, centre[1] - y)
         nx, ny, gap = (centre[0] - x) / away, (centre[1] - y) / away, away - radius
     if gap > within:
         return 0, features
     sign = -1.0 if flip else 1.0
-    _write(found[0], sign * nx, sign * ny, x, y, gap)
+    write(found[0], sign * nx, sign * ny, x, y, gap)
     return 1, features
 
 
@@ -230,7 +193,7 @@ def between(
             return 0, features
         nx, ny = dx / away, dy / away
         x, y = other_centre[0] + other_radius * nx, other_centre[1] + other_radius * ny
-        _write(found[0], nx, ny, x, y, gap)
+        write(found[0], nx, ny, x, y, gap)
         return 1, features
     if len(one) == 0:
         return _disc_and_polygon(one_centre, one_radius, other, False, within, found)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from contacts.collisions.body_step import BodyNumbers
+from contacts.collisions.declared_surfaces import surface_numbers, touched
 from contacts.dynamics.contact_law import edge
 from contacts.scene.fields import copies
 from contacts.scene.scene import Scene
@@ -82,14 +83,7 @@ def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]
             if isinstance(declared, tuple)
             else [0.0, -number(declared)]
         ),
-        np.array(
-            [
-                _straight(scene, name, number)
-                for name in scene.surfaces
-                if any(name in collision.surfaces for collision in scene.collisions.values())
-            ],
-            dtype=float,
-        ).reshape(-1, 4),
+        surface_numbers(scene, known),
         pairs,
         materials,
     )
@@ -102,29 +96,12 @@ def _core(corners: Sequence[Sequence[float]]) -> float:
     return max(0.0, min(cross), min(-turn for turn in cross))
 
 
-def _straight(
-    scene: Scene, name: str, number: Callable[[str | int | float], float]
-) -> tuple[float, float, float, float]:
-    """Return a point of a straight surface, and its unit normal out of the solid."""
-    surface = scene.surfaces[name]
-    if surface.height is not None:
-        return 0.0, number(surface.height), 0.0, 1.0
-    if surface.line is not None:
-        (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in surface.line)
-        length = math.hypot(x1 - x0, y1 - y0)
-        return x0, y0, (y0 - y1) / length, (x1 - x0) / length
-    angle = number(surface.incline or 0)
-    x, y = surface.through
-    return number(x), number(y), -math.sin(angle), math.cos(angle)
-
-
 def _materials(
     scene: Scene, owners: Sequence[str], number: Callable[[str | int | float], float]
 ) -> tuple[Ints, Array]:
     """Return which law bodies touch each other and surfaces by (b, b + s), and the laws (m, 3)."""
     names = list(scene.bodies)
-    used = {name for collision in scene.collisions.values() for name in collision.surfaces}
-    surfaces = [name for name in scene.surfaces if name in used]
+    surfaces = touched(scene)
     pairs = np.full((len(names), len(names) + len(surfaces)), -1, dtype=np.int64)
     laws = []
     for law, collision in enumerate(scene.collisions.values()):

@@ -132,9 +132,9 @@ class Geometry:
         is carried by; that is what slips and what contact forces work on.
         """
         if surface.body is None:
-            dx, dy = (self._formula(text) for text in surface.displacement)
-            return point[0] - dx, point[1] - dy
-        (x0, y0), angle = self.body_frame(surface.body)
+            x0, y0, angle = surface_frame(surface, self.known)
+        else:
+            (x0, y0), angle = self.body_frame(surface.body)
         c, s = sp.cos(angle), sp.sin(angle)
         dx, dy = point[0] - x0, point[1] - y0
         return c * dx + s * dy, c * dy - s * dx
@@ -155,9 +155,10 @@ class Geometry:
         if surface.circle is not None and surface.radius is not None:
             cx, cy = (self._formula(text) for text in surface.circle)
             away = sp.sqrt((x - cx) ** 2 + (y - cy) ** 2)
+            side = -1 if surface.hollow else 1
             return (
-                away - self._formula(surface.radius),
-                ((x - cx) / away, (y - cy) / away),
+                side * (away - self._formula(surface.radius)),
+                (side * (x - cx) / away, side * (y - cy) / away),
                 sp.S.One,
             )
         line = surface.line or surface.edge
@@ -170,3 +171,13 @@ class Geometry:
             x0, y0 = (self._formula(text) for text in surface.through)
             normal = (-sp.sin(angle), sp.cos(angle))
         return normal[0] * (x - x0) + normal[1] * (y - y0), normal, sp.S.One
+
+
+def surface_frame(surface: Surface, known: Mapping[str, sp.Expr]) -> tuple[sp.Expr, ...]:
+    """Return where a surface's path has brought its frame: x, y, angle."""
+    dx, dy, turn = (parse(t).to_sympy(known) for t in (*surface.displacement, surface.turn))
+    if turn == 0:
+        return dx, dy, turn
+    px, py = (parse(text).to_sympy(known) for text in surface.pivot)
+    c, s = sp.cos(turn), sp.sin(turn)
+    return dx + px - c * px + s * py, dy + py - s * px - c * py, turn

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import sympy as sp
 
-from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector
+from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import COEFFICIENTS, friction_cones, scene_parameters
 from contacts.scene.modes import ContactSymbols
@@ -181,10 +181,17 @@ class Mechanics(Geometry):
     def surface_rate(self, name: str) -> Vector:
         """Return the normal and tangential velocity of a contact's surface that moves in time."""
         surface = self.scene.surfaces[self.scene.contacts[name].surface]
-        moved = [sp.diff(self._formula(text), self.time) for text in surface.displacement]
-        if moved == [0, 0]:
+        frame = surface_frame(surface, self.known)
+        rates = [sp.diff(expression, self.time) for expression in frame]
+        if rates == [0, 0, 0]:
             return sp.S.Zero, sp.S.Zero
         (n_x, n_y), (t_x, t_y) = self.contact(name).normal, self.contact(name).tangent
+        # In its frame, as the normal and the point are.
+        (x, y), (c, s) = self.contact(name).point, (sp.cos(frame[2]), sp.sin(frame[2]))
+        moved = (
+            c * rates[0] + s * rates[1] - rates[2] * y,
+            c * rates[1] - s * rates[0] + rates[2] * x,
+        )
         return n_x * moved[0] + n_y * moved[1], t_x * moved[0] + t_y * moved[1]
 
     @cached_property

@@ -57,8 +57,9 @@ def grounds(
         if surface.edge is not None:
             points = np.array([[number(x), number(y)] for x, y in surface.edge])
         elif surface.circle is not None:
-            turn = -np.linspace(0.0, 2.0 * np.pi, _ROUND + 1)
-            radius = number(surface.radius or 0) - lift
+            side = -1.0 if surface.hollow else 1.0
+            turn = -side * np.linspace(0.0, 2.0 * np.pi, _ROUND + 1)
+            radius = number(surface.radius or 0) - side * lift
             centre = [number(text) for text in surface.circle]
             points = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
             lift = 0.0

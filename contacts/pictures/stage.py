@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.geometry import Vector
+from contacts.dynamics.geometry import Vector, surface_frame
 from contacts.dynamics.mechanics import Mechanics
 from contacts.pictures.bodies import BodyShapes, compiled, disc_of
 from contacts.pictures.grounds import grounds
@@ -42,7 +42,7 @@ class SceneStage:
         assert isinstance(scene, Scene)
         self._automaton, self._scene = automaton, scene
         self._mechanics = Mechanics(scene)
-        moved = [n for n, s in scene.surfaces.items() if s.displacement != (0, 0)]
+        moved = [n for n, s in scene.surfaces.items() if s.moves]
         self._bodies = {name: 1 + k for k, name in enumerate(scene.bodies)}
         self._moved = {name: 1 + len(self._bodies) + k for k, name in enumerate(moved)}
 
@@ -111,9 +111,7 @@ class SceneStage:
             (x, y), angle = mechanics.body_frame(name)
             expressions += [x, y, angle]
         for name in self._moved:
-            displaced = self._scene.surfaces[name].displacement
-            expressions += [parse(text).to_sympy(mechanics.known) for text in displaced]
-            expressions.append(sp.S.Zero)
+            expressions += surface_frame(self._scene.surfaces[name], mechanics.known)
         return compiled(self._automaton, expressions)
 
     @cached_property
@@ -130,8 +128,9 @@ class SceneStage:
         surface = self._scene.surfaces[self._scene.contacts[name].surface]
         x, y = self._mechanics.contact(name).normal
         if surface.body is None:
-            return x, y
-        angle = self._mechanics.body_frame(surface.body)[1]
+            angle = surface_frame(surface, self._mechanics.known)[2]
+        else:
+            angle = self._mechanics.body_frame(surface.body)[1]
         c, s = sp.cos(angle), sp.sin(angle)
         return c * x - s * y, s * x + c * y
 
@@ -148,6 +147,8 @@ class SceneStage:
         result = poses.copy()
         for name, frame in self._moved.items():
             surface = self._scene.surfaces[name]
+            if surface.turn != 0:
+                continue
             if surface.line is not None:
                 one, two = (self._pair(end, moments.parameters) for end in surface.line)
                 direction = (two - one) / np.hypot(*(two - one))

@@ -240,6 +240,7 @@ def _differentiated(
             yield ("surfaces", name, "height"), surface.height, ("x",)
         for place, text in enumerate(surface.displacement):
             yield ("surfaces", name, "displacement", place), text, (TIME,)
+        yield ("surfaces", name, "turn"), surface.turn, (TIME,)
     for name, joint in scene.joints.items():
         if isinstance(joint.to, Path):
             for place, axis in enumerate(("x", "y")):

@@ -91,14 +91,6 @@ def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
             if one not in scene.surfaces:
                 advice = close_matches(one, scene.surfaces)
                 raise DeclarationProblem(f"no surface {one!r}", advice=advice, loc=loc)
-            surface = scene.surfaces[one]
-            curved = surface.circle is not None or (
-                surface.height is not None and "x" in parse(surface.height).names
-            )
-            if curved or surface.body is not None or surface.displacement != (0, 0):
-                raise DeclarationProblem(
-                    f"shapes collide with straight surfaces at rest; {one!r} is not", loc=loc
-                )
 
 
 def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:

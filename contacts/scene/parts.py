@@ -134,10 +134,10 @@ class Body(Part):
 
 
 class Surface(Part):
-    """What points may touch: a height function, an incline, a straight line, an edge, a circle.
+    """What bodies may touch: a height function, an incline, a straight line, an edge, a circle.
 
     The normal is to the left of the line's direction, the solid to its right: a ground goes from
-    left to right. A surface may be carried by a body, or displaced in time.
+    left to right. A surface may be carried by a body, or displaced and turned in time.
     """
 
     height: FiniteText | None = Field(default=None, description="y as a formula of x.")
@@ -151,10 +151,28 @@ class Surface(Part):
     )
     circle: Pair | None = Field(default=None, description="Centre; the solid is inside.")
     radius: FiniteText | None = Field(default=None, description="Of the circle.")
+    hollow: bool = Field(
+        default=False, description="Whether the circle's solid is outside, as that of a drum."
+    )
     body: str | None = Field(default=None, description="What carries it, in that body's frame.")
     displacement: Pair = Field(
         default=(0, 0), description="How far it has moved as a whole: formulas of time."
     )
+    turn: FiniteText = Field(
+        default=0,
+        description="By which angle it has turned, counter-clockwise, about a circle's centre, "
+        "the point of an incline, else the origin: a formula of time.",
+    )
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a path in time."""
+        return self.displacement != (0, 0) or self.turn != 0
+
+    @property
+    def pivot(self) -> Pair:
+        """What it turns about."""
+        return self.through if self.circle is None else self.circle
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -170,10 +188,13 @@ class Surface(Part):
             )
         if (self.circle is None) != (self.radius is None):
             raise DeclarationProblem("a circle has a centre and a radius", loc=("radius",))
-        if self.body is not None and self.displacement != (0, 0):
-            raise DeclarationProblem(
-                "a surface carried by a body moves with it", loc=("displacement",), key=True
-            )
+        if self.hollow and self.circle is None:
+            raise DeclarationProblem("only a circle is hollow", loc=("hollow",), key=True)
+        for key in ("displacement", "turn"):
+            if self.body is not None and getattr(self, key) not in ((0, 0), 0):
+                raise DeclarationProblem(
+                    "a surface carried by a body moves with it", loc=(key,), key=True
+                )
         return self
 
 

@@ -199,7 +199,8 @@ class Scene(SceneFields):
             for form in ("line", "edge"):
                 for place, corner in enumerate(getattr(surface, form) or ()):
                     self._formulas(corner, parameters, *at, form, place)
-            self._formulas(surface.displacement, parameters | {TIME}, *at, "displacement")
+            for key in ("displacement", "turn"):
+                self._formulas(getattr(surface, key), parameters | {TIME}, *at, key)
         for name, contact in self.contacts.items():
             self._check_contact(name, contact)
         for name, joint in self.joints.items():

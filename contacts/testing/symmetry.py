@@ -247,7 +247,9 @@ class _Change:
             circle=None if surface.circle is None else self._pair(surface.circle),
             radius=None if radius is None else _times(radius, abs(self.x)),
             body=surface.body,
+            hollow=surface.hollow,
             displacement=(self._displaced(dx, self.x), self._displaced(dy, self.y)),
+            turn=self._displaced(surface.turn, self.angle),
         )
 
     def _line(self, line: tuple[Pair, Pair] | None) -> tuple[Pair, Pair] | None:

@@ -79,7 +79,6 @@ bodies:
     shape: {polygon: [[-1, -1], [1, -1], [1, 1], [-1, 1]]}
 surfaces:
   ground: {height: 0}
-  hill: {height: sin(x)}
 collisions:
   all: {bodies: [block], surfaces: [ground], friction: 1, restitution: 0}
 stop: {time: 1}
@@ -92,7 +91,6 @@ settings: {engine: impulse, step: 1e-2}
     [
         ("[[-1, -1], [1, -1], [1, 1], [-1, 1]]", "[[-1, -1], [-1, 1], [1, 1]]", "convex"),
         ("copies: 2", "copies: 1.5", "whole number"),
-        ("surfaces: [ground]", "surfaces: [hill]", "straight surfaces"),
         ("bodies: [block], surf", "bodies: [brick], surf", "no body 'brick'"),
         ("    inertia: 1\n", "", "free and has an inertia"),
         ("restitution: 0", "restitution: 2", "between 0 and 1"),

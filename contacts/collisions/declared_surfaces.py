@@ -1,0 +1,174 @@
+"""Surfaces that bodies collide with, as numbers: what they are, and where they move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
+import sympy as sp
+
+from contacts.collisions.surfaces import GRAPH, HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
+from contacts.dynamics.geometry import surface_frame
+from contacts.scene.parts import Surface
+from contacts.scene.scene import Scene
+from statechart.arrays import Array
+from statechart.documents.declaration import TIME
+from statechart.documents.fields import FormulaText
+from statechart.formulas.formula import parse
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
+
+Number = Callable[[FormulaText], float]
+
+
+def touched(scene: Scene) -> list[str]:
+    """Return the names of the surfaces that bodies with shapes touch."""
+    used = {name for collision in scene.collisions.values() for name in collision.surfaces}
+    return [name for name in scene.surfaces if name in used]
+
+
+def surface_numbers(scene: Scene, known: Mapping[str, float]) -> SurfaceNumbers:
+    """Evaluate the surfaces of a scene whose bodies are declared one by one.
+
+    Parameters
+    ----------
+    scene : Scene
+    known : mapping of str to float
+        Parameters.
+    """
+
+    def number(text: FormulaText) -> float:
+        return parse(text).value(known)
+
+    surfaces = [scene.surfaces[name] for name in touched(scene)]
+    found = [_form(surface, number) for surface in surfaces]
+    bodies = list(scene.bodies)
+    heights = tuple(
+        str(surface.height)
+        for (kind, _), surface in zip(found, surfaces, strict=True)
+        if kind == GRAPH
+    )
+    program = _program(heights, tuple(known))
+    graphs = np.cumsum([kind == GRAPH for kind, _ in found], dtype=np.int64) - 1
+    return SurfaceNumbers(
+        np.array([kind for kind, _ in found], dtype=np.int64),
+        np.array([numbers for _, numbers in found], dtype=float).reshape(-1, 4),
+        _beside(surfaces, found),
+        np.array([-1 if s.body is None else bodies.index(s.body) for s in surfaces], np.int64),
+        np.array([s.moves for s in surfaces], np.bool_),
+        3 * graphs,
+        program.code,
+        program.constants,
+        program.outputs,
+        np.array([*known.values()], dtype=float),
+    )
+
+
+def _form(surface: Surface, number: Number) -> tuple[int, tuple[float, float, float, float]]:
+    """Return the kind of a surface, and its numbers."""
+    if surface.height is not None:
+        if "x" in parse(surface.height).names:
+            return GRAPH, (0.0, 0.0, 0.0, 0.0)
+        return LINE, (0.0, number(surface.height), 0.0, 1.0)
+    if surface.circle is not None and surface.radius is not None:
+        x, y = (number(text) for text in surface.circle)
+        return HOLLOW if surface.hollow else ROUND, (x, y, number(surface.radius), 0.0)
+    ends = surface.line or surface.edge
+    if ends is not None:
+        (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in ends)
+        if surface.edge is not None:
+            return PLATE, (x0, y0, x1, y1)
+        length = math.hypot(x1 - x0, y1 - y0)
+        return LINE, (x0, y0, (y0 - y1) / length, (x1 - x0) / length)
+    angle = number(surface.incline or 0)
+    x, y = (number(text) for text in surface.through)
+    return LINE, (x, y, -math.sin(angle), math.cos(angle))
+
+
+def _beside(
+    surfaces: Sequence[Surface], found: Sequence[tuple[int, tuple[float, float, float, float]]]
+) -> Array:
+    """Return the normals (s, 2, 2) of plates that go on at the ends of plates."""
+    result = np.zeros((len(surfaces), 2, 2))
+
+    def frame(surface: Surface) -> tuple[object, ...]:
+        return surface.body, surface.displacement, surface.turn
+
+    for s, (kind, (x0, y0, x1, y1)) in enumerate(found):
+        for other, (same, (u0, v0, u1, v1)) in enumerate(found):
+            alike = frame(surfaces[s]) == frame(surfaces[other])
+            if kind != PLATE or same != PLATE or s == other or not alike:
+                continue
+            normal = np.array([v0 - v1, u1 - u0]) / math.hypot(u1 - u0, v1 - v0)
+            if (u1, v1) == (x0, y0):
+                result[s, 0] = normal
+            if (u0, v0) == (x1, y1):
+                result[s, 1] = normal
+    return result
+
+
+@lru_cache(maxsize=16)
+def _program(heights: tuple[str, ...], names: tuple[str, ...]) -> Tape:
+    """Compile heights, their slopes and curvatures over x and parameters."""
+    x, parameters = sp.Symbol("x", real=True), _symbols(names)
+    found: list[sp.Expr] = []
+    for text in heights:
+        height = parse(text).to_sympy({**dict(zip(names, parameters, strict=True)), "x": x})
+        found += [height, sp.diff(height, x), sp.diff(height, x, 2)]
+    return compile_tape(
+        found, variables=(x,), parameters=parameters, time=sp.Symbol("t", real=True)
+    )
+
+
+def _symbols(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
+    return tuple(sp.Symbol(f"p{i}", real=True) for i in range(len(names)))
+
+
+class SurfacePaths:
+    """Where the surfaces of a scene are in time.
+
+    Parameters
+    ----------
+    scene : Scene
+        As declared.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        surfaces = [scene.surfaces[name] for name in touched(scene)]
+        self._count = len(surfaces)
+        self._places = [s for s, surface in enumerate(surfaces) if surface.moves]
+        names = tuple(scene.parameters)
+        parameters, time = _symbols(names), sp.Symbol("t", real=True)
+        known = {TIME: time, **dict(zip(names, parameters, strict=True))}
+        frames = [surface_frame(surfaces[place], known) for place in self._places]
+        self._names = names
+        self._tape = compile_tape(
+            [expression for frame in frames for expression in frame],
+            variables=(),
+            parameters=parameters,
+            time=time,
+        )
+
+    def at(self, known: Mapping[str, float], times: Array) -> Array:
+        """Return the frames (m, s, 3) of all surfaces at instants (m,)."""
+        result = np.zeros((len(times), self._count, 3))
+        if self._places:
+            values = np.array([known[name] for name in self._names], dtype=float)
+            found = self._tape.table(np.empty((len(times), 0)), values, times)
+            result[:, self._places] = found.reshape(len(times), -1, 3)
+        return result
+
+    def looks(self, known: Mapping[str, float], start: float, h: float, count: int) -> Array:
+        """Return the frames at the midpoints of steps, of the one before and the one after.
+
+        Before a run begins its surfaces move as they do then.
+        """
+        times: Array = start + h * (np.arange(count + 2, dtype=float) - 0.5)
+        if start > 0.0 or not self._places:
+            return self.at(known, times)
+        times[0] = 0.0
+        result = self.at(known, times)
+        result[0] = 2.0 * result[0] - result[1]
+        return result

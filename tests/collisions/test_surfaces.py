@@ -1,0 +1,347 @@
+"""Bodies with shapes on surfaces of every kind, beside closed forms and points on the same."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from contacts.testing.symmetry import mirrored, rescaled
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError, StepTooLarge
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+G = 9.81
+OUTLINES = {
+    "disc": "mass: 2, inertia: r**2, shape: {disc: r}",
+    "box": "mass: 2, inertia: 2*(a**2 + b**2)/3, "
+    "shape: {polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]}",
+}
+
+
+def scene(starts, surfaces, *, mu=0, e=0, step=1e-3, time=1.0, more="", gravity="g"):
+    """Return a scene of a disc or a box, or both, as text; `starts`: body -> its start."""
+    bodies = "\n".join(f"  {n}: {{{OUTLINES[n]}, start: {{{s}}}}}" for n, s in starts.items())
+    grounds = "\n".join(f"  {name}: {{{text}}}" for name, text in surfaces.items())
+    return f"""
+kind: scene
+name: shapes
+parameters: {{g: 9.81, r: 0.05, a: 0.2, b: 0.1}}
+gravity: {gravity}
+bodies:
+{bodies}
+{more}
+surfaces:
+{grounds}
+collisions:
+  all: {{bodies: [{", ".join(starts)}], surfaces: [{", ".join(surfaces)}],
+    friction: {mu}, restitution: {e}}}
+stop: {{time: {time}}}
+settings: {{engine: impulse, step: {step}}}
+"""
+
+
+def run(text):
+    trace = Runner(interpret(read_text(text))).run().trace
+    assert trace.outcome is Outcome.HORIZON, trace.message
+    return trace
+
+
+def at(x, y):
+    return f"x: {x!r}, y: {y!r}"
+
+
+def rolled(path, start, time, inertia=0.5):
+    """Return where the centre of a disc is that rolls from rest.
+
+    Parameters
+    ----------
+    path : callable
+        Parameter of the curve of the centre -> place, first and second derivative.
+    inertia : float
+        Over mass and radius squared: the kinetic energy is ``(1 + inertia) m speed^2 / 2``.
+    """
+
+    def rates(_, state):
+        s, ds = state
+        _, first, second = path(s)
+        pull = -G * first[1] / (1.0 + inertia) - (first @ second) * ds * ds
+        return ds, pull / (first @ first)
+
+    found = solve_ivp(rates, (0.0, time), (start, 0.0), rtol=1e-11, atol=1e-12)
+    return path(found.y[0, -1])[0]
+
+
+def beside(height: Callable, r: float):
+    """Return the curve at the distance r above y = height(x), which gives three derivatives."""
+
+    def path(x):
+        y, f1, f2, f3 = height(x)
+        u = math.hypot(1.0, f1)
+        place = np.array([x - r * f1 / u, y + r / u])
+        stretch = 1.0 - r * f2 / u**3
+        change = -r * (f3 / u**3 - 3.0 * f1 * f2**2 / u**5)
+        first = stretch * np.array([1.0, f1])
+        return place, first, change * np.array([1.0, f1]) + stretch * np.array([0.0, f2])
+
+    return path
+
+
+def wave(x):
+    c, s = math.cos(2 * x), math.sin(2 * x)
+    return 0.3 * c, -0.6 * s, -1.2 * c, 2.4 * s
+
+
+def around(reach):
+    def path(angle):
+        c, s = math.cos(angle), math.sin(angle)
+        return reach * np.array([s, -c]), reach * np.array([c, s]), reach * np.array([-s, c])
+
+    return path
+
+
+CURVES = {
+    "height": ({"hill": "height: 0.3*cos(2*x)"}, beside(wave, 0.05), 0.4, 0.8),
+    "hollow": ({"drum": "circle: [0, 0], radius: 0.5, hollow: true"}, around(0.45), 1.0, 1.0),
+    "round": ({"hill": "circle: [0, 0], radius: 0.5"}, around(0.55), math.pi - 0.3, 0.5),
+}
+
+
+@pytest.mark.parametrize("curve", CURVES)
+def test_a_disc_rolls_along_a_curve(curve):
+    surfaces, path, start, time = CURVES[curve]
+    expected = rolled(path, start, time)
+    errors = []
+    for step in (2e-3, 1e-3):
+        starts = {"disc": at(*path(start)[0].tolist())}
+        trace = run(scene(starts, surfaces, mu=10, step=step, time=time))
+        errors.append(math.hypot(*(trace.final[:2] - expected)))
+        # In a step it leaves the tangent by (h v)^2/(2 R), and is brought back in the next one.
+        assert trace.margins["disc.gap"] > -5 * step**2
+    assert errors[0] < 3e-3
+    assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.mark.parametrize(
+    "ground", ["circle: [0, -0.5], radius: 0.5", "height: sqrt(0.25 - x**2) - 0.5"]
+)
+def test_a_box_rocks_on_a_crest(ground):
+    # k^2 + b^2 over g (R - b), for small angles.
+    rate = math.sqrt(G * (0.5 - 0.1) / ((0.2**2 + 0.1**2) / 3 + 0.1**2))
+    angle = 0.02
+    # Rolled to the angle: the point of contact has moved by R times it.
+    x = 0.6 * math.sin(angle) - 0.5 * angle * math.cos(angle)
+    y = 0.6 * math.cos(angle) + 0.5 * angle * math.sin(angle) - 0.5
+    start = f"{at(x, y)}, angle: {-angle}"
+    time = 2 * math.pi / rate
+    trace = run(scene({"box": start}, {"crest": ground}, mu=5, step=5e-4, time=time))
+    assert trace.final[2] == pytest.approx(-angle, rel=0.02)
+    half = run(scene({"box": start}, {"crest": ground}, mu=5, step=5e-4, time=time / 2))
+    assert half.final[2] == pytest.approx(angle, rel=0.02)
+
+
+def test_a_box_stays_on_a_plate_that_is_shaken_below_gravity():
+    path = "displacement: [0, 0.01*(1 - cos(25*time))]"
+    for ground in ("height: 0", "edge: [[-1, 0], [1, 0]]", "height: 0*x**2"):
+        trace = run(scene({"box": at(0.1, 0.1)}, {"plate": f"{ground}, {path}"}, time=0.8))
+        assert trace.final_mode == ("slide",)
+        assert not any(jump.cause == "liftoff" for jump in trace.jumps)
+        # It begins at rest, and is held at what the plate rises by in half a step.
+        rise = 0.01 * (1 - math.cos(25 * 5e-4))
+        assert trace.margins["box.gap"] == pytest.approx(-rise, rel=1e-6)
+        expected = 0.1 + 0.01 * (1 - math.cos(20))
+        assert trace.final[1] == pytest.approx(expected, abs=0.01 * 25**2 * 1e-6)
+
+
+def test_a_disc_on_a_plate_that_falls_away_is_thrown():
+    # 0.01 * 50^2 = 25 > g: it leaves where the plate falls faster than it does.
+    surfaces = {"plate": "height: 0, displacement: [0, 0.01*(1 - cos(50*time))]"}
+    leaves = math.acos(-G / 25.0) / 50.0
+    trace = run(scene({"disc": at(0.0, 0.05)}, surfaces, step=1e-4, time=leaves + 0.02))
+    y = 0.05 + 0.01 * (1 + G / 25.0) + 0.5 * math.sin(50 * leaves) * 0.02 - G * 0.02**2 / 2
+    assert trace.final[1] == pytest.approx(y, abs=2e-4)
+
+
+def test_a_box_slips_on_a_shaken_plate_as_its_corners_do():
+    path = "displacement: [0.02*(1 - cos(20*time)), 0]"
+    shapes = scene({"box": at(0.0, 0.1)}, {"plate": f"height: 0, {path}"}, mu=0.4, time=0.6)
+    touching = "\n".join(
+        f"  {name}: {{point: {{body: box, at: [{x}, -b]}}, surface: plate, friction: 0.4,"
+        " restitution: 0}"
+        for name, x in (("one", "-a"), ("two", "a"))
+    )
+    i = shapes.index("collisions:")
+    points = shapes[:i] + f"contacts:\n{touching}\n" + shapes[shapes.index("stop:") :]
+    points = points.replace(OUTLINES["box"].split(", shape")[1], "").replace(", shape,", ",")
+    points = points.replace("engine: impulse, step: 0.001", "engine: scipy, tolerance: 1e-10")
+    expected = run(points).final
+    found = run(shapes).final
+    assert found[:3] == pytest.approx(expected[:3], abs=2e-4)
+    assert abs(expected[0] - 0.02 * (1 - math.cos(12))) > 1e-3
+
+
+def test_a_disc_on_a_belt_ends_rolling():
+    # It slips for v/(3 mu g), and then rolls at a third of the belt's speed.
+    surfaces = {"belt": "height: 0, displacement: [0.6*time, 0]"}
+    trace = run(scene({"disc": at(0.0, 0.05)}, surfaces, mu=0.3, time=0.5))
+    slips = 0.6 / (3 * 0.3 * G)
+    assert trace.final[3] == pytest.approx(0.2, abs=1e-9)
+    assert trace.final[5] == pytest.approx(0.4 / 0.05, abs=1e-7)
+    assert trace.final[0] == pytest.approx(0.1 * slips + 0.2 * (0.5 - slips), abs=2e-4)
+    assert trace.final_mode == ("pin",)
+
+
+def test_a_disc_at_rest_beside_a_turning_drum_rolls_in_it():
+    surfaces = {"drum": "circle: [1, 2], radius: 0.5, hollow: true, turn: 2*time"}
+    # Without gravity and slip it goes round as a planet does; started on that way.
+    speed, spin = 0.3, (2 * 0.5 - 0.3) / 0.05
+    start = f"x: 1, y: 2 - 0.45, dx: {speed}, dangle: {spin}"
+    trace = run(scene({"disc": start}, surfaces, mu=1, time=2.0, gravity=0))
+    angle = speed * 2.0 / 0.45
+    place = [1 + 0.45 * math.sin(angle), 2 - 0.45 * math.cos(angle)]
+    assert trace.final[:2] == pytest.approx(place, abs=1e-5)
+    assert trace.final[5] == pytest.approx(spin, rel=1e-5)
+
+
+def test_a_box_on_a_cart_comes_to_its_speed():
+    cart = "  cart: {mass: 6, inertia: 1, start: {y: -1}}"
+    surfaces = {"deck": "edge: [[-3, 1], [3, 1]], body: cart", "rail": "height: -1.1"}
+    text = scene({"box": f"{at(0.0, 0.1)}, dx: 2"}, surfaces, mu=0.3, more=cart, time=1.0)
+    # A cart without wheels has a shape that touches the rail, without friction.
+    text = text.replace(
+        "{mass: 6, inertia: 1, start: {y: -1}}",
+        "{mass: 6, inertia: 1e6, start: {y: -1}, "
+        "shape: {polygon: [[-3, -0.1], [3, -0.1], [3, 0.1], [-3, 0.1]]}}",
+    )
+    text = text.replace("  all: {bodies: [box], surfaces: [deck, rail],\n    friction: 0.3",
+        "  rolls: {bodies: [cart], surfaces: [rail], friction: 0, restitution: 0}\n"
+        "  all: {bodies: [box], surfaces: [deck],\n    friction: 0.3")  # fmt: skip
+    trace = run(text)
+    n = len(trace.final) // 2
+    box, cart = trace.final[:3], trace.final[3:6]
+    assert trace.final[n] == pytest.approx(0.5, abs=1e-3)
+    assert trace.final[n + 3] == pytest.approx(0.5, abs=1e-3)
+    # It slips by v^2 / (2 mu g (1 + m/M)).
+    assert box[0] - cart[0] == pytest.approx(4 / (2 * 0.3 * G * (1 + 2 / 6)), abs=5e-3)
+
+
+PIECES = {f"p{k}": f"edge: [[{k / 8}, 0], [{(k + 1) / 8}, 0]]" for k in range(12)}
+
+
+@pytest.mark.parametrize("body", ["box", "disc"])
+def test_nothing_catches_where_flush_plates_meet(body):
+    y = {"box": 0.1, "disc": 0.05}[body]
+    trace = run(scene({body: f"{at(0.3, y)}, dx: 0.9"}, PIECES, time=0.8))
+    assert trace.final == pytest.approx([0.3 + 0.72, y, 0.0, 0.9, 0.0, 0.0], abs=1e-12)
+
+
+def test_a_disc_rolls_over_a_ridge_of_two_plates():
+    # Down a slope onto flat ground: no energy is lost over a ridge of so small an angle.
+    tilt = 0.05
+    plates = {
+        "up": "edge: [[-1, 0], [0, 0]]",
+        "down": f"edge: [[0, 0], [{math.cos(tilt)!r}, {-math.sin(tilt)!r}]]",
+    }
+    trace = run(scene({"disc": f"{at(-0.3, 0.05)}, dx: 1"}, plates, time=0.7))
+    # A disc that is not pressed flies over it; it lands, and stays with the slope.
+    along = np.array([math.cos(tilt), -math.sin(tilt)])
+    assert (trace.final[:2] - [0, 0.05]) @ [along[1] * -1, along[0]] < 0.003
+    assert trace.final[3:5] @ along == pytest.approx(
+        math.sqrt(1 + 2 * G * (0.05 - trace.final[1])), rel=5e-3
+    )
+
+
+def test_a_disc_on_the_end_of_a_shelf_falls_off():
+    shelf = {"shelf": "edge: [[-1, 0], [0, 0]]"}
+    stays = run(scene({"disc": at(-0.001, 0.05)}, shelf, mu=1, time=0.3))
+    assert stays.final[:3] == pytest.approx([-0.001, 0.05, 0.0], abs=1e-12)
+    falls = run(scene({"disc": at(0.001, math.sqrt(0.05**2 - 1e-6))}, shelf, mu=1, time=0.8))
+    assert falls.final[0] > 0.02
+    assert falls.final[1] < -0.1
+
+
+def test_what_would_cross_a_plate_in_a_step_ends_the_run():
+    text = scene({"disc": f"{at(0.0, 1.115)}, dy: -150"}, {"plate": "edge: [[-1, 0], [1, 0]]"})
+    with pytest.raises(StepTooLarge, match="passes through another"):
+        Runner(interpret(read_text(text))).run()
+
+
+EVERY = {
+    "drum": "circle: [0.1, 0], radius: 1, hollow: true, turn: 0.5*sin(3*time)",
+    "hill": "height: 0.05*cos(3*x) - 0.8, displacement: [0.02*sin(4*time), 0]",
+    "post": "circle: [0.4, -0.5], radius: 0.1",
+    "shelf": "edge: [[-0.5, -0.4], [-0.1, -0.5]], turn: 0.1*sin(2*time)",
+}
+
+
+@pytest.mark.parametrize("change", [mirrored, rescaled])
+def test_transformed_scenes_move_alike(change):
+    starts = {"disc": f"{at(-0.3, 0.2)}, dx: 0.3", "box": f"{at(0.2, 0.3)}, angle: 0.3"}
+    declared = interpret(read_text(scene(starts, EVERY, mu=0.4, e=0.3, time=0.8)))
+    changed, reading = change(declared)
+    one, other = (Runner(model).run().trace for model in (declared, changed))
+    assert one.outcome is Outcome.HORIZON, one.message
+    assert {jump.cause for jump in one.jumps} >= {"touchdown", "impact"}
+    assert other.final * reading.factors == pytest.approx(one.final, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("starts", "words"),
+    [
+        ({"disc": at(0.0, 2.0)}, "every body starts outside of 'drum', whose solid is around it"),
+        ({"disc": at(0.0, 0.0), "box": at(0.0, 2.0)}, "body 'box' starts outside of 'drum'"),
+        ({"disc": "x: 0"}, "has a radius of 0.04"),
+    ],
+)
+def test_a_drum_wants_bodies_in_it(starts, words):
+    radius = 0.04 if "radius of" in words else 1
+    text = scene(starts, {"drum": f"circle: [0, 0], radius: {radius}, hollow: true"})
+    with pytest.raises(DeclarationError, match=words):
+        Runner(interpret(read_text(text))).run()
+
+
+@pytest.mark.parametrize(
+    ("surface", "words"),
+    [
+        ("height: 0, hollow: true", "only a circle is hollow"),
+        ("edge: [[0, 0], [1, 0]], body: disc, turn: time", "moves with it"),
+        ("height: 0, turn: abs(time)", "a velocity that jumps"),
+        ("height: 0, turn: disc.angle", "unknown name 'disc.angle'"),
+    ],
+)
+def test_surfaces_that_make_no_sense_are_refused(surface, words):
+    with pytest.raises(DeclarationError, match=words):
+        interpret(read_text(scene({"disc": "y: 1"}, {"ground": surface})))
+
+
+def test_points_meet_a_turning_drum_as_shapes_do():
+    text = """
+kind: scene
+name: bead
+gravity: g
+parameters: {g: 9.81, R: 0.5, w: 2}
+bodies: {bead: {mass: 1, start: {y: -R, dx: w*R}}}
+surfaces: {drum: {circle: [0, 0], radius: R, hollow: true, turn: w*time}}
+contacts: {rim: {point: {body: bead}, surface: drum, friction: 10, restitution: 0}}
+stop: {time: 0.3}
+"""
+    # Rough enough, it is carried along.
+    for settings in ("engine: scipy, tolerance: 1e-10", "engine: impulse, step: 1e-4"):
+        trace = run(f"{text}settings: {{{settings}}}")
+        angle = 0.6
+        expected = [0.5 * math.sin(angle), -0.5 * math.cos(angle)]
+        assert trace.final_mode == ("pin",)
+        assert trace.final[:2] == pytest.approx(expected, abs=1e-5)
+    # Without friction it swings as a pendulum, and the drum's turning is nothing to it.
+    smooth = text.replace("friction: 10", "friction: 0, modes: [free, slide]")
+    found = run(smooth + "settings: {engine: scipy, tolerance: 1e-10}").final
+    swing = solve_ivp(
+        lambda _, s: (s[1], -G / 0.5 * math.sin(s[0])), (0, 0.3), (0, 2), rtol=1e-11, atol=1e-12
+    )
+    expected = [0.5 * math.sin(swing.y[0, -1]), -0.5 * math.cos(swing.y[0, -1])]
+    assert found[:2] == pytest.approx(expected, abs=1e-8)
