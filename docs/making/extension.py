@@ -1,0 +1,40 @@
+"""What Sphinx calls: pages are made before it reads any, links are checked when all are written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.util import logging
+
+from making import formats, gallery, tutorial, verbs
+from making.links import dead_links
+
+MADE = "made"
+"""Where in the folder of the pages what is made here goes."""
+
+_log = logging.getLogger(__name__)
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Be asked by Sphinx."""
+    app.connect("builder-inited", _make)
+    app.connect("build-finished", _check)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def _make(app: Sphinx) -> None:
+    folder = Path(app.srcdir) / MADE
+    formats.make(folder)
+    verbs.make(folder)
+    tutorial.make(Path(app.srcdir) / "tutorial.md", folder)
+    for name in gallery.make(folder):
+        _log.info("made the page of %s", name)
+
+
+def _check(app: Sphinx, error: Exception | None) -> None:
+    if error is None and app.builder.name == "html":
+        for page, target in dead_links(Path(app.outdir)):
+            _log.warning(
+                "a link leads nowhere: %s", target, location=Path(page).with_suffix("").as_posix()
+            )

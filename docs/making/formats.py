@@ -1,0 +1,106 @@
+"""The reference of the documents, out of the JSON Schemas that their models make."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from making.texts import in_cell, write
+from statechart.loading.schema import schema
+
+KINDS = ("scene", "chart")
+
+_FORMULA = {"string", "integer", "number"}
+
+Schema = Mapping[str, Any]
+
+
+def make(folder: Path) -> None:
+    """Write a page for each kind of document."""
+    for kind in KINDS:
+        whole = json.loads(schema(kind))
+        lines = [f"# Keys of a {kind}", "", f"{whole['description'].splitlines()[0]}", ""]
+        lines += [
+            "Made of the models that read the documents. [The format of documents](../format.md) "
+            "says what the keys mean together; `statechart schema` prints the same as JSON Schema.",
+            "",
+        ]
+        lines += _table(whole)
+        for name, part in sorted(whole["$defs"].items()):
+            lines += [f"({kind}-{name.lower()})=", f"## {name}", ""]
+            lines += [part.get("description", "").splitlines()[0], ""]
+            lines += _table(part)
+        write(folder / f"keys-of-a-{kind}.md", _linked(lines, kind))
+
+
+def _linked(lines: list[str], kind: str) -> Iterator[str]:
+    for line in lines:
+        yield line.replace("](#", f"](#{kind}-")
+
+
+def _table(part: Schema) -> Iterator[str]:
+    needed = part.get("required", ())
+    yield from ("| key | value | default | meaning |", "|---|---|---|---|")
+    for key, field in part.get("properties", {}).items():
+        default = "needed" if key in needed else _default(field)
+        yield f"| `{key}` | {in_cell(_value(field))} | {default} | {in_cell(_meaning(field))} |"
+    yield ""
+
+
+def _meaning(field: Schema) -> str:
+    said = [field.get("description", "")]
+    if field.get("examples"):
+        said.append("Such as " + ", ".join(f"`{_json(e)}`" for e in field["examples"]) + ".")
+    return " ".join(filter(None, said))
+
+
+def _default(field: Schema) -> str:
+    # What is empty by default is not written, nor what has a table of its own.
+    default = field.get("default")
+    told = default not in (None, [], "") and not isinstance(default, dict)
+    return f"`{in_cell(_json(default))}`" if told else ""
+
+
+def _json(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def _value(field: Schema) -> str:
+    """Return in words what a key may have."""
+    if "$ref" in field:
+        name = field["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower()})"
+    if "const" in field:
+        return f"`{_json(field['const'])}`"
+    if "enum" in field:
+        return " or ".join(f"`{_json(value)}`" for value in field["enum"])
+    for several in ("anyOf", "oneOf"):
+        if several in field:
+            return _one_of(field[several])
+    match field.get("type"):
+        case "array":
+            return _list(field)
+        case "object" if isinstance(field.get("additionalProperties"), Mapping):
+            return f"name: {_value(field['additionalProperties'])}"
+        case kind:
+            return {"string": "text", "number": "number", "integer": "whole number",
+                    "boolean": "true or false", "object": "name: value",
+                    None: "anything"}[kind]  # fmt: skip
+
+
+def _one_of(choices: list[Schema]) -> str:
+    plain = {choice.get("type") for choice in choices if set(choice) <= {"type"}}
+    found = []
+    if plain >= _FORMULA:
+        found, plain = ["formula"], plain - _FORMULA
+    found += [_value(c) for c in choices if c.get("type") in plain - {"null"} or len(c) > 1]
+    found += [_value(c) for c in choices if set(c) == {"$ref"}]
+    return " or ".join(dict.fromkeys(found))
+
+
+def _list(field: Schema) -> str:
+    if "prefixItems" in field:
+        return "[" + ", ".join(_value(item) for item in field["prefixItems"]) + "]"
+    return f"list of {_value(field.get('items', {}))}"

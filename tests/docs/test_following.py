@@ -1,0 +1,66 @@
+"""What a page says is done in a shell, and what it prints is compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from making.following import Block, blocks, follow, followed
+
+PAGE = """\
+Write this into `a.txt`:
+
+```text
+one
+```
+
+Then add to the end of `a.txt`:
+
+```text
+two
+```
+
+```console
+$ cat a.txt
+one
+...
+$ echo 0.123456; true
+0.123...
+$ false
+expected
+```
+"""
+
+
+def page(tmp_path: Path, text: str) -> Path:
+    made = tmp_path / "page.md"
+    made.write_text(text, encoding="utf-8")
+    return made
+
+
+def test_blocks_know_their_place_and_the_file_that_they_are(tmp_path: Path) -> None:
+    first, second, third = blocks(page(tmp_path, PAGE))
+    assert first == Block("text", "one\n", "Write this into `a.txt`:", 4)
+    assert (first.typed, second.typed, third.typed) == (("a.txt", False), ("a.txt", True), None)
+
+
+def test_a_page_is_followed_until_something_else_is_printed(tmp_path: Path) -> None:
+    with pytest.raises(AssertionError, match=r"page\.md:14: \$ false"):
+        follow(page(tmp_path, PAGE), tmp_path)
+    assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "one\ntwo\n"
+    follow(page(tmp_path, PAGE.replace("$ false\nexpected\n", "")), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("command", "printed"),
+    [("false", ""), ("echo one", "two"), ("echo one", "one\ntwo"), ("seq 3", "1\n...\n4")],
+)
+def test_what_differs_is_told(command: str, printed: str, tmp_path: Path) -> None:
+    text = f"```console\n$ {command}\n{printed}\n```\n"
+    with pytest.raises(AssertionError, match=command):
+        follow(page(tmp_path, text), tmp_path)
+
+
+def test_pages_without_commands_or_files_are_not_followed(tmp_path: Path) -> None:
+    assert not followed(page(tmp_path, "```text\na\n```\n"))
+    assert followed(page(tmp_path, PAGE))
