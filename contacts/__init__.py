@@ -8,8 +8,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from contacts.scene.joints import Force, Joint, Path
     from contacts.scene.modes import Free, Pin, Slide
-    from contacts.scene.parts import Body, Contact, Coordinate, Force, Joint, Path, Point, Surface
+    from contacts.scene.parts import Body, Contact, Coordinate, Point, Surface
     from contacts.scene.scene import Scene
     from contacts.scene.shapes import Collision, Shape
 
@@ -31,6 +32,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "scene.joints": ("Force", "Joint", "Path"),
     "scene.modes": ("Free", "Pin", "Slide"),
     "scene.scene": ("Scene",),
     "scene.shapes": ("Collision", "Shape"),

@@ -144,7 +144,14 @@ class DeclarationProblem(ValueError):
         Whether the key is wrong rather than its value.
     offset : int
         Where in the field's text, counted from 0.
+
+    Attributes
+    ----------
+    others : tuple of DeclarationProblem
+        What is wrong besides, found by `Findings`.
     """
+
+    others: tuple[DeclarationProblem, ...] = ()
 
     def __init__(
         self,
@@ -164,6 +171,38 @@ class DeclarationProblem(ValueError):
 
     def __str__(self) -> str:
         return "; ".join(filter(None, (self.message, self.advice)))
+
+
+class Findings:
+    """Gathers problems that have nothing to do with each other, to be raised as one.
+
+    ::
+
+        found = Findings()
+        for name in names:
+            with found:         # goes on behind it with the next one, whatever is wrong
+                check(name)
+        found.check()
+    """
+
+    def __init__(self) -> None:
+        self._found: list[DeclarationProblem] = []
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> bool:
+        if not isinstance(error, DeclarationProblem):
+            return False
+        self._found += [error, *error.others]
+        return True
+
+    def check(self) -> None:
+        """Raise the first of the problems, with the others; nothing where there are none."""
+        if self._found:
+            first, *others = self._found
+            first.others = tuple(others)
+            raise first
 
 
 class SimulationError(StatechartError):

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import sympy as sp
 
+from contacts.scene.joints import Path
 from contacts.scene.modes import ContactSymbols
-from contacts.scene.parts import Pair, Path, Point, Surface
+from contacts.scene.parts import Pair, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse

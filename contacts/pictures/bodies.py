@@ -9,7 +9,8 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
-from contacts.scene.parts import Body, Force, Path, Point
+from contacts.scene.joints import Force, Path
+from contacts.scene.parts import Body, Point
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton

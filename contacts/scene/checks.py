@@ -7,11 +7,12 @@ import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from contacts.scene.fields import SceneFields
-from contacts.scene.parts import Path, Point
+from contacts.scene.joints import Path
+from contacts.scene.parts import Point
 from statechart.documents.declaration import TIME
 from statechart.documents.document import Loc
 from statechart.documents.fields import FormulaText, value_of
-from statechart.errors import DeclarationProblem
+from statechart.errors import DeclarationProblem, Findings
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import Formula, parse
 
@@ -31,16 +32,21 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
     DeclarationProblem
         At the first that is out of its bounds.
     """
+    found = Findings()
     for name, body in scene.bodies.items():
-        _bounded(values, body.mass, ("bodies", name, "mass"), "positive", positive=True)
-        if body.inertia is not None:
-            _bounded(values, body.inertia, ("bodies", name, "inertia"), "zero or positive")
+        with found:
+            _bounded(values, body.mass, ("bodies", name, "mass"), "positive", positive=True)
+        with found:
+            if body.inertia is not None:
+                _bounded(values, body.inertia, ("bodies", name, "inertia"), "zero or positive")
     for name, surface in scene.surfaces.items():
-        if surface.radius is not None:
-            at = ("surfaces", name, "radius")
-            _bounded(values, surface.radius, at, "positive", positive=True)
-        if surface.incline is not None:
-            _within_right_angle(values, surface.incline, ("surfaces", name, "incline"))
+        with found:
+            if surface.radius is not None:
+                at = ("surfaces", name, "radius")
+                _bounded(values, surface.radius, at, "positive", positive=True)
+        with found:
+            if surface.incline is not None:
+                _within_right_angle(values, surface.incline, ("surfaces", name, "incline"))
     for name, contact in scene.contacts.items():
         for key, words, most in (
             ("friction", "zero or positive", math.inf),
@@ -52,8 +58,10 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
             region = scene.controlled.region_of(text)
             for state, seen in scene.controlled.seen_in_states(text, values, Formula.value):
                 where = f" in state {state!r} of {region!r}" if state else ""
-                at = ("contacts", name, key)
-                _bounded(seen, text, at, words + where, most=most, infinite=key == "friction")
+                at, infinite = ("contacts", name, key), key == "friction"
+                with found:
+                    _bounded(seen, text, at, words + where, most=most, infinite=infinite)
+    found.check()
 
 
 def physical_limits(scene: SceneFields) -> list[tuple[FormulaText, float, float]] | None:

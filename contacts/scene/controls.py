@@ -19,7 +19,7 @@ from statechart.charts.transitions import (
     declared_transitions,
     nested,
 )
-from statechart.documents.fields import FiniteText, FormulaText, NameText, check_names
+from statechart.documents.fields import FiniteText, FormulaText, NameText, check_names, unit
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import Formula, parse
 
@@ -33,26 +33,45 @@ class ControlState(BaseState):
         default={},
         description="Control to its value as long as the state is active; inner states may set "
         "another.",
+        examples=[{"torque": "-k*leg.angle"}],
+        json_schema_extra=unit("that of the control"),
     )
     flows: dict[str, FiniteText] = Field(
         default={},
         description="Variable of the region to its time derivative; without one it is constant.",
+        examples=[{"error": "target - leg.angle"}],
+        json_schema_extra=unit("that of the variable, per time"),
     )
-    states: dict[NameText, ControlState] = Field(default={})
-    regions: dict[NameText, ControlRegion] = Field(default={})
+    states: dict[NameText, ControlState] = Field(
+        default={},
+        description="States in it, of which one is active with it.",
+        examples=[{"push": {"sets": {"torque": 1}}, "pull": {"sets": {"torque": -1}}}],
+    )
+    regions: dict[NameText, ControlRegion] = Field(
+        default={},
+        description="Regions in it, of each of which one state is active with it.",
+        examples=[{"grip": {"initial": "open", "states": {"open": {}, "shut": {}}}}],
+    )
 
 
 class ControlRegion(BaseRegion):
     """States of which exactly one is active, and the transitions between them."""
 
-    states: dict[NameText, ControlState] = Field(min_length=1)
+    states: dict[NameText, ControlState] = Field(
+        min_length=1,
+        description="Name to state.",
+        examples=[{"hold": {}, "thrust": {"sets": {"push": 20}}}],
+    )
 
 
 class Controller(ControlRegion):
     """A region of the scene beside its contacts: forces and coefficients jump with its state."""
 
     variables: dict[NameText, FiniteText] = Field(
-        default={}, description="What it remembers: variable to its initial value."
+        default={},
+        description="What it remembers: variable to its initial value.",
+        examples=[{"seen": 0}],
+        json_schema_extra=unit("that of each"),
     )
 
 

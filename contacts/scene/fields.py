@@ -9,20 +9,19 @@ from typing import Literal, Self
 from pydantic import Field
 
 from contacts.scene.controls import Controller, Controls
+from contacts.scene.joints import Force, Joint
 from contacts.scene.parts import (
     Body,
     Contact,
     Coordinate,
-    Force,
     Gravity,
-    Joint,
     Resolution,
     Simultaneous,
     Surface,
 )
 from contacts.scene.shapes import Collision
 from statechart.documents.declaration import TIME, Declaration
-from statechart.documents.fields import FormulaText, NameText, value_of
+from statechart.documents.fields import FormulaText, NameText, unit, value_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 
@@ -32,39 +31,99 @@ _MOST_COPIES = 1000
 class SceneFields(Declaration):
     """What a scene declares, before it is checked (see `contacts.scene.scene.Scene`)."""
 
-    kind: Literal["scene"] = "scene"
-    gravity: Gravity = Field(
-        default=0, description="Acceleration downwards, or its two components."
+    kind: Literal["scene"] = Field(
+        default="scene", description="What is declared.", examples=["scene"]
     )
-    coordinates: dict[NameText, Coordinate] = Field(default={})
-    bodies: dict[NameText, Body] = Field(min_length=1)
-    surfaces: dict[NameText, Surface] = Field(default={})
-    contacts: dict[NameText, Contact] = Field(default={})
-    joints: dict[NameText, Joint] = Field(default={})
-    forces: dict[NameText, Force] = Field(default={})
+    gravity: Gravity = Field(
+        default=0,
+        description="Acceleration downwards, or its two components.",
+        examples=[9.81, ["g*sin(slope)", "-g*cos(slope)"]],
+        json_schema_extra=unit("length/time**2"),
+    )
+    coordinates: dict[NameText, Coordinate] = Field(
+        default={},
+        description="Name to a coordinate that positions of bodies are formulas of.",
+        examples=[{"theta": {"start": 0.2}}],
+    )
+    bodies: dict[NameText, Body] = Field(
+        min_length=1,
+        description="Name to body.",
+        examples=[{"rod": {"mass": "m", "inertia": "m*L**2/3", "start": {"y": "h"}}}],
+    )
+    surfaces: dict[NameText, Surface] = Field(
+        default={},
+        description="Name to what points may touch.",
+        examples=[{"floor": {"height": 0}}],
+    )
+    contacts: dict[NameText, Contact] = Field(
+        default={},
+        description="Name to a point that may touch a surface: a region of the statechart.",
+        examples=[
+            {
+                "tip": {
+                    "point": {"body": "rod", "at": [0, "-L"]},
+                    "surface": "floor",
+                    "friction": "mu",
+                    "restitution": 0,
+                }
+            }
+        ],
+    )
+    joints: dict[NameText, Joint] = Field(
+        default={},
+        description="Name to a point that is held where it is told.",
+        examples=[{"pivot": {"point": {"body": "arm"}, "to": [0, 0]}}],
+    )
+    forces: dict[NameText, Force] = Field(
+        default={},
+        description="Name to a force or a moment on a body.",
+        examples=[{"spring": {"body": "rod", "force": ["-k*rod.x", 0]}}],
+    )
     collisions: dict[NameText, Collision] = Field(
-        default={}, description="Which bodies with shapes collide; on the engine impulse alone."
+        default={},
+        description="Which bodies with shapes collide; on the engine impulse alone.",
+        examples=[
+            {"all": {"bodies": ["die"], "surfaces": ["floor"], "friction": 0.3, "restitution": 0}}
+        ],
     )
     simultaneous: Simultaneous = Field(
         default="capped",
         description="What contacts do that are hit together: plastic, Moreau's law as far as the "
         "energy allows (capped), or one after another by their own laws (sequential).",
+        examples=["sequential"],
     )
     paradox: Resolution = Field(
         default="impact",
         description="What follows where no mode of a sliding contact agrees with the state "
         "(Painleve): an impact without collision, or the end of the run.",
+        examples=["stop"],
     )
     controls: dict[NameText, FormulaText] = Field(
         default={},
         description="What states of regions set, to be used in forces and in coefficients of "
         "contacts: name to its value where no state sets it.",
+        examples=[{"torque": 0}],
+        json_schema_extra=unit("that of each"),
     )
     regions: dict[NameText, Controller] = Field(
-        default={}, description="Controllers: regions beside the contacts."
+        default={},
+        description="Controllers: regions beside the contacts.",
+        examples=[
+            {
+                "leg": {
+                    "initial": "hold",
+                    "states": {"hold": {}, "thrust": {"sets": {"push": 20}}},
+                    "transitions": [
+                        {"name": "go", "from": "hold", "to": "thrust", "on": "foot.touchdown"}
+                    ],
+                }
+            }
+        ],
     )
     modes: dict[str, Literal["free", "closed", "slide", "slide+", "slide-", "pin", "off"]] = Field(
-        default={}, description="Initial modes, checked; found from the state where not given."
+        default={},
+        description="Contact to its mode at the start: checked, and found where not given.",
+        examples=[{"tip": "pin"}],
     )
 
     @property

@@ -62,7 +62,7 @@ class ContactSymbols:
 class Free(Part):
     """No force: V = 0, H = 0, as long as the gap is not closed."""
 
-    mode: Literal["free"] = "free"
+    mode: Literal["free"] = Field(default="free", description="Its name.", examples=["free"])
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
@@ -72,7 +72,7 @@ class Free(Part):
 class Slide(Part):
     """The gap stays closed and the force lies on the edge of the cone that opposes the slip."""
 
-    mode: Literal["slide"] = "slide"
+    mode: Literal["slide"] = Field(default="slide", description="Its name.", examples=["slide"])
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins for slip in `direction` (+1, -1; 0: frictionless).
@@ -91,7 +91,7 @@ class Slide(Part):
 class Pin(Part):
     """The contact point does not move, as long as the force that this takes is in the cone."""
 
-    mode: Literal["pin"] = "pin"
+    mode: Literal["pin"] = Field(default="pin", description="Its name.", examples=["pin"])
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""

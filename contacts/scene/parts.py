@@ -1,4 +1,4 @@
-"""What a scene is made of: coordinates, bodies, surfaces, contacts, joints, forces."""
+"""What a scene is made of: coordinates, bodies, surfaces, contacts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag
 
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
 from contacts.scene.shapes import INDEX, Shape
-from statechart.documents.fields import FiniteText, FormulaText, Part, RelationText
+from statechart.documents.fields import FiniteText, FormulaText, Part, RelationText, unit
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 
@@ -50,8 +50,18 @@ _DeclaredMode = Annotated[
 class Coordinate(Part):
     """A generalised coordinate that positions of bodies are formulas of."""
 
-    start: FiniteText = Field(default=0, description="Value at the start.")
-    rate: FiniteText = Field(default=0, description="Its rate at the start.")
+    start: FiniteText = Field(
+        default=0,
+        description="Value at the start.",
+        examples=["pi/6"],
+        json_schema_extra=unit("length, or rad"),
+    )
+    rate: FiniteText = Field(
+        default=0,
+        description="Its rate at the start.",
+        examples=[-0.5],
+        json_schema_extra=unit("length/time, or rad/time"),
+    )
 
 
 class Body(Part):
@@ -62,22 +72,44 @@ class Body(Part):
     the scene's coordinates.
     """
 
-    mass: FormulaText
-    inertia: FormulaText | None = Field(
-        default=None, description="About the centre of mass; a particle has none."
+    mass: FormulaText = Field(
+        description="Above 0.", examples=["m"], json_schema_extra=unit("mass")
     )
-    position: Pair | None = Field(default=None, description="Of the centre of mass.")
+    inertia: FormulaText | None = Field(
+        default=None,
+        description="About the centre of mass; a particle has none.",
+        examples=["m*L**2/12"],
+        json_schema_extra=unit("mass length**2"),
+    )
+    position: Pair | None = Field(
+        default=None,
+        description="Of the centre of mass: x and y as formulas of the scene's coordinates.",
+        examples=[["-l*sin(theta)", "l*cos(theta)"]],
+        json_schema_extra=unit("length"),
+    )
     angle: FiniteText | None = Field(
-        default=None, description="Counter-clockwise; only with position."
+        default=None,
+        description="Counter-clockwise, a formula of the scene's coordinates; only with position.",
+        examples=["theta"],
+        json_schema_extra=unit("rad"),
     )
     start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FiniteText] = Field(
-        default={}, description="Initial position and velocity of a free body; 0 where not given."
+        default={},
+        description="Initial position and velocity of a free body; 0 where not given.",
+        examples=[{"y": "h", "angle": 0.3, "dx": 1}],
+        json_schema_extra=unit("length, length/time; of angles rad, rad/time"),
     )
-    shape: Shape | None = Field(default=None, description="Outline, for collisions and pictures.")
+    shape: Shape | None = Field(
+        default=None,
+        description="Outline, for collisions and pictures.",
+        examples=[{"disc": "r"}],
+    )
     copies: FiniteText | None = Field(
         default=None,
         description="How many bodies like this there are: NAME0, NAME1, ...; their start may use "
         "index, which counts them from 0.",
+        examples=[100],
+        json_schema_extra=unit("1"),
     )
 
     def numbered(self, index: int) -> Body:
@@ -140,28 +172,68 @@ class Surface(Part):
     left to right. A surface may be carried by a body, or displaced and turned in time.
     """
 
-    height: FiniteText | None = Field(default=None, description="y as a formula of x.")
-    incline: FiniteText | None = Field(default=None, description="Angle of slope, rad.")
-    through: Pair = Field(default=(0, 0), description="A point of the incline.")
+    height: FiniteText | None = Field(
+        default=None,
+        description="y as a formula of x; the solid is below.",
+        examples=[0, "0.1*sin(x)"],
+        json_schema_extra=unit("length"),
+    )
+    incline: FiniteText | None = Field(
+        default=None,
+        description="Angle of slope, upwards to the right.",
+        examples=["10*pi/180"],
+        json_schema_extra=unit("rad"),
+    )
+    through: Pair = Field(
+        default=(0, 0),
+        description="A point of the incline.",
+        examples=[[0, 1]],
+        json_schema_extra=unit("length"),
+    )
     line: tuple[Pair, Pair] | None = Field(
-        default=None, description="Two points; the solid is on the right going from one to two."
+        default=None,
+        description="Two points; the solid is on the right going from one to two.",
+        examples=[[[0, 1], [0, 0]]],
+        json_schema_extra=unit("length"),
     )
     edge: tuple[Pair, Pair] | None = Field(
-        default=None, description="As a line, but it ends at the two points."
+        default=None,
+        description="As a line, but it ends at the two points.",
+        examples=[[[0, 0], [2, 0]]],
+        json_schema_extra=unit("length"),
     )
-    circle: Pair | None = Field(default=None, description="Centre; the solid is inside.")
-    radius: FiniteText | None = Field(default=None, description="Of the circle.")
+    circle: Pair | None = Field(
+        default=None,
+        description="Centre; the solid is inside.",
+        examples=[[0, 0]],
+        json_schema_extra=unit("length"),
+    )
+    radius: FiniteText | None = Field(
+        default=None,
+        description="Of the circle.",
+        examples=["r"],
+        json_schema_extra=unit("length"),
+    )
     hollow: bool = Field(
-        default=False, description="Whether the circle's solid is outside, as that of a drum."
+        default=False,
+        description="Whether the circle's solid is outside, as that of a drum.",
+        examples=[True],
     )
-    body: str | None = Field(default=None, description="What carries it, in that body's frame.")
+    body: str | None = Field(
+        default=None, description="What carries it, in that body's frame.", examples=["cart"]
+    )
     displacement: Pair = Field(
-        default=(0, 0), description="How far it has moved as a whole: formulas of time."
+        default=(0, 0),
+        description="How far it has moved as a whole: formulas of time.",
+        examples=[["v*time", 0]],
+        json_schema_extra=unit("length"),
     )
     turn: FiniteText = Field(
         default=0,
         description="By which angle it has turned, counter-clockwise, about a circle's centre, "
         "the point of an incline, else the origin: a formula of time.",
+        examples=["omega*time"],
+        json_schema_extra=unit("rad"),
     )
 
     @property
@@ -187,7 +259,11 @@ class Surface(Part):
                 "only an incline goes through a point", loc=("through",), key=True
             )
         if (self.circle is None) != (self.radius is None):
-            raise DeclarationProblem("a circle has a centre and a radius", loc=("radius",))
+            raise DeclarationProblem(
+                "a circle has a centre and a radius",
+                advice="write circle: [0, 0], radius: 1",
+                loc=("radius",),
+            )
         if self.hollow and self.circle is None:
             raise DeclarationProblem("only a circle is hollow", loc=("hollow",), key=True)
         for key in ("displacement", "turn"):
@@ -201,8 +277,13 @@ class Surface(Part):
 class Point(Part):
     """A point of a body, in the body's own frame (origin: centre of mass)."""
 
-    body: str
-    at: Pair = (0, 0)
+    body: str = Field(description="Whose point.", examples=["rod"])
+    at: Pair = Field(
+        default=(0, 0),
+        description="Where, in the body's frame.",
+        examples=[[0, "-L"]],
+        json_schema_extra=unit("length"),
+    )
 
 
 def _as_list(value: Any) -> Any:
@@ -213,24 +294,41 @@ def _as_list(value: Any) -> Any:
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
 
-    point: Point
-    surface: str
-    modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = (Free(), Slide(), Pin())
+    point: Point = Field(
+        description="The point that may touch.", examples=[{"body": "rod", "at": [0, "-L"]}]
+    )
+    surface: str = Field(description="What it may touch.", examples=["floor"])
+    modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = Field(
+        default=(Free(), Slide(), Pin()),
+        description="Those that it may take, of free, slide and pin.",
+        examples=[["slide", "pin"]],
+    )
     friction: FormulaText | None = Field(
-        default=None, description="Coulomb's coefficient, 0 to inf; needed with slide."
+        default=None,
+        description="Coulomb's coefficient, 0 to inf; needed with slide.",
+        examples=["mu"],
+        json_schema_extra=unit("1"),
     )
     restitution: FormulaText | None = Field(
-        default=None, description="0 (plastic) to 1 (elastic); needed with free."
+        default=None,
+        description="0 (plastic) to 1 (elastic); needed with free.",
+        examples=[0],
+        json_schema_extra=unit("1"),
     )
     impact: ImpactLaw = Field(
         default="stronge",
         description="What restitution means: of energy (stronge), velocity (newton) or impulse "
         "(poisson) on the path of the impact; of velocity, for the velocities after it (moreau).",
+        examples=["newton"],
     )
     enabled: Annotated[
         tuple[RelationText, ...],
         BeforeValidator(_as_list, json_schema_input_type=RelationText | list[RelationText]),
-    ] = Field(default=(), description="Conditions without which the contact is off.")
+    ] = Field(
+        default=(),
+        description="Conditions without which the contact is off: a relation, or several.",
+        examples=["rod.x >= 0"],
+    )
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -240,7 +338,9 @@ class Contact(Part):
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if len(self.kinds) != len(self.modes):
-            raise DeclarationProblem("a mode is listed twice", loc=("modes",))
+            raise DeclarationProblem(
+                "a mode is listed twice", advice="list each once", loc=("modes",)
+            )
         if "slide" in self.kinds and self.friction is None:
             raise DeclarationProblem(
                 "a contact that can slide needs a friction coefficient",
@@ -286,78 +386,3 @@ class Contact(Part):
 def _is_zero(text: str | int | float) -> bool:
     formula = parse(text)
     return not formula.names and formula.value({}) == 0.0
-
-
-class Force(Part):
-    """A force on a point of a body, or a moment on it."""
-
-    body: str
-    force: Pair = (0, 0)
-    at: Pair = (0, 0)
-    moment: FiniteText = 0
-
-
-class Path(Part):
-    """A place in the world, or one component of it, as formulas of time."""
-
-    x: FiniteText | None = None
-    y: FiniteText | None = None
-
-    @model_validator(mode="after")
-    def _something(self) -> Self:
-        if self.x is None and self.y is None:
-            raise DeclarationProblem(
-                "a path has an x, a y, or both", advice="write [0, 0] for a fixed pivot"
-            )
-        return self
-
-
-def _as_path(value: Any) -> Any:
-    """Let a path be declared as its two components."""
-    if isinstance(value, list | tuple):
-        if len(value) != 2:
-            raise DeclarationProblem(f"must be two components, not {len(value)}")
-        return {"x": value[0], "y": value[1]}
-    return value
-
-
-def _end(value: Any) -> str:
-    point = "body" in value if isinstance(value, dict) else isinstance(value, Point)
-    return "point" if point else "path"
-
-
-_End = Annotated[
-    Annotated[
-        Annotated[Point, Tag("point")] | Annotated[Path, Tag("path")],
-        Discriminator(_end),
-    ],
-    BeforeValidator(_as_path, json_schema_input_type=Point | Path | Pair),
-]
-
-
-class Joint(Part):
-    """A point of a body held to a point of another body, or to a path in the world.
-
-    It turns freely. A path without time is a fixed pivot; one with time drives the point. A path
-    with one component holds that one only.
-    """
-
-    point: Point
-    to: _End = Field(description="A point of another body, or a path: [x, y], {x: ...}, {y: ...}.")
-
-    @property
-    def components(self) -> tuple[Literal["X", "Y"], ...]:
-        """Names of the forces, one for each component that is held."""
-        if isinstance(self.to, Point) or (self.to.x is not None and self.to.y is not None):
-            return ("X", "Y")
-        return ("X",) if self.to.y is None else ("Y",)
-
-    @model_validator(mode="after")
-    def _two_bodies(self) -> Self:
-        if isinstance(self.to, Point) and self.to.body == self.point.body:
-            raise DeclarationProblem(
-                "a joint holds two bodies together",
-                advice="name another body, or write to: [x, y] for a place in the world",
-                loc=("to", "body"),
-            )
-        return self

@@ -11,15 +11,18 @@ from pydantic import model_validator
 from contacts.scene.checks import check_finite, check_kinks, check_physical
 from contacts.scene.collision_checks import check_collisions, check_copies
 from contacts.scene.fields import SceneFields, copies
+from contacts.scene.joints import Path
 from contacts.scene.other_laws import replaced
-from contacts.scene.parts import Contact, Path, Point, Simultaneous
+from contacts.scene.parts import Contact, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.scene.shapes import INDEX
 from contacts.states import declared_state, superstates_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText, check_names, value_of
-from statechart.errors import DeclarationProblem, close_matches
+from statechart.documents.outputs import check_member
+from statechart.documents.uses import check_uses
+from statechart.errors import DeclarationProblem, Findings
 from statechart.formulas.formula import parse, parse_relation
 
 
@@ -139,113 +142,134 @@ class Scene(SceneFields):
         return self
 
     @model_validator(mode="after")
-    def _references_exist(self) -> Self:
+    def _names_mean_something(self) -> Self:
+        found = Findings()
+        self._references_exist(found)
+        self._formulas_of_what_moves_use_declared_names(found)
+        self._formulas_of_what_touches_use_declared_names(found)
+        self._coordinates_move_bodies(found)
+        found.check()
+        return self
+
+    def _references_exist(self, found: Findings) -> None:
         for name, contact in self.contacts.items():
-            self._member("body", contact.point.body, self.bodies, "contacts", name, "point", "body")
-            self._member("surface", contact.surface, self.surfaces, "contacts", name, "surface")
+            self._member(
+                found, "body", contact.point.body, self.bodies, "contacts", name, "point", "body"
+            )
+            self._member(
+                found, "surface", contact.surface, self.surfaces, "contacts", name, "surface"
+            )
         for name, surface in self.surfaces.items():
             if surface.body is not None:
-                self._member("body", surface.body, self.bodies, "surfaces", name, "body")
+                self._member(found, "body", surface.body, self.bodies, "surfaces", name, "body")
         for name, joint in self.joints.items():
             at = ("joints", name)
-            self._member("body", joint.point.body, self.bodies, *at, "point", "body")
+            self._member(found, "body", joint.point.body, self.bodies, *at, "point", "body")
             if isinstance(joint.to, Point):
-                self._member("body", joint.to.body, self.bodies, *at, "to", "body")
+                self._member(found, "body", joint.to.body, self.bodies, *at, "to", "body")
         for name, force in self.forces.items():
-            self._member("body", force.body, self.bodies, "forces", name, "body")
+            self._member(found, "body", force.body, self.bodies, "forces", name, "body")
         for name, mode in self.modes.items():
-            self._member("contact", name, self.contacts, "modes", name)
+            self._member(found, "contact", name, self.contacts, "modes", name)
+            if name not in self.contacts or not self._on_a_surface(name):
+                continue
             present = states(self.contacts[name], gate=self.gate(name))
             known = dict.fromkeys(map(declared_state, present)) | _active(present)
-            if mode not in known:
-                raise DeclarationProblem(
-                    f"contact {name!r} does not list the mode {mode!r}",
-                    advice="its modes: " + ", ".join(known),
-                    loc=("modes", name),
-                )
-        return self
+            with found:
+                if mode not in known:
+                    raise DeclarationProblem(
+                        f"contact {name!r} does not list the mode {mode!r}",
+                        advice="its modes: " + ", ".join(known),
+                        loc=("modes", name),
+                    )
 
-    @model_validator(mode="after")
-    def _formulas_of_what_moves_use_declared_names(self) -> Self:
-        self.controlled.check(self.kinematic_names)
-        self.controlled.check_memory(self.kinematic_names)
+    def _formulas_of_what_moves_use_declared_names(self, found: Findings) -> None:
+        with found:
+            self.controlled.check(self.kinematic_names)
+        with found:
+            self.controlled.check_memory(self.kinematic_names)
         parameters = frozenset(self.parameters)
         positions, known = parameters | {*self.coordinates}, self.kinematic_names | {*self.controls}
-        self._formulas(self.gravity, parameters, "gravity")
+        self._formulas(found, self.gravity, parameters, "gravity")
         for name, coordinate in self.coordinates.items():
             for key in ("start", "rate"):
-                self._formulas(getattr(coordinate, key), parameters, "coordinates", name, key)
+                self._formulas(
+                    found, getattr(coordinate, key), parameters, "coordinates", name, key
+                )
         for name, body in self.bodies.items():
             for key in ("mass", "inertia"):
-                self._formulas(getattr(body, key), parameters, "bodies", name, key)
+                self._formulas(found, getattr(body, key), parameters, "bodies", name, key)
             for key in ("angle", "position"):
-                self._formulas(getattr(body, key), positions, "bodies", name, key)
+                self._formulas(found, getattr(body, key), positions, "bodies", name, key)
             counted = parameters if body.copies is None else parameters | {INDEX}
             for part, text in body.start.items():
-                self._formulas(text, counted, "bodies", name, "start", part)
+                self._formulas(found, text, counted, "bodies", name, "start", part)
         for name, force in self.forces.items():
             for key, names in (("force", known), ("at", parameters), ("moment", known)):
-                self._formulas(getattr(force, key), names, "forces", name, key)
-        return self
+                self._formulas(found, getattr(force, key), names, "forces", name, key)
 
-    @model_validator(mode="after")
-    def _formulas_of_what_touches_use_declared_names(self) -> Self:
+    def _formulas_of_what_touches_use_declared_names(self, found: Findings) -> None:
         parameters = frozenset(self.parameters)
         for name, surface in self.surfaces.items():
             at = ("surfaces", name)
-            self._formulas(surface.height, parameters | {"x"}, *at, "height")
+            self._formulas(found, surface.height, parameters | {"x"}, *at, "height")
             for key in ("incline", "through", "circle", "radius"):
-                self._formulas(getattr(surface, key), parameters, *at, key)
+                self._formulas(found, getattr(surface, key), parameters, *at, key)
             for form in ("line", "edge"):
                 for place, corner in enumerate(getattr(surface, form) or ()):
-                    self._formulas(corner, parameters, *at, form, place)
+                    self._formulas(found, corner, parameters, *at, form, place)
             for key in ("displacement", "turn"):
-                self._formulas(getattr(surface, key), parameters | {TIME}, *at, key)
+                self._formulas(found, getattr(surface, key), parameters | {TIME}, *at, key)
         for name, contact in self.contacts.items():
-            self._check_contact(name, contact)
+            self._check_contact(found, name, contact)
         for name, joint in self.joints.items():
             at = ("joints", name)
-            self._formulas(joint.point.at, parameters, *at, "point", "at")
+            self._formulas(found, joint.point.at, parameters, *at, "point", "at")
             if isinstance(joint.to, Path):
                 for place, key in enumerate(("x", "y")):
                     # Declared as a list or as a mapping: what it is not is skipped.
                     text = getattr(joint.to, key)
-                    self._formulas(text, parameters | {TIME}, *at, "to", place, key)
+                    self._formulas(found, text, parameters | {TIME}, *at, "to", place, key)
             else:
-                self._formulas(joint.to.at, parameters, *at, "to", "at")
-        return self
+                self._formulas(found, joint.to.at, parameters, *at, "to", "at")
 
-    def _check_contact(self, name: str, contact: Contact) -> None:
+    def _on_a_surface(self, contact: str) -> bool:
+        return self.contacts[contact].surface in self.surfaces
+
+    def _check_contact(self, found: Findings, name: str, contact: Contact) -> None:
         at, parameters = ("contacts", name), frozenset(self.parameters)
-        if self.gate(name) and "free" not in contact.kinds:
-            raise DeclarationProblem(
-                "a contact that can be off comes back as free",
-                advice="list free among the modes",
-                loc=(*at, "modes"),
-            )
-        self._formulas(contact.point.at, parameters, *at, "point", "at")
+        with found:
+            gated = self._on_a_surface(name) and self.gate(name)
+            if gated and "free" not in contact.kinds:
+                raise DeclarationProblem(
+                    "a contact that can be off comes back as free",
+                    advice="list free among the modes",
+                    loc=(*at, "modes"),
+                )
+        self._formulas(found, contact.point.at, parameters, *at, "point", "at")
         for key in ("friction", "restitution"):
             text = getattr(contact, key)
-            if text is not None:
-                self.controlled.check_coefficient(text, parameters, *at, key)
+            with found:
+                if text is not None:
+                    self.controlled.check_coefficient(text, parameters, *at, key)
         seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         for place, text in enumerate(contact.enabled):
-            check_names(parse_relation(text), seen | {*self.controls}, *at, "enabled", place)
+            with found:
+                check_names(parse_relation(text), seen | {*self.controls}, *at, "enabled", place)
 
-    @model_validator(mode="after")
-    def _coordinates_move_bodies(self) -> Self:
+    def _coordinates_move_bodies(self, found: Findings) -> None:
         texts = [text for body in self.bodies.values() for text in body.position or ()]
         texts += [body.angle for body in self.bodies.values() if body.angle is not None]
         used = frozenset[str]().union(*(parse(text).names for text in texts))
         for name in self.coordinates:
-            if name not in used:
-                raise DeclarationProblem(
-                    "it moves no body",
-                    advice="use it in the position or the angle of a body, or remove it",
-                    loc=("coordinates", name),
-                    key=True,
-                )
-        return self
+            with found:
+                if name not in used:
+                    raise DeclarationProblem(
+                        "it moves no body",
+                        advice="use it in the position or the angle of a body, or remove it",
+                        loc=("coordinates", name),
+                        key=True,
+                    )
 
     @model_validator(mode="after")
     def _numbers_are_physical(self) -> Self:
@@ -273,13 +297,18 @@ class Scene(SceneFields):
         if self.collisions:
             found |= {body: {*_active(BODY_STATES)} for body in self.single_bodies()}
             causes |= {body: {*BODY_CAUSES} for body in self.single_bodies()}
-        self.check_uses(names, found, causes)
+        wrong = Findings()
+        with wrong:
+            check_uses(self, names, found, causes)
         for name, region in self.regions.items():
             found_here = list(declared_transitions(region, "regions", name))
-            check_listening(name, found_here, causes, found)
+            with wrong:
+                check_listening(name, found_here, causes, found)
             for transition, at in found_here:
-                if transition.guard is not None:
-                    check_names(parse_relation(transition.guard), names, *at, "guard")
+                with wrong:
+                    if transition.guard is not None:
+                        check_names(parse_relation(transition.guard), names, *at, "guard")
+        wrong.check()
         return self
 
     @model_validator(mode="after")
@@ -288,15 +317,14 @@ class Scene(SceneFields):
         return self
 
     @staticmethod
-    def _member(what: str, name: str, known: object, *loc: str) -> None:
+    def _member(found: Findings, what: str, name: str, known: object, *loc: str) -> None:
         assert isinstance(known, dict)
-        if name not in known:
-            raise DeclarationProblem(
-                f"no {what} {name!r}", advice=close_matches(name, known), loc=loc
-            )
+        with found:
+            check_member(what, name, known, *loc)
 
     @staticmethod
     def _formulas(
+        found: Findings,
         written: FormulaText | tuple[FormulaText, ...] | None,
         known: frozenset[str],
         *loc: str | int,
@@ -305,7 +333,8 @@ class Scene(SceneFields):
         texts = written if isinstance(written, tuple) else () if written is None else (written,)
         for index, text in enumerate(texts):
             where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
-            check_names(parse(text), known, *where)
+            with found:
+                check_names(parse(text), known, *where)
 
 
 def _active(states: Iterable[str]) -> dict[str, None]:

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from statechart.documents.fields import FormulaText, Part
+from statechart.documents.fields import FormulaText, Part, unit
 from statechart.errors import DeclarationProblem
 
 INDEX = "index"
@@ -19,9 +19,14 @@ class Shape(Part):
     """The outline of a body, in its own frame: a convex polygon, or a disc about its centre."""
 
     polygon: Annotated[tuple[_Pair, ...], Field(min_length=3, max_length=16)] | None = Field(
-        default=None, description="Corners, counter-clockwise."
+        default=None,
+        description="Corners, counter-clockwise.",
+        examples=[[[-1, -1], [1, -1], [0, 1]]],
+        json_schema_extra=unit("length"),
     )
-    disc: FormulaText | None = Field(default=None, description="Radius.")
+    disc: FormulaText | None = Field(
+        default=None, description="Radius.", examples=["r"], json_schema_extra=unit("length")
+    )
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -36,7 +41,20 @@ class Shape(Part):
 class Collision(Part):
     """Bodies with shapes that collide with each other and with surfaces, all by one law."""
 
-    bodies: Annotated[tuple[str, ...], Field(min_length=1)]
-    surfaces: tuple[str, ...] = ()
-    friction: FormulaText
-    restitution: FormulaText = Field(description="Of velocities, in Moreau's law of impact.")
+    bodies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
+        description="Those that collide with each other; of copies the name of all.",
+        examples=[["die"]],
+    )
+    surfaces: tuple[str, ...] = Field(
+        default=(), description="Those that they collide with, too.", examples=[["floor", "wall"]]
+    )
+    friction: FormulaText = Field(
+        description="Coulomb's coefficient, 0 to inf.",
+        examples=[0.3],
+        json_schema_extra=unit("1"),
+    )
+    restitution: FormulaText = Field(
+        description="Of velocities, in Moreau's law of impact: 0 (plastic) to 1 (elastic).",
+        examples=[0.2],
+        json_schema_extra=unit("1"),
+    )

@@ -11,7 +11,6 @@ from functools import partial
 
 import numpy as np
 import sympy as sp
-from pydantic import ValidationError
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
@@ -23,6 +22,7 @@ from contacts.testing.violations import cone_edges
 from statechart.arrays import Array
 from statechart.automaton.laws import moving_mode
 from statechart.automaton.trace import Arc, Jump, Trace
+from statechart.errors import DeclarationError
 from statechart.testing.agreement import Reading, assert_same, identical
 from statechart.testing.properties import Property, dense, each
 from statechart.testing.subject import Case, Subject
@@ -253,8 +253,8 @@ def _relation(
 
     try:
         transform(scene)
-    except ValidationError as error:
-        reason = error.errors(include_url=False)[0]["msg"]
+    except DeclarationError as error:
+        reason = error.message
         return Property(name, lambda case: None, f"the scene cannot be transformed: {reason}")
 
     def holds(case: Case) -> None:

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from contacts.scene.controls import Controller, ControlRegion, ControlState
-from contacts.scene.parts import Body, Contact, Force, Joint, Pair, Path, Point, Surface
+from contacts.scene.joints import Force, Joint, Path
+from contacts.scene.parts import Body, Contact, Pair, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import Shape
 from statechart.charts.transitions import Transition
@@ -37,7 +38,7 @@ def mirrored(scene: Scene) -> tuple[Scene, Reading]:
 
     Raises
     ------
-    ValidationError
+    DeclarationError
         If a formula is too long to be wrapped.
     """
     change = _Change(
@@ -69,7 +70,7 @@ def rescaled(scene: Scene) -> tuple[Scene, Reading]:
 
     Raises
     ------
-    ValidationError
+    DeclarationError
         If a formula is too long to be wrapped.
     """
     speed, acceleration = LENGTH / TIMES, LENGTH / TIMES**2

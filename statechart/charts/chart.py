@@ -26,8 +26,10 @@ from statechart.documents.fields import (
     NameText,
     RelationText,
     check_names,
+    unit,
     value_of,
 )
+from statechart.documents.uses import check_uses
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import parse, parse_relation
@@ -40,18 +42,34 @@ class State(BaseState):
         default={},
         description="Variable to its time derivative; without one it is constant. Inner states "
         "may give another.",
+        examples=[{"x": "v", "v": "-g"}],
+        json_schema_extra=unit("that of the variable, per time"),
     )
     invariants: dict[Label, RelationText] = Field(
-        default={}, description="Named relations that hold as long as the state is active."
+        default={},
+        description="Named relations that hold as long as the state is active.",
+        examples=[{"above ground": "x >= 0"}],
     )
-    states: dict[NameText, State] = Field(default={})
-    regions: dict[NameText, Region] = Field(default={})
+    states: dict[NameText, State] = Field(
+        default={},
+        description="States in it, of which one is active with it.",
+        examples=[{"up": {"flows": {"x": "v"}}, "down": {}}],
+    )
+    regions: dict[NameText, Region] = Field(
+        default={},
+        description="Regions in it, of each of which one state is active with it.",
+        examples=[{"lamp": {"initial": "dark", "states": {"dark": {}, "lit": {}}}}],
+    )
 
 
 class Region(BaseRegion):
     """States of which exactly one is active, and the transitions between them."""
 
-    states: dict[NameText, State] = Field(min_length=1)
+    states: dict[NameText, State] = Field(
+        min_length=1,
+        description="Name to state.",
+        examples=[{"flight": {"flows": {"x": "v", "v": "-g"}}, "rest": {}}],
+    )
 
 
 class Chart(Declaration):
@@ -62,11 +80,20 @@ class Chart(Declaration):
     initial values only parameters.
     """
 
-    kind: Literal["chart"] = "chart"
-    variables: dict[NameText, FiniteText] = Field(
-        min_length=1, description="Variable to its initial value."
+    kind: Literal["chart"] = Field(
+        default="chart", description="What is declared.", examples=["chart"]
     )
-    regions: dict[NameText, Region] = Field(min_length=1)
+    variables: dict[NameText, FiniteText] = Field(
+        min_length=1,
+        description="Variable to its initial value.",
+        examples=[{"x": "height", "v": 0}],
+        json_schema_extra=unit("that of each"),
+    )
+    regions: dict[NameText, Region] = Field(
+        min_length=1,
+        description="Name to region: all are active at once.",
+        examples=[{"ball": {"initial": "flight", "states": {"flight": {}, "rest": {}}}}],
+    )
 
     @cached_property
     def flat(self) -> Mapping[str, FlatRegion]:
@@ -121,7 +148,7 @@ class Chart(Declaration):
             found = list(declared_transitions(declared, "regions", name))
             check_listening(name, found, causes, states, alone=("zeno",))
         clocks = {clock for region in self.flat.values() for clock in region.clocks}
-        self.check_uses(names | clocks, states, causes)
+        check_uses(self, names | clocks, states, causes)
         return self
 
     @model_validator(mode="after")

@@ -14,6 +14,7 @@ from statechart.documents.fields import (
     Part,
     RelationText,
     check_names,
+    unit,
     value_of,
 )
 from statechart.documents.outputs import Event, check_event, parse_events
@@ -35,23 +36,43 @@ EventText = Annotated[str, AfterValidator(_checked)]
 class Transition(Part):
     """A way from one state of a region to another (or the same), and what fires it."""
 
-    name: NameText
-    source: str = Field(alias="from")
-    target: str | None = Field(
-        default=None, alias="to", description="Without it no state is left: updates alone."
+    name: NameText = Field(
+        description="What happens: the cause that events and outputs name.", examples=["thrust"]
     )
-    guard: RelationText | None = Field(default=None, description="Fires when this becomes true.")
+    source: str = Field(
+        alias="from", description="The state that it leaves.", examples=["compression"]
+    )
+    target: str | None = Field(
+        default=None,
+        alias="to",
+        description="The state that it enters. Without it no state is left: updates alone.",
+        examples=["extension"],
+    )
+    guard: RelationText | None = Field(
+        default=None, description="Fires when this becomes true.", examples=["leg.dlength >= 0"]
+    )
     on: EventText | None = Field(
-        default=None, description="Fires at an event of another region, such as foot.touchdown."
+        default=None,
+        description="Fires at an event of another region.",
+        examples=["foot.touchdown"],
     )
     after: FormulaText | None = Field(
-        default=None, description="Fires so long after its source was entered."
+        default=None,
+        description="Fires so long after its source was entered.",
+        examples=[0.2],
+        json_schema_extra=unit("time"),
     )
     every: FormulaText | None = Field(
-        default=None, description="Fires at every multiple of this after its source was entered."
+        default=None,
+        description="Fires at every multiple of this after its source was entered.",
+        examples=["T"],
+        json_schema_extra=unit("time"),
     )
     updates: dict[str, FiniteText] = Field(
-        default={}, description="Variable to its new value, of the values before."
+        default={},
+        description="Variable to its new value, of the values before.",
+        examples=[{"v": "-k*v"}],
+        json_schema_extra=unit("that of the variable"),
     )
 
     @property
@@ -94,30 +115,55 @@ class BaseState(Part):
     """
 
     initial: str | None = Field(
-        default=None, description="The state in it that is entered with it."
+        default=None, description="The state in it that is entered with it.", examples=["waiting"]
     )
-    states: Mapping[str, BaseState] = {}
-    regions: Mapping[str, BaseRegion] = {}
-    transitions: tuple[Transition, ...] = ()
+    states: Mapping[str, BaseState] = Field(
+        default={},
+        description="States in it, of which one is active with it.",
+        examples=[{"waiting": {}, "working": {}}],
+    )
+    regions: Mapping[str, BaseRegion] = Field(
+        default={},
+        description="Regions in it, of each of which one state is active with it.",
+        examples=[{"lamp": {"initial": "off", "states": {"off": {}, "on": {}}}}],
+    )
+    transitions: tuple[Transition, ...] = Field(
+        default=(),
+        description="Ways between the states in it.",
+        examples=[[{"name": "begin", "from": "waiting", "to": "working", "after": 1}]],
+    )
     history: Literal["shallow", "deep"] | None = Field(
         default=None,
         description="A target: what was last active of the state that this stands in; "
         "shallow: of its own states, deep: of those in them, too.",
+        examples=["shallow"],
     )
     entry: dict[str, FiniteText] = Field(
-        default={}, description="Variable to its value once the state is entered."
+        default={},
+        description="Variable to its value once the state is entered.",
+        examples=[{"count": "count + 1"}],
+        json_schema_extra=unit("that of the variable"),
     )
     exit: dict[str, FiniteText] = Field(
-        default={}, description="Variable to its value once the state is left."
+        default={},
+        description="Variable to its value once the state is left.",
+        examples=[{"count": 0}],
+        json_schema_extra=unit("that of the variable"),
     )
 
 
 class BaseRegion(Part):
     """States of which exactly one is active, and the transitions between them."""
 
-    initial: str
-    states: Mapping[str, BaseState]
-    transitions: tuple[Transition, ...] = ()
+    initial: str = Field(description="The state that it starts in.", examples=["flight"])
+    states: Mapping[str, BaseState] = Field(
+        description="Name to state.", examples=[{"flight": {}, "stance": {}}]
+    )
+    transitions: tuple[Transition, ...] = Field(
+        default=(),
+        description="Ways between its states.",
+        examples=[[{"name": "land", "from": "flight", "to": "stance", "on": "foot.touchdown"}]],
+    )
 
 
 Holder = BaseRegion | BaseState

@@ -24,6 +24,7 @@ def new(arguments: argparse.Namespace) -> int:
     from statechart.formulas.tree import RESERVED
     from statechart.loading.kind import kind
     from statechart.loading.load import interpret
+    from statechart.loading.schema import line
 
     name = arguments.name
     if not NAME.fullmatch(name) or name in RESERVED:
@@ -34,7 +35,7 @@ def new(arguments: argparse.Namespace) -> int:
     path = Path(f"{name}.yaml")
     if path.exists() or path.is_symlink():
         raise DeclarationError(f"{path} exists already", advice="choose another name")
-    text = kind("scene").starter.read_text(encoding="utf-8").replace("NAME", name)
+    text = line("scene") + kind("scene").starter.read_text(encoding="utf-8").replace("NAME", name)
     interpret(read_text(text, str(path)))
     write_atomic(path, text.encode())
     print(f"{path} written; run it with: statechart run {path}")

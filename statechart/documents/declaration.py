@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, StrictInt, model_validator
@@ -17,24 +17,23 @@ from statechart.documents.fields import (
     RelationText,
     check_names,
     problem,
+    unit,
     value_of,
 )
 from statechart.documents.outputs import (
-    Count,
-    Event,
-    Integral,
-    Maximum,
-    Minimum,
     Output,
-    Value,
-    check_event,
-    check_member,
 )
 from statechart.documents.setting import Setting
 from statechart.documents.validation import located
-from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
+from statechart.errors import (
+    DeclarationError,
+    DeclarationProblem,
+    Findings,
+    FormulaError,
+    close_matches,
+)
 from statechart.formulas.constants import Constants
-from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.formula import parse
 
 TIME = "time"
 """What formulas call the time since the start."""
@@ -43,42 +42,73 @@ TIME = "time"
 class Stop(Part):
     """When a run ends: at a time, or when a condition becomes true."""
 
-    time: FormulaText | None = None
-    conditions: dict[Label, RelationText] = Field(default={})
+    time: FormulaText | None = Field(
+        default=None,
+        description="When it ends at the latest: a formula of parameters.",
+        examples=[10, "2*pi/omega"],
+        json_schema_extra=unit("time"),
+    )
+    conditions: dict[Label, RelationText] = Field(
+        default={},
+        description="Words to a relation: the run ends as soon as one becomes true.",
+        examples=[{"fallen": "stick.angle <= -pi/2"}],
+    )
 
 
 class Settings(Part):
     """How a run is computed; everything has a sensible default."""
 
-    engine: Literal["auto", "taylor", "scipy", "impulse"] = "auto"
-    method: Literal["RK45", "DOP853", "Radau", "LSODA"] | None = None
+    engine: Literal["auto", "taylor", "scipy", "impulse"] = Field(
+        default="auto",
+        description="What integrates: taylor or scipy, which locate events; impulse, which takes "
+        "fixed steps; auto chooses.",
+        examples=["impulse"],
+    )
+    method: Literal["RK45", "DOP853", "Radau", "LSODA"] | None = Field(
+        default=None, description="Of the engine scipy; DOP853 by default.", examples=["Radau"]
+    )
     tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
-        default=None, description="Relative tolerance of every step."
+        default=None,
+        description="Relative tolerance of every step.",
+        examples=[1e-9],
+        json_schema_extra=unit("1"),
     )
     accuracy: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
         default=None,
         description="Relative error allowed in the result: tolerances are tightened, or steps of "
         "the engine impulse shortened, until the estimated error is below it.",
+        examples=[1e-6],
+        json_schema_extra=unit("1"),
     )
     step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
         default=None,
         description="Length of every step in time, of the engine impulse; of the longest where an "
         "accuracy is asked for.",
+        examples=[0.001],
+        json_schema_extra=unit("time"),
     )
     max_step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
         default=None,
         description="Length of the longest step in time, of an engine that chooses its own.",
+        examples=[0.01],
+        json_schema_extra=unit("time"),
     )
     impulse_tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
         default=None,
         description="By how much the impulses of a step of the engine impulse may miss the contact "
         "laws, in parts of the step's fastest approach: 1e-6. What misses by more is told.",
+        examples=[1e-8],
+        json_schema_extra=unit("1"),
     )
     impulse_bound: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
         default=None,
         description="What misses by more than this ends the run; nothing does by itself.",
+        examples=[0.01],
+        json_schema_extra=unit("1"),
     )
-    max_jumps: Annotated[StrictInt, Field(gt=0)] = 100_000
+    max_jumps: Annotated[StrictInt, Field(gt=0)] = Field(
+        default=100_000, description="A run ends after so many jumps.", examples=[1000]
+    )
 
     @model_validator(mode="after")
     def _compatible(self) -> Self:
@@ -98,22 +128,47 @@ class Settings(Part):
 class Declaration(Part):
     """Base of the documents' models; `kind` is the word that a document of it begins with."""
 
-    kind: str
-    name: NameText
-    doc: str = Field(default="", description="What the model is, in a line.")
+    kind: str = Field(description="What is declared.", examples=["scene"])
+    name: NameText = Field(
+        description="Of the model: letters, digits and _.", examples=["toppling_stick"]
+    )
+    doc: str = Field(
+        default="",
+        description="What the model is, in a line.",
+        examples=["A stick balanced on its tip topples and may slip."],
+    )
     parameters: dict[NameText, FormulaText] = Field(
-        default={}, description="Constants: numbers, or formulas of each other."
+        default={},
+        description="Constants: name to a number, or to a formula of others.",
+        examples=[{"m": 1, "L": 0.5, "inertia": "m*L**2/3", "mu": 0.3}],
+        json_schema_extra=unit("that of each"),
     )
     ranges: dict[str, tuple[Real, Real]] = Field(
-        default={}, description="What checks vary: parameter to least and greatest value."
+        default={},
+        description="What checks vary: parameter to least and greatest value.",
+        examples=[{"mu": [0, 2]}],
+        json_schema_extra=unit("that of the parameter"),
     )
-    stop: Stop = Stop()
+    stop: Stop = Field(
+        default=Stop(),
+        description="When a run ends.",
+        examples=[{"time": 5, "conditions": {"fallen": "stick.angle <= -pi/2"}}],
+    )
     invariants: dict[Label, RelationText] = Field(
         default={},
         description="Named relations that hold in all of a run: tested by check, reported by run.",
+        examples=[{"stays above": "stick.y >= 0"}],
     )
-    outputs: dict[NameText, Output] = Field(default={})
-    settings: Settings = Settings()
+    outputs: dict[NameText, Output] = Field(
+        default={},
+        description="What a run reports: name to a value, integral, count, minimum or maximum.",
+        examples=[{"t_slip": {"value": "time", "at": "first tip.slip"}}],
+    )
+    settings: Settings = Field(
+        default=Settings(),
+        description="How a run is computed, where nobody asks for something else.",
+        examples=[{"engine": "impulse", "step": 0.001}],
+    )
 
     def values(self, overrides: Mapping[str, float] | None = None) -> dict[str, float]:
         """Return the value of every parameter.
@@ -241,6 +296,11 @@ class Declaration(Part):
             raise DeclarationProblem(
                 f"{TIME!r} is the time of the run", loc=("parameters", TIME), key=True
             )
+        found = Findings()
+        for name, text in self.parameters.items():
+            with found:
+                check_names(parse(text), self.parameters, "parameters", name)
+        found.check()
         try:
             values = self.values()
         except FormulaError as error:
@@ -252,72 +312,21 @@ class Declaration(Part):
 
     @model_validator(mode="after")
     def _ranges_are_of_parameters(self) -> Self:
+        found = Findings()
         for name, (least, greatest) in self.ranges.items():
-            if name not in self.parameters:
-                raise DeclarationProblem(
-                    f"no parameter {name!r}",
-                    advice=close_matches(name, self.parameters),
-                    loc=("ranges", name),
-                    key=True,
-                )
-            if least > greatest:
-                raise DeclarationProblem("the least value comes first", loc=("ranges", name))
+            with found:
+                if name not in self.parameters:
+                    raise DeclarationProblem(
+                        f"no parameter {name!r}",
+                        advice=close_matches(name, self.parameters),
+                        loc=("ranges", name),
+                        key=True,
+                    )
+                if least > greatest:
+                    raise DeclarationProblem(
+                        "the least value comes first",
+                        advice=f"write [{greatest:g}, {least:g}]",
+                        loc=("ranges", name),
+                    )
+        found.check()
         return self
-
-    def check_uses(
-        self,
-        names: Collection[str],
-        states: Mapping[str, Collection[str]],
-        causes: Mapping[str, Collection[str]],
-    ) -> None:
-        """Check that stop conditions, invariants and outputs speak of things that exist.
-
-        For the validators of the models of a kind, which know what exists.
-
-        Parameters
-        ----------
-        names : collection of str
-            What formulas may use.
-        states : mapping of str to collection of str
-            The states of every region.
-        causes : mapping of str to collection of str
-            The causes of jumps of every region; `stop` need not be among them.
-
-        Raises
-        ------
-        DeclarationProblem
-            At the first that does not.
-        """
-        for label, relation in self.stop.conditions.items():
-            check_names(parse_relation(relation), names, "stop", "conditions", label)
-        for label, relation in self.invariants.items():
-            check_names(parse_relation(relation), names, "invariants", label)
-        for label, output in self.outputs.items():
-            loc = ("outputs", label)
-            match output:
-                case Value():
-                    check_names(parse(output.value), names, *loc, "value")
-                    self._check_events(output.moment.events, causes, states, *loc, "at")
-                case Integral():
-                    check_names(parse(output.integral), names, *loc, "integral")
-                    for region, state in output.during.items():
-                        check_member("region", region, states, *loc, "during", region)
-                        check_member("state", state, states[region], *loc, "during", region)
-                case Count():
-                    self._check_events(output.events, causes, states, *loc, "count")
-                case Minimum():
-                    check_names(parse(output.minimum), names, *loc, "minimum")
-                case Maximum():
-                    check_names(parse(output.maximum), names, *loc, "maximum")
-
-    @staticmethod
-    def _check_events(
-        events: Sequence[Event],
-        causes: Mapping[str, Collection[str]],
-        states: Mapping[str, Collection[str]],
-        *loc: str,
-    ) -> None:
-        for event in events:
-            # Runs stop, not regions.
-            if event != Event(None, "stop"):
-                check_event(event, causes, states, *loc)

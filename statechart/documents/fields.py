@@ -6,8 +6,9 @@ import math
 from collections.abc import Collection, Mapping
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
 
+from statechart.documents.documented import Documented, own_words
 from statechart.errors import DeclarationProblem, FormulaError
 from statechart.formulas.derivatives import check_derived
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
@@ -66,7 +67,10 @@ def _relation(value: str) -> str:
 def _name(value: str) -> str:
     if not NAME.fullmatch(value):
         raise DeclarationProblem(
-            f"{value!r} is not a name", advice="letters, digits and _, not beginning with a digit"
+            f"{value!r} is not a name",
+            advice="decimals have a point: 0.5"
+            if value.isdigit()
+            else "letters, digits and _, not beginning with a digit",
         )
     if value in RESERVED:
         raise DeclarationProblem(
@@ -94,10 +98,20 @@ Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 """A finite number, not text that looks like one."""
 
 
-class Part(BaseModel):
+def unit(words: str) -> dict[str, JsonValue]:
+    """Return how a field says in what it is measured: `json_schema_extra` of it.
+
+    A document may use any units that belong together; angles are in rad, ratios in 1.
+    """
+    return {"unit": words}
+
+
+class Part(BaseModel, metaclass=Documented):
     """Base of every model of a document: immutable, unknown keys refused."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", populate_by_name=True, json_schema_extra=own_words
+    )
 
 
 def check_names(formula: Formula | Relation, known: Collection[str], *loc: str | int) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Discriminator, Field, StrictBool, Tag, model_validator
 
-from statechart.documents.fields import FormulaText, Part
+from statechart.documents.fields import FormulaText, Part, unit
 from statechart.errors import DeclarationProblem, close_matches
 
 _EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*)", re.ASCII)
@@ -92,10 +92,22 @@ def _checked_moment(text: str) -> str:
 class Value(Part):
     """A formula at a moment of the run; a list of its values at `each` event, or at some."""
 
-    value: FormulaText
-    at: Annotated[str, AfterValidator(_checked_moment)] = "end"
+    value: FormulaText = Field(
+        description="What is taken: a formula of variables, observables and parameters.",
+        examples=["abs(stick.angle)"],
+        json_schema_extra=unit("that of the formula"),
+    )
+    at: Annotated[str, AfterValidator(_checked_moment)] = Field(
+        default="end",
+        description="When: start, end, first EVENT, last EVENT, each EVENT, first 10 EVENT, "
+        "last 10 EVENT. An event is a cause, such as slip, one of a contact, tip.slip, or the "
+        "entering of a state, tip.pin; several are joined by or.",
+        examples=["first tip.slip"],
+    )
     before: StrictBool = Field(
-        default=False, description="Take the state just before the jump, not just after it."
+        default=False,
+        description="Take the state just before the jump, not just after it.",
+        examples=[True],
     )
 
     @property
@@ -113,14 +125,24 @@ class Value(Part):
 class Integral(Part):
     """A formula integrated over time, or over the time that regions spend in given states."""
 
-    integral: FormulaText
-    during: dict[str, str] = Field(default={}, description="Region to state.")
+    integral: FormulaText = Field(
+        description="What is integrated over time.",
+        examples=["abs(tip.slip)"],
+        json_schema_extra=unit("that of the formula; of the integral, it times time"),
+    )
+    during: dict[str, str] = Field(
+        default={},
+        description="Region to the state in which it counts; all of the time by default.",
+        examples=[{"tip": "slide"}],
+    )
 
 
 class Count(Part):
     """How often an event happened."""
 
-    count: Annotated[str, AfterValidator(_checked_event)]
+    count: Annotated[str, AfterValidator(_checked_event)] = Field(
+        description="The event, or several joined by or.", examples=["tip.touchdown"]
+    )
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -131,13 +153,21 @@ class Count(Part):
 class Minimum(Part):
     """The least value of a formula over the run."""
 
-    minimum: FormulaText
+    minimum: FormulaText = Field(
+        description="What the least value is taken of.",
+        examples=["stick.y"],
+        json_schema_extra=unit("that of the formula"),
+    )
 
 
 class Maximum(Part):
     """The greatest value of a formula over the run."""
 
-    maximum: FormulaText
+    maximum: FormulaText = Field(
+        description="What the greatest value is taken of.",
+        examples=["tip.V"],
+        json_schema_extra=unit("that of the formula"),
+    )
 
 
 def _which_output(value: Any) -> str | None:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import difflib
 import types
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
 
-from statechart.documents.document import Document
+from statechart.documents.document import Document, Loc
 from statechart.documents.yaml_reader import Model
+from statechart.documents.yaml_text import flow
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
 
 if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
     from pydantic_core import ErrorDetails
 
 
@@ -32,8 +35,46 @@ _EXPECTED: Mapping[str, str] = {
 }
 
 
+class Built:
+    """Keywords that a part is built of in Python: what a `Document` is to a part of a file.
+
+    Parameters
+    ----------
+    model : type of pydantic.BaseModel
+        The part.
+    data : mapping
+        What was given.
+    """
+
+    def __init__(self, model: type[BaseModel], data: Mapping[str, Any]) -> None:
+        name = data.get("name")
+        self.source = f"{model.__name__}({name!r})" if isinstance(name, str) else model.__name__
+        self._data = data
+
+    def existing(self, loc: Loc) -> Loc:
+        """Return the parts of `loc` that lead down the data, as Python names them."""
+        value: Any = self._data
+        found: list[str | int] = []
+        for part in loc:
+            names: Sequence[str | int] = (part,)
+            if isinstance(value, BaseModel):
+                fields = type(value).model_fields.items()
+                names = [name for name, field in fields if part in (name, field.alias)]
+            for name in names:
+                with suppress(KeyError, IndexError, TypeError):
+                    value = (
+                        getattr(value, str(name)) if isinstance(value, BaseModel) else value[name]
+                    )
+                    found.append(name)
+        return tuple(found)
+
+
+# What has another form than it should: an example shows which.
+_SHAPES = frozenset({*_EXPECTED, "output", "too_short", "too_long"})
+
+
 def declaration_error(
-    error: ValidationError, document: Document, model: type[BaseModel]
+    error: ValidationError, document: Document | Built, model: type[BaseModel]
 ) -> DeclarationError:
     """Return what pydantic found as one error with places.
 
@@ -41,13 +82,18 @@ def declaration_error(
     ----------
     error : pydantic.ValidationError
         What validating `document` as `model` raised.
-    document : Document
+    document : Document or Built
         What was validated.
     model : type of pydantic.BaseModel
         What it should have been.
     """
     errors = error.errors(include_url=False)
-    found = [_one(details, document, model) for details in errors if not _implied(details, errors)]
+    found = [
+        one
+        for details in errors
+        if not _implied(details, errors)
+        for one in _all(details, document, model)
+    ]
     found.sort(key=lambda one: (one.line or 0, one.column or 0))
     found[0].others = tuple(found[1:])
     return found[0]
@@ -70,18 +116,47 @@ def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
     return False
 
 
-def _one(details: ErrorDetails, document: Document, model: type[BaseModel]) -> DeclarationError:
-    loc, kind = details["loc"], details["type"]
+def _all(
+    details: ErrorDetails, document: Document | Built, model: type[BaseModel]
+) -> Iterator[DeclarationError]:
+    """Yield what is wrong, and what a validator of ours found besides."""
     cause = details.get("ctx", {}).get("error")
+    yield _one(details, cause, document, model)
+    if isinstance(cause, DeclarationProblem):
+        for other in cause.others:
+            yield _one(details, other, document, model)
+
+
+def _one(
+    details: ErrorDetails, cause: object, document: Document | Built, model: type[BaseModel]
+) -> DeclarationError:
+    loc, kind = details["loc"], details["type"]
     key, offset = kind == "extra_forbidden" or loc[-1:] == ("[key]",), 0
     if isinstance(cause, DeclarationProblem):
         loc = (*loc, *cause.loc)
         key, offset = key or cause.key, cause.offset
         message, advice = cause.message, cause.advice
     else:
-        message, advice = _words(details, _known_keys(model, loc[:-1]))
-    at = document.position(loc, key=key).shifted(offset)
+        names = _known_keys(model, loc[:-1])
+        example = _example(model, loc, document)
+        built = isinstance(document, Built)
+        if built:  # in Python a field goes by its own name
+            details = {**details, "loc": (*loc[:-1], names.get(str(loc[-1]), loc[-1]))}
+        known = names.values() if built else names
+        message, advice = _words(details, list(known))
+        if kind == "missing" and isinstance(loc[-1], str) and example:
+            name = details["loc"][-1]
+            advice = f"such as {name}={example}" if built else f"such as {name}: {example}"
+        elif kind in _SHAPES and example:
+            advice = f"such as {example}"
     path = ".".join(str(part) for part in document.existing(loc))
+    if isinstance(document, Built):
+        # Nothing else tells where it is: what is missing or unknown has the path of its part.
+        if kind in ("extra_forbidden", "missing"):
+            path = ".".join(str(part) for part in document.existing(loc[:-1]))
+        message = f"{path}: {message}" if path else message
+        return DeclarationError(message, advice=advice, source=document.source)
+    at = document.position(loc, key=key).shifted(offset)
     if kind not in ("extra_forbidden", "missing") and path:
         message = f"{path}: {message}"
     return DeclarationError(
@@ -118,19 +193,51 @@ def _words(details: ErrorDetails, known: Sequence[str]) -> tuple[str, str]:
     return f"{details['msg'].replace('Input should', 'must', 1)}; got {shown}", ""
 
 
-def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
-    """Return the keys that the mapping at `loc` may have."""
+def _example(model: type[BaseModel], loc: Sequence[str | int], document: Document | Built) -> str:
+    """Return an example of what stands at `loc`, as it is written there; empty where none is told.
+
+    That of a whole has those of its parts.
+    """
+    annotations: list[Any] = [model]
+    example: Any = None
+    for part in loc:
+        found = _field(annotations, part)
+        below = list(_below(annotations, part)) or list(_tagged(annotations, part))
+        if found is not None:
+            example = found.examples[0] if found.examples else None
+        elif isinstance(example, Mapping):
+            example = next(iter(example.values()), None)
+        elif isinstance(example, list) and isinstance(part, int):
+            example = example[min(part, len(example) - 1)]
+        annotations = below or annotations
+    if example is None:
+        return ""
+    return repr(example) if isinstance(document, Built) else flow(example)
+
+
+def _field(annotations: Sequence[Any], part: str | int) -> FieldInfo | None:
+    """Return the field that a part of a place is."""
+    for annotation in _members(annotations):
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            for name, field in annotation.model_fields.items():
+                if part in (name, field.alias):
+                    return field
+    return None
+
+
+def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, str]:
+    """Return the keys that the mapping at `loc` may have, and what Python calls these fields."""
     annotations: list[Any] = [model]
     for part in loc:
         annotations = (
             list(_below(annotations, part)) or list(_tagged(annotations, part)) or annotations
         )
-    return [
-        field.alias or name
+    return {
+        field.alias or name: name
         for annotation in _members(annotations)
         if isinstance(annotation, type) and issubclass(annotation, BaseModel)
         for name, field in annotation.model_fields.items()
-    ]
+    }
 
 
 def _members(annotations: Sequence[Any]) -> Iterator[Any]:
@@ -226,15 +333,18 @@ class located:  # noqa: N801 - used as a statement, and in every run: cheaper th
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         if isinstance(error, DeclarationProblem):
-            raise _located(self._document, error, self._overrides) from None
+            found = _located(self._document, error, self._overrides)
+            others = (_located(self._document, each, self._overrides) for each in error.others)
+            found.others = tuple(others)
+            raise found from None
         if isinstance(error, FormulaError):
-            found = DeclarationProblem(
+            problem = DeclarationProblem(
                 error.message,
                 advice=error.advice,
                 loc=("parameters", error.name) if self._loc is None else self._loc,
                 offset=error.offset,
             )
-            raise _located(self._document, found, {}) from None
+            raise _located(self._document, problem, {}) from None
 
 
 def _located(

@@ -108,6 +108,18 @@ def read_text(text: str, source: str = "<text>") -> Document:
     return _Builder(source).build(text)
 
 
+# What is said of text that is no YAML -> what to do about it.
+_ADVICE = {
+    r"'\t'": "indent by spaces, not by tabs",
+    "mapping values are not allowed": "write key: value, and keys of one mapping below each other",
+    "could not find expected ':'": "write key: value",
+    "expected ',' or '}'": "close with } what { opened, and put commas between",
+    "expected ',' or ']'": "close with ] what [ opened, and put commas between",
+    "expected <block end>": "indent keys of one mapping alike",
+    "found unexpected end of stream": "close what was opened: a quote, a bracket or a brace",
+}
+
+
 class _Builder:
     """Events to data and positions; refuses at the first event that it does not want."""
 
@@ -124,8 +136,13 @@ class _Builder:
             mark = error.problem_mark or error.context_mark
             message = " ".join(str(error.problem or error.context).split())
             line, column = (mark.line + 1, mark.column + 1) if mark else (None, None)
+            advice = next((told for words, told in _ADVICE.items() if words in message), "")
             raise DeclarationError(
-                f"not YAML: {message}", source=self._source, line=line, column=column
+                f"not YAML: {message}",
+                advice=advice,
+                source=self._source,
+                line=line,
+                column=column,
             ) from None
         except ReaderError as error:
             at = int(error.position)

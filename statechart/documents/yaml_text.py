@@ -82,6 +82,15 @@ def dump(model: BaseModel) -> str:
     return stream.getvalue()
 
 
+def flow(value: Any) -> str:
+    """Return a value as YAML writes it within a line."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key}: {flow(item)}' for key, item in value.items())}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(flow, value))}]"
+    return _scalar(value)
+
+
 def _document(data: Any) -> Iterator[Event]:
     yield StreamStartEvent()
     yield DocumentStartEvent(explicit=False)

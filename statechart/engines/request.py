@@ -165,11 +165,14 @@ def _stepping(asked: Setting, model: Declaration, automaton: Automaton, steps_on
     if step is None and searched:
         basis = "a thousandth of the run"
     elif step is None:
-        raise DeclarationError(
-            "the engine impulse needs a step, or an accuracy",
-            advice="say --step 1e-3, or write settings: {engine: impulse, step: 1e-3}; a "
-            "thousandth of the shortest time of interest is a good start",
+        message = "the engine impulse needs a step, or an accuracy"
+        advice = (
+            "say --step 1e-3, or write settings: {engine: impulse, step: 1e-3}; a thousandth of "
+            "the shortest time of interest is a good start"
         )
+        if model.settings.engine == "impulse":
+            raise DeclarationProblem(message, advice=advice, loc=("settings", "engine"))
+        raise DeclarationError(message, advice=advice)
     reason = ""
     if steps_only:
         reason = (

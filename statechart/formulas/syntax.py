@@ -71,7 +71,9 @@ def _tokens(source: Source) -> Iterator[_Token]:
         offset, at = match.start(kind), match.end()
         if kind == "number" and at < len(text) and (text[at].isalnum() or text[at] in "._"):
             source.fail(
-                f"{match[kind]!r} runs into {text[at]!r}", at, "write a product as 2*x, not 2x"
+                f"{match[kind]!r} runs into {text[at]!r}",
+                at,
+                "write a product as 2*x, not 2x; units are not written",
             )
         yield _Token(kind, match[kind], offset)
         if kind == "end":
@@ -227,10 +229,13 @@ class Reader:
             "==": "compare with <=, <, >= or >",
             "!=": "compare with <=, <, >= or >",
             "<": "a comparison stands only where a condition is expected, and once",
+            ",": "decimals have a point: 9.81",
+            "name": "write a product as a*b; units are not written",
+            "number": "write a product as a*b",
         }
         found = "the formula ends early" if token.kind == "end" else f"unexpected {token.text!r}"
         key = "<" if token.text in RELATIONS else token.text
-        self.source.fail(found, token.offset, advice.get(key, ""))
+        self.source.fail(found, token.offset, advice.get(key) or advice.get(token.kind, ""))
 
 
 def _literal(text: str) -> int | float | None:

@@ -45,6 +45,11 @@ class Kind:
     starter: Path
     stage: Callable[[Automaton], Stage] | None = None
 
+    @property
+    def schema(self) -> Path:
+        """Its JSON Schema, which is shipped beside the starter."""
+        return self.starter.with_name("schema.json").resolve()
+
 
 def kinds() -> Mapping[str, EntryPoint]:
     """Return the installed kinds by name, none of them imported."""

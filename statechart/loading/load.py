@@ -31,10 +31,11 @@ def interpret(document: Document) -> Declaration:
     name = document.data.get("kind")
     if not isinstance(name, str) or name not in kinds():
         at = document.position(("kind",))
-        found = f"unknown kind {name!r}" if "kind" in document.data else "'kind' is missing"
+        given = "kind" in document.data
+        known = close_matches(str(name), kinds())
         raise DeclarationError(
-            found,
-            advice=close_matches(str(name), kinds()),
+            f"unknown kind {name!r}" if given else "'kind' is missing",
+            advice=known if given else f"begin with kind: scene; {known}",
             source=at.source,
             line=at.line,
             column=at.column,

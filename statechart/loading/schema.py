@@ -11,6 +11,7 @@ from statechart.errors import DeclarationError, close_matches
 from statechart.loading.kind import kind, kinds
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_ID = "urn:contact-statecharts:schema"
 
 
 def schema(name: str | None = None) -> str:
@@ -31,7 +32,7 @@ def schema(name: str | None = None) -> str:
     models = [kind(each).model for each in ([name] if name else sorted(kinds()))]
     references, found = models_json_schema([(model, "validation") for model in models])
     definitions: dict[str, Any] = found["$defs"]
-    result: dict[str, Any] = {"$schema": _DIALECT}
+    result: dict[str, Any] = {"$schema": _DIALECT, "$id": f"{_ID}:{name or 'document'}"}
     if name is None:
         result["oneOf"] = [references[model, "validation"] for model in models]
     for model in models:
@@ -42,3 +43,8 @@ def schema(name: str | None = None) -> str:
             result |= definitions.pop(key)
     result["$defs"] = definitions
     return json.dumps(result, indent=2, ensure_ascii=False) + "\n"
+
+
+def line(name: str) -> str:
+    """Return the first line of a document by which editors find the schema of its kind."""
+    return f"# yaml-language-server: $schema={kind(name).schema.as_uri()}\n"

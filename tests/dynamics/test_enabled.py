@@ -10,8 +10,9 @@ import pytest
 from runs import ENGINES, engine
 
 from contacts.kind import automaton
+from contacts.scene.joints import Force
 from contacts.scene.modes import Pin, Slide
-from contacts.scene.parts import Body, Contact, Force, Point, Surface
+from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.testing.scene_properties import properties
 from contacts.testing.symmetry import mirrored, rescaled

@@ -12,7 +12,8 @@ from runs import ENGINES, engine
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.kind import automaton
-from contacts.scene.parts import Body, Contact, Coordinate, Joint, Path, Point, Surface
+from contacts.scene.joints import Joint, Path
+from contacts.scene.parts import Body, Contact, Coordinate, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.testing.scene_properties import assert_energy
 from contacts.testing.symmetry import mirrored, rescaled

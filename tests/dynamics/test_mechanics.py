@@ -7,7 +7,8 @@ import pytest
 
 from contacts.event_driven.laws import SceneLaws
 from contacts.kind import automaton
-from contacts.scene.parts import Body, Coordinate, Force
+from contacts.scene.joints import Force
+from contacts.scene.parts import Body, Coordinate
 from contacts.scene.scene import Scene
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from runs import ENGINES, golden, outputs, run
 
+from contacts.scene.joints import Force
 from contacts.scene.modes import Free, Slide
-from contacts.scene.parts import Body, Contact, Force, Point, Surface
+from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import Stop

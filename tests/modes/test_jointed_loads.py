@@ -19,7 +19,8 @@ from scipy.linalg import null_space
 from strategies import examples
 
 from contacts.kind import automaton
-from contacts.scene.parts import Body, Contact, Coordinate, Force, Joint, Path, Point, Surface
+from contacts.scene.joints import Force, Joint, Path
+from contacts.scene.parts import Body, Contact, Coordinate, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.trace import Outcome, Trace
 from statechart.execution.simulator import Simulator

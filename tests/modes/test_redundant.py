@@ -18,8 +18,9 @@ from contacts.event_driven.laws import SceneLaws
 from contacts.kind import automaton
 from contacts.modes.candidates import Candidate, Case, by_lemke, candidates
 from contacts.modes.classification import choose
+from contacts.scene.joints import Force, Joint
 from contacts.scene.modes import Free, Slide
-from contacts.scene.parts import Body, Contact, Force, Joint, Point, Surface
+from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.solvers.smallest_forces import springs
 from statechart.automaton.trace import Outcome, Trace

@@ -1,0 +1,116 @@
+"""What acts on bodies besides contacts: forces, and joints that hold them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+
+from contacts.scene.parts import Pair, Point
+from statechart.documents.fields import FiniteText, Part, unit
+from statechart.errors import DeclarationProblem
+
+
+class Force(Part):
+    """A force on a point of a body, or a moment on it."""
+
+    body: str = Field(description="What it acts on.", examples=["rod"])
+    force: Pair = Field(
+        default=(0, 0),
+        description="Its components along x and y.",
+        examples=[["-k*rod.x", 0]],
+        json_schema_extra=unit("force"),
+    )
+    at: Pair = Field(
+        default=(0, 0),
+        description="Where it acts, in the body's frame.",
+        examples=[[0, "L"]],
+        json_schema_extra=unit("length"),
+    )
+    moment: FiniteText = Field(
+        default=0,
+        description="Counter-clockwise.",
+        examples=["-c*rod.dangle"],
+        json_schema_extra=unit("force length"),
+    )
+
+
+class Path(Part):
+    """A place in the world, or one component of it, as formulas of time."""
+
+    x: FiniteText | None = Field(
+        default=None,
+        description="A formula of time; not held where not given.",
+        examples=["v*time"],
+        json_schema_extra=unit("length"),
+    )
+    y: FiniteText | None = Field(
+        default=None,
+        description="A formula of time; not held where not given.",
+        examples=[0],
+        json_schema_extra=unit("length"),
+    )
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if self.x is None and self.y is None:
+            raise DeclarationProblem(
+                "a path has an x, a y, or both", advice="write [0, 0] for a fixed pivot"
+            )
+        return self
+
+
+def _as_path(value: Any) -> Any:
+    """Let a path be declared as its two components."""
+    if isinstance(value, list | tuple):
+        if len(value) != 2:
+            raise DeclarationProblem(f"must be two components, not {len(value)}")
+        return {"x": value[0], "y": value[1]}
+    return value
+
+
+def _end(value: Any) -> str:
+    point = "body" in value if isinstance(value, dict) else isinstance(value, Point)
+    return "point" if point else "path"
+
+
+_End = Annotated[
+    Annotated[
+        Annotated[Point, Tag("point")] | Annotated[Path, Tag("path")],
+        Discriminator(_end),
+    ],
+    BeforeValidator(_as_path, json_schema_input_type=Point | Path | Pair),
+]
+
+
+class Joint(Part):
+    """A point of a body held to a point of another body, or to a path in the world.
+
+    It turns freely. A path without time is a fixed pivot; one with time drives the point. A path
+    with one component holds that one only.
+    """
+
+    point: Point = Field(
+        description="The point that is held.", examples=[{"body": "arm", "at": ["-L", 0]}]
+    )
+    to: _End = Field(
+        description="A point of another body, or a path: [x, y], {x: ...}, {y: ...}.",
+        examples=[[0, 0], {"body": "rod", "at": [0, "L"]}],
+    )
+
+    @property
+    def components(self) -> tuple[Literal["X", "Y"], ...]:
+        """Names of the forces, one for each component that is held."""
+        if isinstance(self.to, Point) or (self.to.x is not None and self.to.y is not None):
+            return ("X", "Y")
+        return ("X",) if self.to.y is None else ("Y",)
+
+    @model_validator(mode="after")
+    def _two_bodies(self) -> Self:
+        if isinstance(self.to, Point) and self.to.body == self.point.body:
+            raise DeclarationProblem(
+                "a joint holds two bodies together",
+                advice="name another body, or write to: [x, y] for a place in the world",
+                loc=("to", "body"),
+            )
+        return self

@@ -1,0 +1,116 @@
+"""What Python shows of the class of a declared part: its fields, and errors with their paths."""
+
+# ruff: noqa: N805 -- what methods of a class of classes are called on is a class
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+    from pydantic.fields import FieldInfo
+else:
+    ModelMetaclass = type(BaseModel)
+
+_WORDS = {str: "text", int: "whole number", float: "number", bool: "True or False"}
+_FORMULA = {str, int, float}
+_WIDTH = 90
+
+
+class Documented(ModelMetaclass):
+    """The class of the classes of parts.
+
+    `help` shows of each its docstring with what is declared of its fields, the signature without
+    types, and what is its own; what is wrong with a part that is built is a `DeclarationError`.
+    """
+
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+        """Build a part."""
+        try:
+            return super().__call__(*args, **kwargs)
+        except ValidationError as error:
+            from statechart.documents.validation import Built, declaration_error
+
+            model = cast("type[BaseModel]", cls)
+            raise declaration_error(error, Built(model, kwargs), model) from None
+
+    def __dir__(cls) -> list[str]:
+        theirs = BaseModel.__mro__
+        ours = (vars(base) for base in cls.__mro__ if base not in theirs)
+        return sorted({n for names in ours for n in names if not n.startswith(("_", "model_"))})
+
+    @property
+    def __doc__(cls) -> str | None:  # type: ignore[override]
+        own = cls.__dict__.get("__doc__")
+        if not own:
+            return None
+        told = "\n".join(_told(name, field) for name, field in _fields(cls))
+        return f"{inspect.cleandoc(own)}\n\nParameters\n----------\n{told}" if told else own
+
+    @property
+    def __signature__(cls) -> inspect.Signature:
+        return inspect.Signature(
+            [
+                inspect.Parameter(
+                    name,
+                    inspect.Parameter.KEYWORD_ONLY,
+                    default=inspect.Parameter.empty if field.is_required() else field.default,
+                )
+                for name, field in _fields(cls)
+            ]
+        )
+
+    @__signature__.setter
+    def __signature__(cls, value: object) -> None:
+        """Leave what pydantic makes, types with the addresses of their validators."""
+
+
+def own_words(schema: dict[str, Any], model: type[BaseModel]) -> None:
+    """Let the JSON Schema of a model be described by its docstring alone, without the fields."""
+    schema["description"] = inspect.cleandoc(model.__dict__["__doc__"])
+
+
+def _fields(cls: type) -> Iterator[tuple[str, FieldInfo]]:
+    """Yield the fields of a model by name, those that must be given first."""
+    fields: Mapping[str, FieldInfo] = cls.__dict__.get("__pydantic_fields__", {})
+    yield from sorted(fields.items(), key=lambda item: not item[1].is_required())
+
+
+def _told(name: str, field: FieldInfo) -> str:
+    """Return what is declared of a field as a docstring has it."""
+    optional = "" if field.is_required() else ", optional"
+    sentences = [(field.description or "").rstrip(".") + "."]
+    extra = field.json_schema_extra
+    if isinstance(extra, dict):
+        sentences.append(f"Unit: {extra['unit']}.")
+    if field.examples:
+        sentences.append(f"Example: ``{field.examples[0]}``.")
+    told = textwrap.wrap(" ".join(sentences), _WIDTH, break_long_words=False)
+    return "\n    ".join([f"{name} : {_type(field.annotation)}{optional}", *told])
+
+
+def _type(annotation: Any) -> str:
+    """Return a type in words."""
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _type(arguments[0])
+    if origin in (Union, types.UnionType):
+        members = [member for member in arguments if member is not type(None)]
+        formula = "formula" if set(members) >= _FORMULA else ""
+        others = [_type(m) for m in members if not (formula and m in _FORMULA)]
+        return " or ".join(dict.fromkeys(filter(None, (formula, *others))))
+    if origin is Literal:
+        return " or ".join(map(repr, arguments))
+    if origin is tuple and arguments[-1] is not Ellipsis:
+        return f"({', '.join(map(_type, arguments))})"
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return f"mapping of {_type(arguments[0])} to {_type(arguments[1])}"
+    if isinstance(origin, type) and issubclass(origin, Sequence):
+        return f"sequence of {_type(arguments[0])}"
+    return _WORDS.get(annotation) or str(getattr(annotation, "__name__", annotation))
