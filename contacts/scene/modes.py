@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-import sympy as sp
 from pydantic import Field
 
 from contacts.states import OFF
 from statechart.automaton.regions import Hold, Loads, Margin, State
 from statechart.documents.fields import Part
+
+if TYPE_CHECKING:
+    import sympy as sp
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +108,8 @@ class Pin(Part):
 
 def off(contact: ContactSymbols, gates: tuple[Margin, ...]) -> State:
     """Return the state of a contact that is off: no force, until it may come back."""
+    import sympy as sp
+
     conditions = (margin.expression for margin in gates)
     back = sp.Min(contact.gap, *conditions, evaluate=False)
     return State((contact.V, contact.H), (Margin(f"{contact.name}.{OFF}", -back),))
@@ -145,6 +149,8 @@ def shared(
     mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, bearing: Bearing
 ) -> State:
     """Return the state of a contact that shares its load (see `contacts.modes.load_sharing`)."""
+    import sympy as sp
+
     own = mode.state(contact, direction)
     zone, places = bearing.zone, bearing.coordinates
     constraints = {"n": contact.normal_acceleration, "t": contact.tangential_acceleration}

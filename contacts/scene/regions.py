@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-
-import sympy as sp
+from typing import TYPE_CHECKING
 
 from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off, shared
 from contacts.scene.parts import Contact
 from contacts.states import OFF, OPEN, declared_state, superstates_of
 from statechart.automaton.regions import Edge, Margin, Region, State
 from statechart.automaton.trace import Role
+
+if TYPE_CHECKING:
+    import sympy as sp
 
 BODY_STATES = ("free", "slide", "pin")
 """Of a body that collides by its shape."""

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
-
-import sympy as sp
+from typing import TYPE_CHECKING, Literal
 
 from statechart.automaton.nesting import Nesting
 from statechart.automaton.trace import Role
-from statechart.formulas.determinants import Definition
 from statechart.formulas.formula import parse_relation
+
+if TYPE_CHECKING:
+    # Who declares a scene or a chart need not wait for it.
+    import sympy as sp
+
+    from statechart.formulas.determinants import Definition
 
 MarginKind = Literal["plain", "gap", "speed", "force"]
 

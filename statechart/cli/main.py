@@ -19,7 +19,7 @@ _DONE, _FAILED, _WRONG = 0, 1, 2
 _TEXTS = ("schema", "new", "completion")
 
 
-# Imports make a million objects that stay; looking for garbage among them is a tenth of a start.
+# Objects that are made between two looks for garbage; Python's 700 are too few for so many.
 _COLLECTED_AFTER = 200_000
 
 
@@ -34,6 +34,9 @@ def program() -> int:
         compiling.announce(lambda line: print(line, file=sys.stderr, flush=True))
         import gc
 
+        # Imports, and what is composed of a model, make a million objects that stay; to look for
+        # garbage among them is a tenth of a start. From then on it is looked for (`verbs._runner`).
+        gc.disable()
         gc.set_threshold(_COLLECTED_AFTER)
         return main()
     except KeyboardInterrupt:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import gc
 import json
 import sys
 import tempfile
@@ -343,7 +344,11 @@ def _scratch() -> Iterator[None]:
 def _runner(file: str, **options: Any) -> Runner:
     from statechart.running.runner import Runner
 
-    return Runner(file, **options)
+    runner = Runner(file, **options)
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
+    return runner
 
 
 def _assigned(option: str, pairs: Iterable[tuple[str, T]]) -> dict[str, T]:

@@ -13,10 +13,7 @@ import re
 from functools import cache
 from typing import Any
 
-import llvmlite.binding as llvm
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
+from statechart.kernels.jit import native
 
 # What a call by address relies on: heyoka documents the module, not the function.
 _SIGNATURE = re.compile(
@@ -47,6 +44,7 @@ class Step:
     """
 
     def __init__(self, module: str, code: bytes) -> None:
+        import llvmlite.binding as llvm
         from heyoka import _core  # elsewhere than on Linux there is none
 
         builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process()
@@ -72,17 +70,22 @@ class Step:
 
 @cache
 def _linker() -> Any:
+    import llvmlite.binding as llvm
+
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine()
     return llvm.create_lljit_compiler(machine)
 
 
-@intrinsic
+@native
 def call_step(
     typing: Any, address: Any, state: Any, parameters: Any, time: Any, h: Any, series: Any
 ) -> Any:
     """Call the step at an address."""
+    from llvmlite import ir
+    from numba import types
+
     arrays = (state, parameters, time, h, series)
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import heyoka as hy
 import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
@@ -30,7 +29,6 @@ from statechart.engines.engine import (
     Steps,
 )
 from statechart.engines.event_location import BOXES, Verdict, as_search
-from statechart.engines.heyoka_formulas import Converter
 from statechart.engines.heyoka_step import Step
 from statechart.engines.path import Path
 from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, taylor_flow
@@ -62,6 +60,8 @@ def _many(mode: Mode, rates: Tape) -> bool:
 
 def has_long_double() -> bool:
     """Whether there is a long double of more digits than a double, and heyoka computes with it."""
+    import heyoka as hy
+
     finer = np.finfo(np.longdouble).eps < np.finfo(float).eps
     return bool(finer) and hasattr(hy, "taylor_adaptive_ldbl")
 
@@ -114,6 +114,11 @@ class Taylor(Engine):
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
         """Compile the rates; identical modes come from heyoka's cache on disk."""
+        # Whoever only asks for a tolerance need not wait for them.
+        import heyoka as hy
+
+        from statechart.engines.heyoka_formulas import Converter
+
         extended = self._number is not float
         convert = Converter(automaton, dict(mode.definitions))
         states = [hy.expression(f"v{i}") for i in range(len(automaton.variables))]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import operator
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,6 +38,16 @@ _RECIPROCAL: dict[type[sp.Basic], str] = {
 }
 # What is smaller, or larger than its inverse, may overflow in a product with an exponential.
 _SMALL = sp.Float("1e-60")
+# Every processor rounds these alike, and most constants need no others: to load the kernel takes
+# as long as to compose a scene.
+_ROUNDED_ALIKE: dict[int, Callable[[float, float], float]] = {
+    OPCODES["add"]: operator.add,
+    OPCODES["sub"]: operator.sub,
+    OPCODES["mul"]: operator.mul,
+    OPCODES["div"]: operator.truediv,
+    OPCODES["neg"]: lambda a, _: -a,
+    OPCODES["square"]: lambda a, _: a * a,
+}
 _COMMUTATIVE = {OPCODES[name] for name in ("add", "mul", "min", "max", "hypot")}
 
 
@@ -229,9 +241,12 @@ class _Writer:
         return self.places[key]
 
     def _evaluate(self, op: int, left: int, right: int) -> float:
-        """Fold an operation on constants, by the kernel that would run it."""
+        """Fold an operation on constants, to what the kernel that would run it makes of them."""
         binary = op <= OPCODES["pow"]
         constants = [self.constants[~left], self.constants[~right] if binary else 0.0]
+        with suppress(ZeroDivisionError):
+            if op in _ROUNDED_ALIKE:
+                return float(_ROUNDED_ALIKE[op](*constants))
         code = np.array([[op, 1, 2 if binary else right]], dtype=np.int32)
         nothing = np.empty(0)
         outputs = np.array([3], dtype=np.int32)

@@ -66,7 +66,7 @@ class Callee(NamedTuple):
 
     def load(self) -> bool:
         """Have its machine code in memory; False if it is not the one that is called."""
-        compiled = getattr(importlib.import_module(self.module), self.name)
+        compiled = getattr(importlib.import_module(self.module), self.name).made
         compiled.compile(self.signature)
         return Callee.of(compiled, self.signature) == self
 

@@ -1,184 +1,79 @@
-"""Kernels that are compiled once and kept on disk, across several files.
+"""Functions that are compiled when they are first called.
 
-numba's cache looks only at the file of the function that is called: where that calls kernels of
-another file, an edit there would silently run the old code. Here a kernel's cache is as old as the
-newest of all files whose kernels it can see, and of what says how kernels are compiled.
-
-A file of the cache that was cut off or damaged, or that cannot be written, must not end a run: each
-carries a digest of its content, and what does not agree with its own is compiled again.
+Nothing of numba is imported before: what calls no kernel, as drawing a statechart, starts in half
+the time.
 """
 
 from __future__ import annotations
 
-import hashlib
-import io
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
-from typing import Any, TypeVar
-
-from numba import njit
-from numba.core import event
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
-from numba.core.dispatcher import Dispatcher
-
-from statechart import compiling, interrupts
-from statechart.kernels.compilation import Callee, KernelCompiler, PartCompiler, Signature, plain
+from collections.abc import Callable
+from functools import cached_property, update_wrapper
+from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_DIGEST = 16  # bytes: damage is an accident, not an attack
+
+class Compiled:
+    """A function in the place of what numba makes of it.
+
+    Parameters
+    ----------
+    function : callable
+        As it is written.
+    how : str
+        What makes it, in `statechart.kernels.machine_code`.
+
+    Attributes
+    ----------
+    py_func : callable
+        The function.
+    """
+
+    def __init__(self, function: Callable[..., Any], how: str) -> None:
+        self.py_func, self._how = function, how
+        update_wrapper(self, function)
+
+    @cached_property
+    def made(self) -> Any:
+        """What numba makes of it."""
+        from statechart.kernels import machine_code
+
+        return getattr(machine_code, self._how)(self.py_func)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run what was compiled."""
+        return self.made(*arguments)
+
+    def __reduce__(self) -> str:
+        """Travel by name, as functions do."""
+        return self.py_func.__qualname__
 
 
-class _DigestedFile(IndexDataCacheFile):
-    """Index and data of a kernel, each file with a digest of the rest at its end."""
-
-    def _load_index(self) -> Any:
-        return super()._load_index() if self._sound(self._index_path) else {}
-
-    def _load_data(self, name: str) -> Any:
-        # None is what is not in the cache; unpickling takes no notice of what follows.
-        return super()._load_data(name) if self._sound(self._data_path(name)) else None
-
-    @contextmanager
-    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
-        content = io.BytesIO()
-        yield content
-        data = content.getvalue()
-        with super()._open_for_write(filepath) as stream:
-            stream.write(data + _digest(data))
-
-    @staticmethod
-    def _sound(path: str) -> bool:
-        try:
-            data = Path(path).read_bytes()
-        except OSError:
-            return False
-        if data[-_DIGEST:] == _digest(data[:-_DIGEST]):
-            return True
-        with suppress(OSError):
-            os.unlink(path)
-        return False
+class Kernel(Compiled):
+    """A kernel, or a part of kernels."""
 
 
-class _Stored(CompileResultCacheImpl):
-    """What a kernel is kept as: the kernels that it calls, and what numba keeps."""
-
-    def reduce(self, result: Any) -> Any:
-        return result.library.callees, super().reduce(result)
-
-    def rebuild(self, target_context: Any, stored: Any) -> Any:
-        callees, reduced = stored
-        if not all(callee.load() for callee in callees):
-            raise LookupError("a kernel that this one calls was compiled again")
-        return super().rebuild(target_context, reduced)
-
-
-class _Cache(FunctionCache):
-    """numba's cache of one function, without which everything works, too."""
-
-    _impl_class = _Stored
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        stamps: dict[str, tuple[float, int]] = {}
-        _collect(plain, stamps)
-        _collect(function, stamps)
-        self._cache_file: Any = _DigestedFile(
-            self._cache_path, self._impl.filename_base, tuple(sorted(stamps.items()))
-        )
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        # What another version of a library wrote may be whole, and of no use.
-        with suppress(Exception):
-            return super().load_overload(sig, target_context)
-        return None
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        # A full disk, or a folder that may not be written any more.
-        with suppress(OSError):
-            super().save_overload(sig, data)
-
-
-class _Told(event.Listener):
-    """Tells `statechart.compiling` of every function that numba compiles for a kernel."""
-
-    def on_start(self, event: Any) -> None:
-        compiled = event.data["dispatcher"]
-        compiling.begin(compiled.py_func.__name__, lambda: len(_missing(compiled, {})))
-
-    def on_end(self, event: Any) -> None:
-        made = event.data["dispatcher"]._compiler.pipeline_class
-        compiling.end(made in (KernelCompiler, PartCompiler))
-
-
-event.register("numba:compile", _Told())
-
-
-def _digest(data: bytes) -> bytes:
-    return hashlib.blake2b(data, digest_size=_DIGEST).digest()
+class Native(Compiled):
+    """A function of kernels that writes its own code."""
 
 
 def kernel(function: F) -> F:
     """Compile a function when it is first called, from Python or from other kernels; cached."""
-    # Without what C would need to call it, it compiles sooner.
-    compiled = njit(error_model="numpy", no_cfunc_wrapper=True, pipeline_class=KernelCompiler)(
-        function
-    )
-    # Where no folder can be written numba has no cache to offer.
-    with suppress(RuntimeError):
-        compiled._cache = _Cache(function)
-    compile_ = compiled.compile
-
-    def compile_plain(signature: Signature) -> Any:
-        # Signals end a compilation at once: it may take half a minute.
-        with interrupts.let_through():
-            entry = compile_(plain(signature))
-        compiled.overloads[plain(signature)].library.callee = Callee.of(compiled, plain(signature))
-        return entry
-
-    compiled.compile = compile_plain
-    return compiled
+    return cast(F, Kernel(function, "kernel"))
 
 
 def part(function: F) -> F:
     """Compile a function that only kernels call, into each of them."""
-    compiled = njit(
-        error_model="numpy",
-        no_cpython_wrapper=True,
-        no_cfunc_wrapper=True,
-        pipeline_class=PartCompiler,
-    )(function)
-    compile_ = compiled.compile
-    compiled.compile = lambda signature: compile_(plain(signature))
-    return compiled
+    return cast(F, Kernel(function, "part"))
+
+
+def native(function: Callable[..., Any]) -> Any:
+    """Let a function write the code of kernels that call it, as `numba.extending.intrinsic`."""
+    return Native(function, "native")
 
 
 def is_cached(compiled: Any) -> bool:
     """Whether a kernel lies compiled on disk, whole, for the files as they are."""
-    file = getattr(compiled._cache, "_cache_file", None)
-    return file is not None and bool(file._load_index())
+    from statechart.kernels import machine_code
 
-
-def _missing(compiled: Any, found: dict[Any, None]) -> dict[Any, None]:
-    """Return kernels and parts that are compiled with one, those that lie on disk left out."""
-    if compiled in found or compiled.overloads or is_cached(compiled):
-        return found
-    found[compiled] = None
-    names = compiled.py_func.__globals__
-    for name in compiled.py_func.__code__.co_names:
-        if isinstance(names.get(name), Dispatcher):
-            _missing(names[name], found)
-    return found
-
-
-def _collect(function: Callable[..., Any], stamps: dict[str, tuple[float, int]]) -> None:
-    file = function.__code__.co_filename
-    if file in stamps:
-        return
-    found = Path(file).stat()
-    stamps[file] = found.st_mtime, found.st_size
-    for value in function.__globals__.values():
-        if isinstance(value, Dispatcher):
-            _collect(value.py_func, stamps)
+    return machine_code.is_cached(compiled.made)

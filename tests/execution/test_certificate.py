@@ -109,7 +109,7 @@ def test_a_run_to_an_accuracy_is_certified_once(monkeypatch):
 
 def test_what_is_displaced_compiles_no_kernel_for_other_arrays() -> None:
     run("rimless_wheel", engine="scipy", method="RK45", tolerance=1e-6, certify=True)
-    assert len(tape_values.signatures) == 1
+    assert len(tape_values.made.signatures) == 1
 
 
 def test_a_run_without_steps_has_nothing_to_prove() -> None:

@@ -141,7 +141,7 @@ def test_wrong_shapes_are_refused():
 def test_another_model_and_other_kinds_of_arrays_compile_nothing():
     def compiled():
         found = [tape_values, tape_table, search]
-        return [len(kernel.signatures) for kernel in found]
+        return [len(kernel.made.signatures) for kernel in found]
 
     coeffs = np.ones((1, 2, 3))
     first = tape_of(X + 1)

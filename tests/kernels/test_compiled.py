@@ -67,12 +67,12 @@ def _first_row(values: Array, pair: tuple[Array, Array]) -> Array:
 )
 def test_references_are_counted_where_arrays_are_made_or_given_back(function, counts):
     compiled = kernel(function)
-    compiled._cache = NullCache()
+    compiled.made._cache = NullCache()
     values, pair = np.array([[1.0, 2.0], [3.0, 4.0]]), (np.array([5.0, 6.0]), np.ones(2))
     references = sys.getrefcount(values), sys.getrefcount(pair[0])
     assert np.array_equal(compiled(values, pair), function(values, pair))
     assert (sys.getrefcount(values), sys.getrefcount(pair[0])) == references
-    (code,) = compiled.inspect_llvm().values()
+    (code,) = compiled.made.inspect_llvm().values()
     body = code[code.index("define ") :].partition("\n}")[0]
     assert ("@NRT_" in body) == counts
 
@@ -101,7 +101,7 @@ def test_numba_still_has_the_stamp_that_kernels_replace():
     file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     assert hasattr(file, "_source_stamp"), (
         "this numba keeps the age of a cached kernel's source elsewhere: find where, and let "
-        "statechart.kernels.jit.kernel replace it there"
+        "statechart.kernels.machine_code replace it there"
     )
 
 
@@ -121,7 +121,7 @@ def test_an_unchanged_kernel_comes_from_the_disk(upper, tmp_path):
     found = again()
     assert is_cached(found)
     assert found(1.0) == 22.0
-    assert found.stats.cache_hits
+    assert found.made.stats.cache_hits
 
 
 def again():
@@ -150,10 +150,10 @@ def test_a_damaged_file_of_the_cache_is_made_again(upper, tmp_path, suffix, dama
     found = again()
     assert is_cached(found) == (suffix == "nbc")
     assert found(1.0) == 22.0
-    assert not found.stats.cache_hits
+    assert not found.made.stats.cache_hits
     after = again()
     assert after(1.0) == 22.0
-    assert after.stats.cache_hits
+    assert after.made.stats.cache_hits
 
 
 @pytest.mark.parametrize("damaged", ["lower", "upper"])
@@ -163,12 +163,12 @@ def test_what_calls_a_kernel_that_was_compiled_again_is_compiled_again(upper, tm
         file.write_bytes(b"")
     found = again()
     assert found(1.0) == 22.0
-    assert not found.stats.cache_hits
-    assert bool(lower_of(found).stats.cache_hits) == (damaged == "upper")
+    assert not found.made.stats.cache_hits
+    assert bool(lower_of(found).made.stats.cache_hits) == (damaged == "upper")
     after = again()
     assert after(1.0) == 22.0
-    assert after.stats.cache_hits
-    assert lower_of(after).stats.cache_hits
+    assert after.made.stats.cache_hits
+    assert lower_of(after).made.stats.cache_hits
 
 
 def lower_of(upper):
@@ -183,7 +183,7 @@ def test_literals_and_widths_of_integers_are_no_other_signature(upper, tmp_path,
     sys.modules.pop("caller_kernels")
     lower = lower_of(function)
     assert caller(np.array([3], np.int32)) == 36.0
-    assert [signature[0].name for signature in lower.overloads] == ["int64"]
+    assert [signature[0].name for signature in lower.made.overloads] == ["int64"]
 
 
 def test_a_kernel_runs_where_its_cache_cannot_be_written(upper, tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ import sys
 
 RUNS = """
 import json, pkgutil, sys, importlib
-from numba.core.dispatcher import Dispatcher
+from statechart.kernels.jit import Kernel
 from statechart import Runner
 
 Runner("toppling_stick").run(until=3.0)
@@ -24,10 +24,10 @@ found = {}
 for name, module in list(sys.modules.items()):
     if name.startswith(("statechart.", "contacts.")):
         for value in vars(module).values():
-            if isinstance(value, Dispatcher):
+            if isinstance(value, Kernel):
                 function = value.py_func
                 key = f"{function.__module__}.{function.__name__}"
-                found[key] = [str(types) for types in value.overloads]
+                found[key] = [str(types) for types in value.made.overloads]
 print(json.dumps(found))
 """
 
