@@ -7,12 +7,14 @@ equations are composed: what moves a body are gravity and the impulses of its co
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import sympy as sp
 
-from contacts.collisions.body_step import MEMORY, step_bodies
+from contacts.collisions.body_numbers import BodyNumbers, Memory
+from contacts.collisions.body_step import Room, step_bodies
 from contacts.collisions.declared_surfaces import SurfacePaths
 from contacts.collisions.inside import check_inside
 from contacts.collisions.outlines import body_numbers, owners_of
@@ -24,7 +26,7 @@ from contacts.scene.collision_checks import check_shapes
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
-from contacts.time_stepping.chunk import FULL, NOT_FINITE, Chunk
+from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
 from contacts.time_stepping.loop import DEEPEST, Begun
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Array
@@ -46,8 +48,8 @@ _START_DEPTH = 1e-6
 _CROSSED, _FALLEN = 0.1, 0.02
 # Radians that a body turns in a step in which it is hit: worth a word, and followed.
 _TURNED, _FOLLOWED = 0.5, 0.1
-# Contacts that there is place for at first.
-_PER_BODY = 24
+# Parts that a step is taken in where it is too long for what happens in it, one after the other.
+_PARTS = (4, 16, 64)
 
 
 def bodies_automaton(scene: Scene) -> Automaton:
@@ -187,15 +189,13 @@ class BodyStepper(Stepper):
         names = list(scene.bodies)
         for i, number in enumerate(initial.tolist()):
             check_range(number, "its start", ("bodies", names[i // 3 % len(names)]))
-        bodies = SteppedHeap(scene, self._owners, known, allowed, self._paths)
-        for name, size in zip(names, bodies.numbers.sizes.tolist(), strict=True):
+        bodies = body_numbers(scene, self._owners, known)
+        for name, size in zip(names, bodies.sizes.tolist(), strict=True):
             check_range(size, "its size", ("bodies", name, "shape"))
-        for number in bodies.numbers.gravity.tolist():
+        for number in bodies.gravity.tolist():
             check_range(number, "", ("gravity",))
-        length = float(
-            np.abs(initial.reshape(2, -1, 3)[0, :, :2]).max() + bodies.numbers.sizes.max()
-        )
-        speed = math.sqrt(math.hypot(*bodies.numbers.gravity) * length)
+        length = float(np.abs(initial.reshape(2, -1, 3)[0, :, :2]).max() + bodies.sizes.max())
+        speed = math.sqrt(math.hypot(*bodies.gravity) * length)
         speed = max(speed, float(np.abs(initial[len(initial) // 2 :]).max())) or 1.0
         scales = Scales(length, speed, speed**2 / length, 1.0, np.ones(len(initial)))
         setup = SceneSetup(
@@ -208,9 +208,11 @@ class BodyStepper(Stepper):
             capture=0.0,
             bands={},
         )  # fmt: skip
-        check_inside(scene, bodies.numbers, initial, self._paths.at(known, np.zeros(1))[0])
+        check_inside(scene, bodies, initial, self._paths.at(known, np.zeros(1))[0])
+        looks = partial(self._paths.looks, known)
         # A step of no length finds who overlaps.
-        trial = SteppedHeap(scene, self._owners, known, allowed, self._paths)
+        plastic = scene.simultaneous == "plastic"
+        trial = SteppedHeap(names, bodies, looks, plastic, allowed)
         trial.steps(0.0, 1e-9 * length / speed, initial, 1)
         for name, margin in trial.margins.items():
             if margin < -_START_DEPTH * length:
@@ -220,7 +222,7 @@ class BodyStepper(Stepper):
                     advice="move it out",
                     loc=("bodies", body, "start"),
                 )
-        return setup, bodies
+        return setup, SteppedHeap(names, bodies, looks, plastic, allowed, DEEPEST * length)
 
 
 class SteppedHeap:
@@ -228,36 +230,37 @@ class SteppedHeap:
 
     Parameters
     ----------
-    scene : Scene
-        Its bodies one by one.
-    owners : sequence of str
-        What each of them is a copy of, or itself.
-    known : mapping of str to float
-        Parameters.
+    names : sequence of str
+        Of the bodies.
+    numbers : BodyNumbers
+    looks : callable
+        See `SurfacePaths.looks`.
+    plastic : bool
+        Whether what is hit together does not rebound.
     allowed : float
         Residual of impulses that are good enough.
-    paths : SurfacePaths
+    deepest : float
+        A gap that no step may close.
     """
 
     def __init__(
         self,
-        scene: Scene,
-        owners: Sequence[str],
-        known: Mapping[str, float],
+        names: Sequence[str],
+        numbers: BodyNumbers,
+        looks: Callable[[float, float, int], Array],
+        plastic: bool,
         allowed: float,
-        paths: SurfacePaths,
+        deepest: float = math.inf,
     ) -> None:
-        self._known, self._paths = known, paths
-        self.numbers = body_numbers(scene, owners, known)
-        self._names = tuple(scene.bodies)
-        count = len(self._names)
-        self._keys = np.zeros((_PER_BODY * count, 2), dtype=np.int64)
-        self._memory = np.zeros((_PER_BODY * count, MEMORY))
-        self._remembered = np.zeros(1, dtype=np.int64)
+        self.numbers, self._names, self._looks, self._plastic = numbers, names, looks, plastic
+        count = len(names)
+        self._memory = Memory.room(count)
+        self._room = Room.of(self.numbers, self._memory)
         self._allowed = allowed
-        self._plastic = scene.simultaneous == "plastic"
         self._least = np.full(count, np.inf)
+        self._deepest = deepest
         self._turned = self._length = 0.0
+        self._parted, self._most_parts = 0, 1
 
     @property
     def margins(self) -> dict[str, float]:
@@ -271,34 +274,62 @@ class SteppedHeap:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a reader must know of the run."""
-        if not self._turned > _TURNED:
-            return ()
-        return (
-            f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
-            f"{self._length:g}, in which nothing follows how they touch; take "
-            f"{_FOLLOWED * self._length / self._turned:.1g} or less",
-        )
+        found: tuple[str, ...] = ()
+        if self._turned > _TURNED:
+            found += (
+                f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
+                f"{self._length:g}, in which nothing follows how they touch; take "
+                f"{_FOLLOWED * self._length / self._turned:.1g} or less",
+            )
+        if self._parted:
+            found += (
+                f"in {self._parted} steps of {self._length:g} bodies would pass through each "
+                f"other, or turn by more than half a turn: they were taken in up to "
+                f"{self._most_parts} parts; with a step of {self._length / self._most_parts:.1g} "
+                "none needs that",
+            )
+        return found
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
-        """Take steps; see `SteppedScene.steps`."""
-        bodies = len(self._names)
-        chunk = Chunk.room(h, state, 3 * bodies, bodies, count)
-        looks = self._paths.looks(self._known, start, h, count)
-        done, status = 0, FULL
-        while status == FULL:
-            taken, status = step_bodies(
-                self.numbers, looks[done:], self._plastic, self._keys, self._memory,
-                self._remembered, self._allowed, chunk.after(done),
-            )  # fmt: skip
-            done += taken
-            if status == FULL:
-                self._keys = np.concatenate([self._keys, np.zeros_like(self._keys)])
-                self._memory = np.concatenate([self._memory, np.zeros_like(self._memory)])
-        if status == NOT_FINITE and done == 0:
+        """Take steps; see `SteppedScene.steps`.
+
+        One that is too long for what happens in it is taken in parts.
+        """
+        chunk, status = self._taken(start, h, state, count, self._deepest)
+        parts = iter(_PARTS)
+        while status == COARSE and not len(chunk.codes):
+            before, most = self._memory.copy(), next(parts)
+            deepest = math.inf if most == _PARTS[-1] else self._deepest
+            chunk, status = self._taken(start, h / most, state, most, deepest)
+            if status == COARSE:
+                self._memory = before
+                chunk = chunk.first(0)
+            else:
+                self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
+        if status == NOT_FINITE and not len(chunk.codes):
             raise NonFinite("a coordinate became infinite or undefined")
-        chunk = chunk.first(done)
+        bodies = len(self._names)
         self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
-        turns = h * np.abs(chunk.states[1:, 3 * bodies + 2 :: 3]) * (self.numbers.radii == 0.0)
+        turns = chunk.h * np.abs(chunk.states[1:, 3 * bodies + 2 :: 3]) * (self.numbers.radii == 0)
         self._turned = max(self._turned, float(np.max(turns, where=chunk.struck, initial=0.0)))
         self._length = max(self._length, h)
         return chunk
+
+    def _taken(
+        self, start: float, h: float, state: Array, count: int, deepest: float
+    ) -> tuple[Chunk, int]:
+        """Return the steps that could be taken, and how they ended."""
+        bodies = len(self._names)
+        chunk = Chunk.room(h, state, 3 * bodies, bodies, count)
+        looks = self._looks(start, h, count)
+        done, status = 0, FULL
+        while status == FULL:
+            taken, status = step_bodies(
+                self.numbers, looks[done:], self._plastic, self._memory, self._room,
+                (self._allowed, deepest), chunk.after(done),
+            )  # fmt: skip
+            done += taken
+            if status == FULL:
+                self._memory = self._memory.larger()
+                self._room = Room.of(self.numbers, self._memory)
+        return chunk.first(done), status

@@ -12,106 +12,199 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.detection import FOUND, between, place
+from contacts.collisions.body_numbers import BodyNumbers, Memory
+from contacts.collisions.broad_phase import Grid
 from contacts.collisions.islands import gathered, grouped, push, velocity
-from contacts.collisions.meeting import met, nearby, overlap
-from contacts.collisions.surfaces import (
-    SurfaceNumbers,
-    against_surface,
-    carried,
-    crossed,
-    distance,
-    seen_from,
-)
+from contacts.collisions.touching import Ground, Look, Seen, Touches, look_at, touching
 from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.states import FREE, PIN, SLIDE
-from contacts.time_stepping.chunk import (
-    APART,
-    BESIDE,
-    DONE,
-    FULL,
-    HIT,
-    NOT_FINITE,
-    SLOW,
-    Chunk,
-    arriving,
-)
+from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put, put_rows
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.copies import put
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import BLOCK, filled
 
-MEMORY = 4
-"""What is kept of a contact from step to step: level, lasting, impulses."""
-
-# Points of contact that a pair can have: a polygon on a surface has as many as corners.
-_POINTS = 16
-# What is past another, within this part of their radii, since the last look has missed it; and of
-# what crosses much of its size in a step, where farther out it approaches at a tenth of its speed.
-_CORE, _WHOLE = 0.9, 0.995
-# Bodies that cross less than this part of their size in a step are looked at once.
-_CROSSED = 0.5
-# What is to be hit ahead of its arrival is by then no farther than this part of its gap.
-_ARRIVED = 0.01
-# The cosine of the angle by which the normal of a hit may turn from its look to the touch.
-_ALIKE = 0.8
-# What came in by another side than it leaves by has crossed for this part of a step at most.
-_ELSEWHERE = 0.5
 # What is no farther from the edge of its cone than this part of its impulse slides.
 _EDGE = 1e-9
 
 
-class BodyNumbers(NamedTuple):
-    """What does not change in a run of colliding bodies.
+class Room(NamedTuple):
+    """Where steps work; nothing in it lasts.
 
     Attributes
     ----------
-    vertices : (v, 2), firsts : (b + 1,)
-        Corners of all bodies in their frames, and where those of a body begin; none of discs.
-    radii, sizes : (b,)
-        Of discs; and how far a body reaches from its centre.
-    cores : (b,)
-        And how far it reaches at least.
-    inverse : (b, 3)
-        1/mass, 1/mass, 1/moment of inertia.
-    gravity : (2,)
-    surfaces : SurfaceNumbers
-    pairs : (b, b + s) array of int
-        Which law bodies touch each other and surfaces by; -1: they do not.
-    materials : (m, 3)
-        Laws: edge of the cone (2), restitution.
+    look : Look
+    touches : Touches
+    grid : Grid
+    pressed : (c, 2), steady : (c, 2)
+        Impulses of the step, and those of them that are forces.
+    bounces : (c,) array of int
+        1: restitution is asked for.
+    parents, local : (b,) array of int, begins : (b + 1,), order : (c,)
+        See `contacts.collisions.islands`.
     """
 
-    vertices: Array
-    firsts: Ints
-    radii: Array
-    sizes: Array
-    cores: Array
-    inverse: Array
-    gravity: Array
-    surfaces: SurfaceNumbers
-    pairs: Ints
-    materials: Array
+    look: Look
+    touches: Touches
+    grid: Grid
+    pressed: Array
+    steady: Array
+    bounces: Ints
+    parents: Ints
+    local: Ints
+    begins: Ints
+    order: Ints
+
+    @classmethod
+    def of(cls, numbers: BodyNumbers, memory: Memory) -> Room:
+        """Return room for as many contacts as are remembered."""
+        count, most = len(numbers.sizes), len(memory.keys)
+        return cls(
+            Look.room(numbers),
+            Touches.room(most),
+            Grid.room(count, most),
+            np.empty((most, 2)),
+            np.empty((most, 2)),
+            np.empty(most, np.int64),
+            np.empty(count, np.int64),
+            np.empty(count, np.int64),
+            np.empty(count + 1, np.int64),
+            np.empty(most, np.int64),
+        )
 
 
-@part
-def _frames(
-    paths: Array, s: int, carrier: int, k: int, places: Array, old: Array, h: float, frames: Array
+@kernel
+def _solved(
+    numbers: BodyNumbers, plastic: bool, room: Room, count: int, allowed: float, effort: Array
 ) -> None:
-    """Write the frames (3, 3) of a surface: at the look before, at this one and the next."""
-    for look in range(3):
-        for d in range(3):
-            if carrier >= 0:
-                frames[look, d] = places[carrier, d] + (look - 1) * h * old[carrier, d]
-            else:
-                frames[look, d] = paths[k + look, s, d]
+    """Find the impulses of a step, island by island.
+
+    Parameters
+    ----------
+    numbers, plastic, allowed
+        See `step_bodies`.
+    room : Room
+        Its impulses are written.
+    count : int
+        Contacts.
+    effort : (4,)
+        See `Chunk.efforts`.
+    """
+    touches, inverse, local, order = room.touches, numbers.inverse, room.local, room.order
+    bodies, rows, materials = touches.bodies, touches.rows, touches.materials
+    effort[0] = effort[1] = effort[3] = 0.0
+    effort[2] = count
+    grouped(bodies, count, room.parents, room.begins, order)
+    for island in range(len(numbers.sizes)):
+        members = order[room.begins[island] : room.begins[island + 1]]
+        size = len(members)
+        if size == 0:
+            continue
+        contacts = gathered(members, bodies, rows, inverse, materials, local)
+        start, unforced = np.empty((size, 2)), np.empty((size, 2))
+        asked, chosen = np.empty((size, 2)), np.empty((size, 2))
+        rebounds, quiet = np.empty(size, np.bool_), 0
+        for a in range(size):
+            i = members[a]
+            put(touches.before[i], start[a])
+            put(touches.free[i], unforced[a])
+            put(touches.pushes[i], chosen[a])
+            rebounds[a] = touches.hit[i] and materials[i, 2] > 0.0
+            if plastic and size > 1 and rebounds[a]:
+                rebounds[a], touches.wanted[i, 0] = False, 0.0
+            put(touches.wanted[i], asked[a])
+            room.bounces[i] = rebounds[a]
+            quiet += 0 if touches.hit[i] else 1
+        bound = 0.0
+        for a in range(size):
+            for side in range(2):
+                b = bodies[members[a], side]
+                # Once for each body.
+                if b >= 0 and local[b] >= 0:
+                    bound += 0.125 * room.look.pull[b] ** 2 / inverse[b, 0]
+                    local[b] = -1
+        missed, done, softened = island_impulses(
+            contacts, start, unforced, asked, rebounds, chosen, allowed, bound
+        )
+        for a in range(size):
+            put(chosen[a], room.pressed[members[a]])
+            put(chosen[a], room.steady[members[a]])
+        if quiet < size:
+            done += _forces(numbers, room, members, quiet, allowed)
+        effort[0] = max(effort[0], missed)
+        effort[1] += done
+        effort[3] = max(effort[3], 1.0 if softened else 0.0)
 
 
-@part
-def _moved(frames: Array, x: float, y: float, look: int) -> tuple[float, float]:
-    """Return where the point of a surface that now is at x, y is at a look."""
-    u, v = seen_from(frames[1], x, y)
-    return carried(frames[look], u, v)
+@kernel
+def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed: float) -> int:
+    """Write what is force of an island's impulses: those without what strikes; return iterations.
+
+    `quiet` of its contacts are not struck.
+    """
+    touches = room.touches
+    others, last = np.empty(quiet, np.int64), 0
+    for i in members:
+        room.steady[i, 0] = room.steady[i, 1] = 0.0
+        if not touches.hit[i]:
+            others[last] = i
+            last += 1
+    if quiet == 0:
+        return 0
+    alone, least = np.empty((quiet, 2)), np.empty((quiet, 2))
+    for a in range(quiet):
+        for d in range(2):
+            least[a, d] = touches.free[others[a], d] + touches.wanted[others[a], d]
+        put(touches.pushes[others[a]], alone[a])
+    contacts = gathered(
+        others, touches.bodies, touches.rows, numbers.inverse, touches.materials, room.local
+    )
+    _, done = solve_rows(contacts, least, alone, allowed, False)
+    for a in range(quiet):
+        put(alone[a], room.steady[others[a]])
+    return done
+
+
+@kernel
+def _kept(
+    numbers: BodyNumbers, memory: Memory, room: Room, seen: Seen, allowed: float, rates: Array,
+    k: int, chunk: Chunk,
+) -> None:  # fmt: skip
+    """Remember a step's contacts, and write how bodies touch."""
+    touches, pressed = room.touches, room.pressed
+    fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * chunk.h
+    for b in range(len(numbers.sizes)):
+        chunk.gaps[k, b] = room.look.gaps[b]
+        chunk.struck[k, b] = False
+        chunk.codes[k, b] = FREE
+        chunk.impulses[k, b, 0] = chunk.impulses[k, b, 1] = 0.0
+    chunk.approach[k], chunk.closing[k], chunk.passed[k] = seen.approach, seen.closing, seen.passed
+    memory.many[0] = seen.contacts
+    memory.past[0], memory.past[1] = chunk.h, max(memory.past[1], seen.approach)
+    for i in range(seen.contacts):
+        pn, pt = pressed[i]
+        lasts = pn > 0.0 and not room.bounces[i]
+        memory.keys[i, 0], memory.keys[i, 1] = touches.keys[i]
+        memory.contacts[i, 0], memory.contacts[i, 1] = touches.memory[i, 0], 1.0 if lasts else 0.0
+        memory.contacts[i, 2], memory.contacts[i, 3] = pn, pt
+        if lasts and not touches.hit[i]:
+            chunk.closing[k] = max(chunk.closing[k], touches.memory[i, 1])
+        normal, tangential = touches.materials[i, 0], touches.materials[i, 1]
+        slip = velocity(touches.bodies, touches.rows, rates, i, 1) - touches.carries[i]
+        inside = tangential * pn - normal * abs(pt) > _EDGE * pn
+        sticks = tangential > 0.0 and (inside or abs(slip) <= allowed * fall)
+        for side in range(2):
+            b = touches.bodies[i, side]
+            if b < 0:
+                continue
+            if touches.hit[i] and pn > 0.0:
+                chunk.struck[k, b] = True
+                chunk.impulses[k, b, 0] += pn
+                chunk.impulses[k, b, 1] += pt if side == 0 else -pt
+            if lasts and sticks:
+                chunk.codes[k, b] = PIN
+            elif lasts and chunk.codes[k, b] == FREE:
+                chunk.codes[k, b] = SLIDE
 
 
 @kernel
@@ -119,10 +212,9 @@ def step_bodies(
     numbers: BodyNumbers,
     paths: Array,
     plastic: bool,
-    keys: Ints,
-    memory: Array,
-    remembered: Ints,
-    allowed: float,
+    memory: Memory,
+    room: Room,
+    bounds: tuple[float, float],
     chunk: Chunk,
 ) -> tuple[int, int]:
     """Take the steps of a chunk; return (steps, status).
@@ -132,319 +224,58 @@ def step_bodies(
     numbers : BodyNumbers
     paths : (k + 2, s, 3) array
         Where the frames of surfaces are at the midpoints of the steps, of the one before and of
-        the one after; (1, s, 3) where none moves.
+        the one after.
     plastic : bool
         Whether what is hit together does not rebound.
-    keys : (c, 2), memory : (c, MEMORY), remembered : (1,)
-        Contacts of the step before: pair and feature; see `MEMORY`; and how many they are. They
-        must be more than take part in a step, else the status is `FULL`. Changed in place.
-    allowed : float
-        Residual of impulses that are good enough.
+    memory : Memory
+        Where it has too little place the status is `FULL`. Changed in place.
+    room : Room
+    bounds : (float, float)
+        Residual of impulses that are good enough; a step that closes a larger gap, or in which
+        bodies pass or sink into each other or turn by more than half a turn, is not taken: the
+        status is `COARSE`. Infinite: all are taken.
     chunk : Chunk
         To be filled, per body instead of per contact; the unknowns are accelerations alone.
     """
-    vertices, firsts, radii, sizes, cores, inverse, gravity, surfaces, pairs, materials = numbers
-    h, states, solved, codes, struck, _, impulses, gaps, approach, closing, passed, _, efforts = (
-        chunk
-    )
-    state = states[0].copy()
-    b_count, s_count = len(sizes), len(surfaces.kinds)
+    h, n, (allowed, deepest) = chunk.h, 3 * len(numbers.sizes), bounds
+    state = chunk.states[0].copy()
+    old, loose, touches = room.look.old, room.look.loose, room.touches
+    surfaces = numbers.surfaces
     registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
     registers[1][1] = 0.0
-    still, swung = np.zeros((3, 3)), np.zeros((3, 3))
-    n = 3 * b_count
-    most = len(keys)
-    found, aside = np.empty((_POINTS, FOUND)), np.empty((_POINTS, FOUND))
-    bodies = np.empty((most, 2), np.int64)
-    rows = np.empty((most, 2, 6))
-    new_keys = np.empty((most, 2), np.int64)
-    new_memory = np.empty((most, MEMORY))
-    cones, elastic = np.empty((most, 2)), np.empty(most)
-    before, free, wanted = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2))
-    pushes, steady = np.empty((most, 2)), np.empty((most, 2))
-    hit, bounces = np.empty(most, np.bool_), np.empty(most, np.bool_)
-    carries = np.zeros(most)
-    pull = np.empty(b_count)
-    parents, begins = np.empty(b_count, np.int64), np.empty(b_count + 1, np.int64)
-    order, local = np.empty(most, np.int64), np.empty(b_count, np.int64)
-    centres = np.empty((b_count, 2))
-    world = np.empty_like(vertices)
-    reach = np.empty(b_count)
-    fall = math.hypot(gravity[0], gravity[1]) * h
-    for k in range(len(codes)):
-        old = state[n:].copy().reshape(b_count, 3)
-        loose = old.copy()
-        places = state[:n].reshape(b_count, 3)
-        for b in range(b_count):
-            at = 3 * b
-            x = state[at] + 0.5 * h * old[b, 0]
-            y = state[at + 1] + 0.5 * h * old[b, 1]
-            angle = state[at + 2] + 0.5 * h * old[b, 2]
-            state[at], state[at + 1], state[at + 2] = x, y, angle
-            centres[b, 0], centres[b, 1] = x, y
-            corners = vertices[firsts[b] : firsts[b + 1]]
-            put_rows(place(corners, x, y, angle), world[firsts[b] : firsts[b + 1]])
-            loose[b, 0] += h * gravity[0]
-            loose[b, 1] += h * gravity[1]
-            speed = math.hypot(old[b, 0], old[b, 1]) + sizes[b] * abs(old[b, 2]) + fall
-            reach[b] = 2.0 * h * speed
-        m, at_old = 0, 0
-        approach[k] = closing[k] = passed[k] = 0.0
-        for b in range(b_count):
-            gaps[k, b], pull[b] = math.inf, fall
-            struck[k, b] = False
-            codes[k, b] = FREE
-            impulses[k, b, 0] = impulses[k, b, 1] = 0.0
-        for b in range(b_count):
-            mine = world[firsts[b] : firsts[b + 1]]
-            for c in range(b + 1, b_count + s_count):
-                material = pairs[b, c]
-                if material < 0:
-                    continue
-                other, moves = c, False
-                if c < b_count:
-                    within = reach[b] + reach[c]
-                    away = math.hypot(centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1])
-                    if away > sizes[b] + sizes[c] + within:
-                        continue
-                    # Of what grazes the approach is slow.
-                    core = _CORE if nearby(old, sizes, b, c, _CROSSED / h) else _WHOLE
-                    begin, end = overlap(centres, old, b, c, core * (cores[b] + cores[c]))
-                    if -h < begin and begin + end < 0.0:
-                        passed[k] = max(passed[k], (end - begin) / h)
-                    count, features = between(
-                        mine, centres[b], radii[b], world[firsts[c] : firsts[c + 1]],
-                        centres[c], radii[c], within, found,
-                    )  # fmt: skip
-                else:
-                    s = c - b_count
-                    other, within = surfaces.carriers[s], reach[b]
-                    if other == b:
-                        continue
-                    moves = other >= 0 or surfaces.moves[s]
-                    frames = swung if moves else still
-                    if moves:
-                        _frames(paths, s, other, k, places, old, h, frames)
-                        u, v = _moved(frames, centres[b, 0], centres[b, 1], 2)
-                        within += 2.0 * math.hypot(u - centres[b, 0], v - centres[b, 1])
-                    away = distance(surfaces, s, frames[1], centres[b, 0], centres[b, 1])
-                    if away > sizes[b] + within:
-                        continue
-                    passed[k] = max(
-                        passed[k],
-                        crossed(
-                            surfaces, s,
-                            seen_from(
-                                frames[0], centres[b, 0] - h * old[b, 0],
-                                centres[b, 1] - h * old[b, 1],
-                            ),
-                            seen_from(frames[1], centres[b, 0], centres[b, 1]), cores[b],
-                        ),
-                    )  # fmt: skip
-                    count, features = against_surface(
-                        surfaces, s, frames[1], registers, mine, centres[b], radii[b], within,
-                        found,
-                    )  # fmt: skip
-                pair = b * (b_count + s_count) + c
-                while at_old < remembered[0] and keys[at_old, 0] < pair:
-                    at_old += 1
-                for p in range(count):
-                    nx, ny, x, y, gap = found[p]
-                    gaps[k, b] = min(gaps[k, b], gap)
-                    if other >= 0:
-                        gaps[k, other] = min(gaps[k, other], gap)
-                    level, lasting = 0.0, False
-                    pushes[m, 0] = pushes[m, 1] = 0.0
-                    place_old = at_old
-                    while place_old < remembered[0] and keys[place_old, 0] == pair:
-                        if keys[place_old, 1] == features[p]:
-                            level = memory[place_old, 0]
-                            lasting = memory[place_old, 1] > 0.0
-                            pushes[m, 0], pushes[m, 1] = memory[place_old, 2], memory[place_old, 3]
-                        place_old += 1
-                    bodies[m, 0], bodies[m, 1] = b, other
-                    for d in range(2):
-                        ux, uy = (nx, ny) if d == 0 else (ny, -nx)
-                        rx, ry = x - centres[b, 0], y - centres[b, 1]
-                        rows[m, d, 0], rows[m, d, 1], rows[m, d, 2] = ux, uy, rx * uy - ry * ux
-                        if other >= 0:
-                            rx, ry = x - centres[other, 0], y - centres[other, 1]
-                            rows[m, d, 3], rows[m, d, 4] = -ux, -uy
-                            rows[m, d, 5] = -(rx * uy - ry * ux)
-                        before[m, d] = velocity(bodies, rows, old, m, d)
-                        free[m, d] = velocity(bodies, rows, loose, m, d)
-                    carries[m] = 0.0
-                    if moves and other < 0:
-                        # What the surface moves by from look to look, as the bodies do.
-                        u, v = _moved(frames, x, y, 0)
-                        before[m, 0] -= (nx * (x - u) + ny * (y - v)) / h
-                        before[m, 1] -= (ny * (x - u) - nx * (y - v)) / h
-                        u, v = _moved(frames, x, y, 2)
-                        carries[m] = (ny * (u - x) - nx * (v - y)) / h
-                        free[m, 0] -= (nx * (u - x) + ny * (v - y)) / h
-                        free[m, 1] -= carries[m]
-                        pull[b] = max(pull[b], math.hypot(
-                            free[m, 0] - before[m, 0], free[m, 1] - before[m, 1]
-                        ))  # fmt: skip
-                    nearing = -before[m, 0]
-                    slow = SLOW * max(abs(free[m, 0] - before[m, 0]), fall)
-                    # Struck in the step whose middle is nearest to the instant of touching.
-                    part, level, above = arriving(
-                        gap, level, lasting, nearing, free[m, 0], slow, 0.5 + BESIDE, h
-                    )
-                    if part == HIT and gap > 0.0 and c < b_count and radii[b] * radii[c] > 0.0:
-                        # Discs that are near and fast may pass beside each other.
-                        touch, _ = overlap(centres, old, b, c, radii[b] + radii[c])
-                        part = HIT if touch <= h else APART
-                    known = at_old < remembered[0] and keys[at_old, 0] == pair
-                    # In short steps all that follows is within their error.
-                    known = known or c >= b_count or nearby(old, sizes, b, c, _CROSSED / h)
-                    if part == HIT and not known:
-                        # Ahead of its arrival, or behind, other corners and edges are the nearest.
-                        later = max(gap / nearing, -h)
-                        arrived, along = met(
-                            vertices, firsts, radii, places, old, (b, c), later, (nx, ny), aside
-                        )
-                        if gap > 0.0 and not arrived <= _ARRIVED * gap:
-                            part = APART
-                        elif along < _ALIKE:
-                            passed[k] = max(passed[k], _ELSEWHERE)
-                    if gap < 0.0 and -nearing > slow and not known:
-                        # It leaves: if it was not in it at the last look, it came by another side.
-                        earlier, _ = met(
-                            vertices, firsts, radii, places, old, (b, c), -h, (nx, ny), aside
-                        )
-                        if earlier > 0.0:
-                            passed[k] = max(passed[k], _ELSEWHERE)
-                    if part == APART:
-                        continue
-                    hit[m] = part == HIT
-                    wanted[m, 0] = wanted[m, 1] = 0.0
-                    if hit[m]:
-                        wanted[m, 0] = -materials[material, 2] * nearing
-                        approach[k] = max(approach[k], nearing)
-                        closing[k] = max(closing[k], -gap)
-                    else:
-                        # A point that turns away faster than gravity follows lifts off; what is
-                        # deeper than that makes was moved there by a change of features.
-                        wanted[m, 0] = max(above / h, -0.5 * fall)
-                    if m == most - 1:
-                        return k, FULL
-                    cones[m, 0], cones[m, 1] = materials[material, 0], materials[material, 1]
-                    elastic[m] = materials[material, 2]
-                    new_keys[m, 0], new_keys[m, 1] = pair, features[p]
-                    new_memory[m, 0] = level
-                    new_memory[m, 1] = 0.0 if lasting or hit[m] else above
-                    if not lasting:
-                        # An impact's impulses say nothing of the next.
-                        pushes[m, 0] = pushes[m, 1] = 0.0
-                    m += 1
-        rates = loose.copy()
-        efforts[k, 0] = efforts[k, 1] = efforts[k, 3] = 0.0
-        efforts[k, 2] = m
-        grouped(bodies, m, parents, begins, order)
-        for island in range(b_count):
-            members = order[begins[island] : begins[island + 1]]
-            size = len(members)
-            if size == 0:
-                continue
-            contacts = gathered(members, bodies, rows, inverse, cones, local)
-            start, unforced = np.empty((size, 2)), np.empty((size, 2))
-            asked, chosen = np.empty((size, 2)), np.empty((size, 2))
-            rebounds, quiet = np.empty(size, np.bool_), 0
-            for a in range(size):
-                i = members[a]
-                put(before[i], start[a])
-                put(free[i], unforced[a])
-                put(pushes[i], chosen[a])
-                rebounds[a] = hit[i] and elastic[i] > 0.0
-                if plastic and size > 1 and rebounds[a]:
-                    rebounds[a], wanted[i, 0] = False, 0.0
-                put(wanted[i], asked[a])
-                bounces[i] = rebounds[a]
-                quiet += 0 if hit[i] else 1
-            bound = 0.0
-            for a in range(size):
-                for side in range(2):
-                    b = bodies[members[a], side]
-                    # Once for each body.
-                    if b >= 0 and local[b] >= 0:
-                        bound += 0.125 * pull[b] * pull[b] / inverse[b, 0]
-                        local[b] = -1
-            missed, done, softened = island_impulses(
-                contacts, start, unforced, asked, rebounds, chosen, allowed, bound
-            )
-            for a in range(size):
-                put(chosen[a], steady[members[a]])
-                if hit[members[a]]:
-                    steady[members[a], 0] = steady[members[a], 1] = 0.0
-            if 0 < quiet < size:
-                # What is force of it: the impulses without what strikes.
-                others, last = np.empty(quiet, np.int64), 0
-                for i in members:
-                    if not hit[i]:
-                        others[last] = i
-                        last += 1
-                alone, ours = np.empty((quiet, 2)), np.empty((quiet, 2))
-                for a in range(quiet):
-                    for d in range(2):
-                        ours[a, d] = free[others[a], d] + wanted[others[a], d]
-                    put(pushes[others[a]], alone[a])
-                _, further = solve_rows(
-                    gathered(others, bodies, rows, inverse, cones, local), ours, alone, allowed,
-                    False,
-                )  # fmt: skip
-                done += further
-                for a in range(quiet):
-                    put(alone[a], steady[others[a]])
-            for a in range(size):
-                put(chosen[a], pushes[members[a]])
-            efforts[k, 0] = max(efforts[k, 0], missed)
-            efforts[k, 1] += done
-            efforts[k, 3] = max(efforts[k, 3], 1.0 if softened else 0.0)
-        forced = loose.copy()
-        for i in range(m):
+    frames, still = np.zeros((3, 3)), np.zeros((3, 3))
+    for k in range(len(chunk.codes)):
+        ground = Ground(paths[k : k + 3], registers, frames, still)
+        look_at(numbers, state, h, room.look)
+        seen = touching(numbers, ground, memory, room.look, room.grid, h, touches)
+        if seen.contacts < 0:
+            return k, FULL
+        if deepest < math.inf and (seen.passed > 0.0 or seen.sunk > 0.0 or seen.closing > deepest):
+            return k, COARSE
+        _solved(numbers, plastic, room, seen.contacts, allowed, chunk.efforts[k])
+        rates, forced = loose.copy(), loose.copy()
+        for i in range(seen.contacts):
             for d in range(2):
-                if pushes[i, d] != 0.0:
-                    push(bodies, rows, inverse, rates, i, d, pushes[i, d])
-                if steady[i, d] != 0.0:
-                    push(bodies, rows, inverse, forced, i, d, steady[i, d])
-        for i in range(m):
-            pressed = pushes[i, 0] > 0.0
-            lasts = pressed and not bounces[i]
-            keys[i, 0], keys[i, 1] = new_keys[i, 0], new_keys[i, 1]
-            memory[i, 0] = new_memory[i, 0]
-            memory[i, 1] = 1.0 if lasts else 0.0
-            memory[i, 2], memory[i, 3] = pushes[i, 0], pushes[i, 1]
-            for side in range(2):
-                b = bodies[i, side]
-                if b < 0:
-                    continue
-                if hit[i] and pressed:
-                    struck[k, b] = True
-                    impulses[k, b, 0] += pushes[i, 0]
-                    impulses[k, b, 1] += pushes[i, 1] if side == 0 else -pushes[i, 1]
-                if lasts:
-                    if not hit[i]:
-                        closing[k] = max(closing[k], new_memory[i, 1])
-                    edge = cones[i, 1] * pushes[i, 0] - cones[i, 0] * abs(pushes[i, 1])
-                    slip = abs(velocity(bodies, rows, rates, i, 1) - carries[i])
-                    sticks = cones[i, 1] > 0.0 and (
-                        edge > _EDGE * pushes[i, 0] or slip <= allowed * fall
-                    )
-                    if sticks:
-                        codes[k, b] = PIN
-                    elif codes[k, b] == FREE:
-                        codes[k, b] = SLIDE
-        remembered[0] = m
-        for b in range(b_count):
+                if room.pressed[i, d] != 0.0:
+                    push(
+                        touches.bodies, touches.rows, numbers.inverse, rates, i, d,
+                        room.pressed[i, d],
+                    )  # fmt: skip
+                if room.steady[i, d] != 0.0:
+                    push(
+                        touches.bodies, touches.rows, numbers.inverse, forced, i, d,
+                        room.steady[i, d],
+                    )  # fmt: skip
+        if deepest < math.inf and h * np.abs(rates[:, 2]).max() > math.pi:
+            return k, COARSE
+        _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
+        for b in range(len(numbers.sizes)):
             for d in range(3):
                 at = 3 * b + d
-                solved[k, at] = (forced[b, d] - old[b, d]) / h
+                chunk.solved[k, at] = (forced[b, d] - old[b, d]) / h
                 state[n + at] = rates[b, d]
                 state[at] += 0.5 * h * rates[b, d]
                 if not math.isfinite(state[at]):
                     return k, NOT_FINITE
-        for i in range(2 * n):
-            states[k + 1, i] = state[i]
-    return len(codes), DONE
+        put(state, chunk.states[k + 1])
+    return len(chunk.codes), DONE

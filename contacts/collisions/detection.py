@@ -33,12 +33,20 @@ def write(found: Array, nx: float, ny: float, x: float, y: float, gap: float) ->
 @kernel
 def place(vertices: Array, x: float, y: float, angle: float) -> Array:
     """Return vertices (k, 2) of a body's frame in the world."""
+    world = np.empty_like(vertices)
+    placed(vertices, 0, len(vertices), x, y, angle, world)
+    return world
+
+
+@part
+def placed(
+    vertices: Array, first: int, end: int, x: float, y: float, angle: float, world: Array
+) -> None:
+    """Write some of the vertices (k, 2) of bodies' frames as they are in the world."""
     c, s = math.cos(angle), math.sin(angle)
-    placed = np.empty_like(vertices)
-    for i in range(len(vertices)):
-        placed[i, 0] = x + c * vertices[i, 0] - s * vertices[i, 1]
-        placed[i, 1] = y + s * vertices[i, 0] + c * vertices[i, 1]
-    return placed
+    for i in range(first, end):
+        world[i, 0] = x + c * vertices[i, 0] - s * vertices[i, 1]
+        world[i, 1] = y + s * vertices[i, 0] + c * vertices[i, 1]
 
 
 @part
@@ -60,9 +68,8 @@ def _farthest(one: Array, other: Array) -> tuple[float, int]:
 
 @part
 def _clipped(
-    one: Array, edge: int, other: Array, within: float, flip: bool, found: Array
-) -> tuple[int, Ints]:
-    features = np.empty(len(found), np.int64)
+    one: Array, edge: int, other: Array, within: float, flip: bool, found: Array, features: Ints
+) -> int:
     j = (edge + 1) % len(one)
     ex, ey = one[j, 0] - one[edge, 0], one[j, 1] - one[edge, 1]
     length = math.hypot(ex, ey)
@@ -106,13 +113,12 @@ def _clipped(
             write(found[count], -sign * nx, -sign * ny, x, y, gap)
             features[count] = 4 * (64 * edge + facing) + 2 * end + (1 if flip else 0)
             count += 1
-    return count, features
+    return count
 
 
 @part
-def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int, Ints]:
+def _corner(one: Array, other: Array, within: float, found: Array, features: Ints) -> int:
     """Take the nearest corners of polygons whose facing edges do not overlap."""
-    features = np.zeros(len(found), np.int64)
     best, a, b = math.inf, 0, 0
     for i in range(len(one)):
         for k in range(len(other)):
@@ -120,18 +126,17 @@ def _corner(one: Array, other: Array, within: float, found: Array) -> tuple[int,
             if d < best:
                 best, a, b = d, i, k
     if best > within or best == 0.0:
-        return 0, features
+        return 0
     nx, ny = (one[a, 0] - other[b, 0]) / best, (one[a, 1] - other[b, 1]) / best
     write(found[0], nx, ny, other[b, 0], other[b, 1], best)
     features[0] = -1 - (64 * a + b)
-    return 1, features
+    return 1
 
 
 @part
 def _disc_and_polygon(
     centre: Array, radius: float, polygon: Array, flip: bool, within: float, found: Array
-) -> tuple[int, Ints]:
-    features = np.zeros(len(found), np.int64)
+) -> int:
     best, edge = -math.inf, 0
     for i in range(len(polygon)):
         j = (i + 1) % len(polygon)
@@ -153,10 +158,10 @@ def _disc_and_polygon(
         away = math.hypot(centre[0] - x, centre[1] - y)
         nx, ny, gap = (centre[0] - x) / away, (centre[1] - y) / away, away - radius
     if gap > within:
-        return 0, features
+        return 0
     sign = -1.0 if flip else 1.0
     write(found[0], sign * nx, sign * ny, x, y, gap)
-    return 1, features
+    return 1
 
 
 @kernel
@@ -169,8 +174,9 @@ def between(
     other_radius: float,
     within: float,
     found: Array,
-) -> tuple[int, Ints]:
-    """Find the points where two bodies are near each other; return their number and features.
+    features: Ints,
+) -> int:
+    """Find the points where two bodies are near each other; return their number.
 
     Parameters
     ----------
@@ -181,35 +187,36 @@ def between(
         Of discs.
     within : float
         Gaps up to this are found.
-    found : (m, FOUND)
+    found : (m, FOUND), features : (m,) array of int
         To be filled.
     """
+    # Of a disc there is one point.
+    features[0] = 0
     if len(one) == 0 and len(other) == 0:
-        features = np.zeros(len(found), np.int64)
         dx, dy = one_centre[0] - other_centre[0], one_centre[1] - other_centre[1]
         away = math.hypot(dx, dy)
         gap = away - one_radius - other_radius
         if gap > within or away == 0.0:
-            return 0, features
+            return 0
         nx, ny = dx / away, dy / away
         x, y = other_centre[0] + other_radius * nx, other_centre[1] + other_radius * ny
         write(found[0], nx, ny, x, y, gap)
-        return 1, features
+        return 1
     if len(one) == 0:
         return _disc_and_polygon(one_centre, one_radius, other, False, within, found)
     if len(other) == 0:
         return _disc_and_polygon(other_centre, other_radius, one, True, within, found)
     first, edge = _farthest(one, other)
     if first > within:
-        return 0, np.zeros(len(found), np.int64)
+        return 0
     second, edge_of_other = _farthest(other, one)
     if second > within:
-        return 0, np.zeros(len(found), np.int64)
+        return 0
     width = math.hypot(one[0, 0] - one_centre[0], one[0, 1] - one_centre[1])
     if second > first + _PREFERRED * width:
-        count, features = _clipped(other, edge_of_other, one, within, True, found)
+        count = _clipped(other, edge_of_other, one, within, True, found, features)
     else:
-        count, features = _clipped(one, edge, other, within, False, found)
+        count = _clipped(one, edge, other, within, False, found, features)
     if count == 0 and max(first, second) > 0.0:
-        return _corner(one, other, within, found)
-    return count, features
+        return _corner(one, other, within, found, features)
+    return count

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from contacts.collisions.body_step import BodyNumbers
+from contacts.collisions.body_numbers import BodyNumbers
 from contacts.collisions.declared_surfaces import touched
 from contacts.collisions.surfaces import HOLLOW
 from contacts.scene.scene import Scene
@@ -42,9 +42,8 @@ def check_inside(scene: Scene, numbers: BodyNumbers, initial: Array, frames: Arr
         u, v, angle = (frames[s] if carrier < 0 else places[carrier]).tolist()
         cos, sin = math.cos(angle), math.sin(angle)
         centre = np.array([u + cos * x - sin * y, v + sin * x + cos * y])
-        members = [
-            b for b in range(len(names)) if numbers.pairs[b, len(names) + s] >= 0 and b != carrier
-        ]
+        meets = numbers.laws[numbers.kinds, len(numbers.laws) + s] >= 0
+        members = [b for b in np.flatnonzero(meets).tolist() if b != carrier]
         outside = []
         for b in members:
             if numbers.cores[b] > radius:

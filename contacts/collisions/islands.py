@@ -67,7 +67,7 @@ def gathered(
         Of all contacts: which bodies touch; velocities, normal and tangential, per unit rates of
         the two.
     inverse : (b, 3)
-        See `contacts.collisions.body_step.BodyNumbers`.
+        See `contacts.collisions.body_numbers.BodyNumbers`.
     cones : (c, 2)
     local : (b,) array of int
         Is overwritten.

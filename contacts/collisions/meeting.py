@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from contacts.collisions.body_numbers import BodyNumbers
 from contacts.collisions.detection import between, place
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array
 from statechart.kernels.jit import part
 
 
@@ -38,9 +39,7 @@ def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -
 
 @part
 def met(
-    vertices: Array,
-    firsts: Ints,
-    radii: Array,
+    numbers: BodyNumbers,
     places: Array,
     velocities: Array,
     pair: tuple[int, int],
@@ -54,8 +53,7 @@ def met(
 
     Parameters
     ----------
-    vertices, firsts, radii
-        See `contacts.collisions.body_step.BodyNumbers`.
+    numbers : BodyNumbers
     places, velocities : (b, 3) array
         At the time zero.
     pair : (int, int)
@@ -67,13 +65,14 @@ def met(
         Is overwritten.
     """
     one, other = pair
+    vertices, firsts, radii = numbers.vertices, numbers.firsts, numbers.radii
     first, second = places[one] + later * velocities[one], places[other] + later * velocities[other]
     within = 2.0 * abs(later) * (np.abs(velocities[one]).max() + np.abs(velocities[other]).max())
-    count, _ = between(
+    count = between(
         place(vertices[firsts[one] : firsts[one + 1]], first[0], first[1], first[2]), first[:2],
         radii[one],
         place(vertices[firsts[other] : firsts[other + 1]], second[0], second[1], second[2]),
-        second[:2], radii[other], within, found,
+        second[:2], radii[other], within, found, np.empty(len(found), np.int64),
     )  # fmt: skip
     gap, along = math.inf, 1.0 if count == 0 else -1.0
     for p in range(count):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from contacts.collisions.body_step import BodyNumbers
+from contacts.collisions.body_numbers import BodyNumbers
 from contacts.collisions.declared_surfaces import surface_numbers, touched
 from contacts.dynamics.contact_law import edge
 from contacts.scene.fields import copies
@@ -70,7 +70,7 @@ def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]
         cores.append(_core(mine) if mine else radius)
         inverse.append([1.0 / mass, 1.0 / mass, 1.0 / inertia])
     declared = scene.gravity
-    pairs, materials = _materials(scene, owners, number)
+    kinds, laws, materials = _laws(scene, owners, number)
     return BodyNumbers(
         np.array(corners, dtype=float).reshape(-1, 2),
         np.array(firsts, dtype=np.int64),
@@ -84,7 +84,8 @@ def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]
             else [0.0, -number(declared)]
         ),
         surface_numbers(scene, known),
-        pairs,
+        kinds,
+        laws,
         materials,
     )
 
@@ -96,21 +97,25 @@ def _core(corners: Sequence[Sequence[float]]) -> float:
     return max(0.0, min(cross), min(-turn for turn in cross))
 
 
-def _materials(
+def _laws(
     scene: Scene, owners: Sequence[str], number: Callable[[str | int | float], float]
-) -> tuple[Ints, Array]:
-    """Return which law bodies touch each other and surfaces by (b, b + s), and the laws (m, 3)."""
-    names = list(scene.bodies)
+) -> tuple[Ints, Ints, Array]:
+    """Return kinds of bodies (b,), which law they touch by (k, k + s), and the laws (m, 3)."""
+    kinds = {owner: kind for kind, owner in enumerate(dict.fromkeys(owners))}
     surfaces = touched(scene)
-    pairs = np.full((len(names), len(names) + len(surfaces)), -1, dtype=np.int64)
-    laws = []
+    laws = np.full((len(kinds), len(kinds) + len(surfaces)), -1, dtype=np.int64)
+    materials = []
     for law, collision in enumerate(scene.collisions.values()):
-        laws.append((*edge(number(collision.friction)), number(collision.restitution)))
-        members = [i for i, owner in enumerate(owners) if owner in collision.bodies]
-        others = [len(names) + surfaces.index(name) for name in collision.surfaces]
+        materials.append((*edge(number(collision.friction)), number(collision.restitution)))
+        members = [kinds[owner] for owner in collision.bodies if owner in kinds]
+        others = [len(kinds) + surfaces.index(name) for name in collision.surfaces]
         for one in members:
-            for other in [k for k in members if k > one] + others:
-                if pairs[one, other] < 0:
-                    pairs[one, other] = law
-    edges = np.array(laws)
-    return pairs, np.column_stack([smoothed(edges[:, :2]), edges[:, 2]])
+            for other in members + others:
+                if laws[one, other] < 0:
+                    laws[one, other] = law
+    edges = np.array(materials)
+    return (
+        np.array([kinds[owner] for owner in owners], dtype=np.int64),
+        laws,
+        np.column_stack([smoothed(edges[:, :2]), edges[:, 2]]),
+    )

@@ -147,8 +147,9 @@ def against_surface(
     radius: float,
     within: float,
     found: Array,
-) -> tuple[int, Ints]:
-    """Find the points of a body near a surface; return their number and features.
+    features: Ints,
+) -> int:
+    """Find the points of a body near a surface; return their number.
 
     Parameters
     ----------
@@ -166,7 +167,7 @@ def against_surface(
         Of a disc.
     within : float
         Gaps up to this are found.
-    found : (m, FOUND)
+    found : (m, FOUND), features : (m,) array of int
         To be filled.
     """
     moved = pose[0] != 0.0 or pose[1] != 0.0 or pose[2] != 0.0
@@ -177,16 +178,15 @@ def against_surface(
         for i in range(len(body)):
             corners[i, 0], corners[i, 1] = seen_from(pose, body[i, 0], body[i, 1])
     kind = surfaces.kinds[s]
-    features = np.zeros(len(found), np.int64)
     a, b, c, d = surfaces.numbers[s]
     if kind in (PLATE, ROUND):
         ends, no_corners = np.empty((2, 2)), np.empty((0, 2))
         ends[0, 0], ends[0, 1], ends[1, 0], ends[1, 1] = a, b, c, d
         about = np.empty(2)
         about[0], about[1] = (a, b) if kind == ROUND else (0.5 * (a + c), 0.5 * (b + d))
-        count, features = between(
+        count = between(
             corners, middle, radius, ends if kind == PLATE else no_corners, about,
-            c if kind == ROUND else 0.0, within, found,
+            c if kind == ROUND else 0.0, within, found, features,
         )  # fmt: skip
         if kind == PLATE:
             count = _without_joins(surfaces, s, found, features, count)
@@ -218,7 +218,7 @@ def against_surface(
             x, y = carried(pose, found[i, 2], found[i, 3])
             nx, ny = carried(pose, found[i, 0], found[i, 1])
             write(found[i], nx - pose[0], ny - pose[1], x, y, found[i, 4])
-    return count, features
+    return count
 
 
 @part

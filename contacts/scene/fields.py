@@ -25,7 +25,7 @@ from statechart.documents.fields import FormulaText, NameText, unit, value_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 
-_MOST_COPIES = 1000
+_MOST_COPIES = 10_000
 
 
 class SceneFields(Declaration):

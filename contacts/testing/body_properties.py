@@ -6,11 +6,11 @@ the collision detection that was run is used.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from contacts.collisions.body_step import BodyNumbers
+from contacts.collisions.body_numbers import BodyNumbers
 from contacts.collisions.declared_surfaces import SurfacePaths
 from contacts.collisions.outlines import body_numbers, owners_of
 from contacts.collisions.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
@@ -48,7 +48,7 @@ def assert_depths(
     outlines = [_placed(numbers, states[:, b], b) for b in range(count)]
     frames = None if paths is None else paths(times)
     allowed = trace.tolerances["gap"] * (1.0 + _ROUNDING)
-    for b, other in zip(*np.nonzero(numbers.pairs >= 0), strict=True):
+    for b, other in _meeting(numbers):
         if other < count:
             reach = numbers.sizes[b] + numbers.sizes[other]
             away = np.hypot(*(states[:, b, :2] - states[:, other, :2]).T)
@@ -74,6 +74,18 @@ def assert_depths(
                 f"{trace.regions[b]} is {-gaps[k]:.6g} deep in {what} at t = {times[k]:.17g}; "
                 f"a step at the fastest approach is {allowed:.3g}"
             )
+
+
+def _meeting(numbers: BodyNumbers) -> Iterator[tuple[int, int]]:
+    """Yield bodies, each with others, and with surfaces behind them, that they touch by a law."""
+    count, kinds = len(numbers.sizes), numbers.laws.shape[0]
+    for b in range(count):
+        laws = numbers.laws[numbers.kinds[b]]
+        for other in np.flatnonzero(laws[numbers.kinds] >= 0).tolist():
+            if other > b:
+                yield b, other
+        for surface in np.flatnonzero(laws[kinds:] >= 0).tolist():
+            yield b, count + surface
 
 
 def _placed(numbers: BodyNumbers, states: Array, b: int) -> Array:
@@ -168,9 +180,8 @@ def assert_impulses_of_bodies(numbers: BodyNumbers, trace: Trace) -> None:
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
         for name, impulse in jump.impulse.items():
-            laws = numbers.pairs[trace.regions.index(name)]
-            others = numbers.pairs[:, trace.regions.index(name)]
-            edges = numbers.materials[np.unique([*laws[laws >= 0], *others[others >= 0]])]
+            laws = numbers.laws[numbers.kinds[trace.regions.index(name)]]
+            edges = numbers.materials[np.unique(laws[laws >= 0])]
             n, t, _ = min(edges, key=lambda edge: float(edge[0]))
             assert_in_cone(impulse, (n, t), largest, f"on {name} at t = {jump.t:.17g}")
 

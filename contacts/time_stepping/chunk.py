@@ -19,9 +19,10 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NonFinite, SimulationError
 from statechart.kernels.jit import part
 
-DONE, HARD, BAD_INERTIA, NOT_FINITE, FULL = range(5)
+DONE, HARD, BAD_INERTIA, NOT_FINITE, FULL, COARSE = range(6)
 """How a chunk ended: with its last step, before a contact problem that was not solved, an inertia
-that determines no motion, a number that is none, or more contacts than there is place for."""
+that determines no motion, a number that is none, more contacts than there is place for, or more
+motion than the step follows."""
 
 APART, LASTING, HIT = range(3)
 """How a contact takes part in a step."""

@@ -22,6 +22,7 @@ that is. Where restitution with friction would add more, it is reduced (`capped`
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -49,8 +50,9 @@ from statechart.automaton.trace import (
 from statechart.errors import SimulationError, StepTooLarge, TooLong
 from statechart.formulas.tape import Tape
 
-# Steps of regions at once: they take up to a quarter of a second, in which no signal is seen.
-_CHUNK = 512
+# Steps at once, in which no signal is seen: of what takes longer than this many seconds, half as
+# many are taken from then on; of what takes less than a quarter of it, twice as many.
+_CHUNK, _PATIENCE = 512, 0.2
 DEEPEST = 0.1
 """Deeper than this part of the scene in one step: the step does not see its surfaces."""
 
@@ -221,14 +223,23 @@ class _Run:
         else:
             # Forces are impulses over a step: in a very short one they would be rounding.
             counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
-        most = max(1, _CHUNK // len(self.stepping.regions)) if self.stepping.regions else _CHUNK
+        most = max(1, _CHUNK // max(1, len(self.stepping.regions)))
         for count, h in counts:
-            done = 0
+            # A step may be taken in parts, of which there are a power of two.
+            done = 0.0
             first = self.time
             while done < count:
                 interrupts.check()
-                begin = first + done * h
-                chunk = self.stepped.steps(begin, h, self.state, min(count - done, most))
+                begin, asked, began = first + done * h, count - done, time.perf_counter()
+                if asked < 1.0:
+                    chunk = self.stepped.steps(begin, asked * h, self.state, 1)
+                else:
+                    chunk = self.stepped.steps(begin, h, self.state, min(int(asked), most))
+                took = time.perf_counter() - began
+                if took > _PATIENCE:
+                    most = max(1, most // 2)
+                elif took < 0.25 * _PATIENCE and len(chunk.codes) == most:
+                    most = min(2 * most, _CHUNK)
                 if self.control is not None:
                     chunk = self.control.cut(chunk, begin, self.recorder)
                 jumps = len(self.recorder.jumps)
@@ -237,7 +248,7 @@ class _Run:
                 if self.control is not None:
                     fresh = self.recorder.jumps[jumps:]
                     self.control.turn(self.recorder, fresh, self.state, chunk.solved[-1], h)
-                done += len(chunk.codes)
+                done += len(chunk.codes) * (chunk.h / h)
         self.time = until
         self.message = f"reached t = {until:.17g}"
 

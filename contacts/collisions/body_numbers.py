@@ -1,0 +1,96 @@
+"""Colliding bodies, and what is remembered of their contacts, as arrays of a compiled step."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.collisions.surfaces import SurfaceNumbers
+from statechart.arrays import Array, Ints
+
+MEMORY = 4
+"""What is kept of a contact from step to step: level, lasting, impulses."""
+
+# Contacts that there is place for at first.
+_PER_BODY = 8
+
+
+class BodyNumbers(NamedTuple):
+    """What does not change in a run of colliding bodies.
+
+    Attributes
+    ----------
+    vertices : (v, 2), firsts : (b + 1,)
+        Corners of all bodies in their frames, and where those of a body begin; none of discs.
+    radii, sizes : (b,)
+        Of discs; and how far a body reaches from its centre.
+    cores : (b,)
+        And how far it reaches at least.
+    inverse : (b, 3)
+        1/mass, 1/mass, 1/moment of inertia.
+    gravity : (2,)
+    surfaces : SurfaceNumbers
+    kinds : (b,) array of int
+        What bodies are copies of.
+    laws : (k, k + s) array of int
+        Which law kinds of bodies touch each other and surfaces by; -1: they do not.
+    materials : (m, 3)
+        Laws: edge of the cone (2), restitution.
+    """
+
+    vertices: Array
+    firsts: Ints
+    radii: Array
+    sizes: Array
+    cores: Array
+    inverse: Array
+    gravity: Array
+    surfaces: SurfaceNumbers
+    kinds: Ints
+    laws: Ints
+    materials: Array
+
+
+class Memory(NamedTuple):
+    """What lasts from step to step.
+
+    Attributes
+    ----------
+    keys : (c, 2) array of int
+        Of the contacts of the step before: pair and feature. There is place for more than take
+        part in a step.
+    contacts : (c, MEMORY)
+        See `MEMORY`.
+    many : (1,) array of int
+        How many they are.
+    past : (2,)
+        Length of the step before, and the fastest approach of an impact so far.
+    """
+
+    keys: Ints
+    contacts: Array
+    many: Ints
+    past: Array
+
+    @classmethod
+    def room(cls, bodies: int) -> Memory:
+        """Return that of bodies that have not touched yet."""
+        most = _PER_BODY * bodies + 1
+        return cls(
+            np.zeros((most, 2), dtype=np.int64),
+            np.zeros((most, MEMORY)),
+            np.zeros(1, dtype=np.int64),
+            np.zeros(2),
+        )
+
+    def copy(self) -> Memory:
+        """Return it as it is now."""
+        return Memory(self.keys.copy(), self.contacts.copy(), self.many.copy(), self.past.copy())
+
+    def larger(self) -> Memory:
+        """Return it with place for twice as many contacts."""
+        return self._replace(
+            keys=np.concatenate([self.keys, np.zeros_like(self.keys)]),
+            contacts=np.concatenate([self.contacts, np.zeros_like(self.contacts)]),
+        )
