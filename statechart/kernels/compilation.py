@@ -7,7 +7,7 @@ of a function into each of its callers, where LLVM optimises it again, level by 
 - a function has one signature: a literal is a number, and a whole number has 64 bits;
 - the code of a part is taken into kernels as it was written, and LLVM sees it there alone;
 - a kernel that another kernel calls is called, not taken in: its machine code stands beside;
-- what makes no array counts no references: whoever called it holds all that it sees.
+- references are counted to arrays that a function makes: whoever called it holds all others.
 
 The last makes what is on disk of a kernel depend on what is there of others (`Callee`).
 """
@@ -15,6 +15,8 @@ The last makes what is on disk of a kernel depend on what is there of others (`C
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from numba import _dynfunc, types
@@ -129,49 +131,114 @@ _VIEWS = ("getitem", "static_getitem", "getattr", "build_tuple", "cast", "exhaus
           "iternext", "pair_first", "pair_second", "phi")  # fmt: skip
 
 
-def _makes_arrays(state: Any) -> bool:
-    """Whether a function that has been typed may make an array, or gives one back."""
-    models, kinds = state.targetctx.data_model_manager, state.typemap
+class _References:
+    """Which variables of a function, that has been typed, hold references of their own.
 
-    def counted(kind: Any) -> bool:
-        return bool(models[kind].contains_nrt_meminfo())
+    What a function is given is held by whoever called it, and so is all that it takes out of that;
+    only what it makes itself, and what it gives back, needs to be counted. A part that gives back
+    nothing but views of its arguments lends them to its caller, who holds them.
 
-    if counted(state.return_type):
-        return True
-    for block in state.func_ir.blocks.values():
-        for assigned in block.find_insts(ir.Assign):
-            made = assigned.value
-            if not isinstance(made, ir.Expr) or not counted(kinds[assigned.target.name]):
-                continue
-            at = made.index if made.op == "getitem" else None
-            if made.op not in _VIEWS or (at is not None and counted(kinds[at.name])):
-                return True
-    return False
+    Attributes
+    ----------
+    borrowing : set of str
+        Variables whose references are not counted.
+    lends : bool
+        Whether what is given back is held by the caller already.
+    """
+
+    def __init__(self, state: Any, *, may_lend: bool) -> None:
+        self._models, self._kinds = state.targetctx.data_model_manager, state.typemap
+        self._calls = state.calltypes
+        blocks = state.func_ir.blocks.values()
+        assigned = [
+            one
+            for block in blocks
+            for one in block.find_insts(ir.Assign)
+            if self._counted(one.target.name)
+        ]
+        returned = {one.value.name for block in blocks for one in block.find_insts(ir.Return)}
+        self._owning: set[str] = set()
+        self._spread(assigned)
+        self.lends = may_lend and not self._owning & returned
+        if not self.lends:
+            self._owning |= returned
+            self._spread(assigned)
+        self.borrowing = {one.target.name for one in assigned} - self._owning
+
+    def _counted(self, name: str) -> bool:
+        return bool(self._models[self._kinds[name]].contains_nrt_meminfo())
+
+    def _spread(self, assigned: list[Any]) -> None:
+        """Find what owns because of what does: a view holds what it looks at."""
+        found = -1
+        while found < len(self._owning):
+            found = len(self._owning)
+            self._owning |= {one.target.name for one in assigned if self._owns(one.value)}
+
+    def _owns(self, value: Any) -> bool:
+        if not isinstance(value, ir.Expr):
+            return isinstance(value, ir.Var) and value.name in self._owning
+        view = value.op in _VIEWS or (value.op == "call" and self._lent(value))
+        # An array as an index chooses what is copied.
+        view = view and not (value.op == "getitem" and self._counted(value.index.name))
+        return not view or any(one.name in self._owning for one in value.list_vars())
+
+    def _lent(self, call: Any) -> bool:
+        kind = self._kinds[call.func.name]
+        if isinstance(kind, types.BoundFunction):
+            return str(kind.typing_key) == "array.reshape"
+        return _lender(kind, self._calls[call])
+
+
+def _lender(kind: Any, signature: Any) -> bool:
+    """Whether a function is a part that lends what it gives back."""
+    if not isinstance(kind, types.Dispatcher):
+        return False
+    compiled = kind.dispatcher.overloads.get(plain(signature.args))
+    return compiled is not None and getattr(compiled.library, "lends", False)
 
 
 class _Borrowing(Lower):
-    """Lowers a function that holds no references to arrays of its own."""
+    """Lowers a function, counting references to what it makes alone."""
 
     context: Any
 
-    def lower(self) -> None:
+    def __init__(self, references: _References, *arguments: Any, **others: Any) -> None:
+        super().__init__(*arguments, **others)
+        self._borrowing = references.borrowing
+        self._not_counting = self.context.subtarget(enable_nrt=False)
+
+    def lower_inst(self, inst: Any) -> None:
+        name = inst.value if isinstance(inst, ir.Del) else None
+        if isinstance(inst, ir.Assign):
+            name = inst.target.name
         counting = self.context
-        self.context = counting.subtarget(enable_nrt=False)
-        super().lower()
-        # What Python calls it through holds the arguments.
+        if name in self._borrowing:
+            self.context = self._not_counting
+        super().lower_inst(inst)
         self.context = counting
+
+    def _lower_call_normal(self, function: Any, expression: Any, signature: Any) -> Any:
+        result = super()._lower_call_normal(function, expression, signature)
+        if _lender(function, signature):
+            self.incref(signature.return_type, result)
+        return result
 
 
 class _Lowering(NativeLowering):
     """Lowers a function, without counting references where that can be."""
 
+    _may_lend = False
+
     @property
-    def lowering_class(self) -> type[Lower]:
-        return self._class
+    def lowering_class(self) -> Callable[..., Lower]:
+        return partial(_Borrowing, self._references)
 
     def run_pass(self, state: Any) -> bool:
-        self._class = Lower if _makes_arrays(state) else _Borrowing
-        return bool(super().run_pass(state))
+        self._references = _References(state, may_lend=self._may_lend)
+        changed = bool(super().run_pass(state))
+        state.library.lends = self._references.lends
+        return changed
 
 
 def _begin_library(state: Any, kind: type[JITCodeLibrary]) -> None:
@@ -197,6 +264,7 @@ class _KernelLowering(_Lowering):
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _PartLowering(_Lowering):
     _name = "part_lowering"
+    _may_lend = True
 
     def run_pass(self, state: Any) -> bool:
         _begin_library(state, _PartLibrary)

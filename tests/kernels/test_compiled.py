@@ -5,14 +5,16 @@ from __future__ import annotations
 import importlib
 import pickle
 import sys
+from types import FunctionType
 
 import numpy as np
 import pytest
 from numba import njit
 from numba.core.caching import NullCache
+from numba.core.runtime import _nrt_python, rtsys
 
 from statechart.arrays import Array
-from statechart.kernels.jit import is_cached, kernel
+from statechart.kernels.jit import is_cached, kernel, part
 
 LOWER = """\
 from statechart.kernels.jit import {decorator}
@@ -75,6 +77,59 @@ def test_references_are_counted_where_arrays_are_made_or_given_back(function, co
     (code,) = compiled.made.inspect_llvm().values()
     body = code[code.index("define ") :].partition("\n}")[0]
     assert ("@NRT_" in body) == counts
+
+
+@part
+def _halves(values: Array) -> tuple[Array, Array]:
+    middle = values.shape[0] // 2
+    return values[:middle], values[middle:]
+
+
+@part
+def _swapped(pair: tuple[Array, Array]) -> tuple[Array, Array]:
+    return pair[1], pair[0].reshape((1, pair[0].shape[0]))[0]
+
+
+def _kept_by_views(values: Array, count: int) -> Array:
+    """Views outlive the names of what they look at, and are of what was given or of what is new."""
+    right, left = _swapped(_halves(values))
+    for k in range(count):
+        new = np.full(values.shape[0], float(k))
+        if k % 3 > 0:
+            left, right = _halves(new)
+        else:
+            right, _ = _halves(left + right)
+            left = values[: right.shape[0]]
+    return np.append(left, right) if count > 0 else left
+
+
+def _in_python(values: Array, count: int) -> Array:
+    names = {"np": np, "_halves": _halves.py_func, "_swapped": _swapped.py_func}
+    return FunctionType(_kept_by_views.__code__, names)(values, count)
+
+
+@pytest.fixture
+def counted_memory():
+    _nrt_python.memsys_enable_stats()
+    yield
+    _nrt_python.memsys_disable_stats()
+
+
+@pytest.mark.parametrize("count", range(5))
+def test_views_of_arrays_that_are_new_keep_them(count, counted_memory):
+    compiled = kernel(_kept_by_views)
+    compiled._cache = NullCache()
+    values = np.arange(8.0)
+    compiled(values, count)
+    held, made = sys.getrefcount(values), rtsys.get_allocation_stats()
+    for _ in range(10):
+        found = compiled(values, count)
+        expected = _in_python(values, count)
+        assert np.array_equal(found, expected)
+        del found, expected
+    now = rtsys.get_allocation_stats()
+    assert now.alloc - made.alloc == now.free - made.free
+    assert sys.getrefcount(values) == held
 
 
 @pytest.fixture
