@@ -4,6 +4,6 @@
 `parameters`, and `minimal` those of the coordinates that a mode leaves; `joints` are what joints
 hold, `conditions` what switches contacts off, `control_guards` the controllers, and `memory` what
 these remember. `setup` are the numbers of a run, in its own `scales`, with the `contact_law` of
-each contact; `snapshot` all numbers at one state, which `projection` brings back onto constraints.
-`starting` says whether a scene may start as declared.
+each contact, `run_numbers` the same compiled; `snapshot` all numbers at one state, which
+`projection` brings back onto constraints. `starting` says whether a scene may start as declared.
 """

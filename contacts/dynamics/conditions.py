@@ -14,8 +14,10 @@ import numpy as np
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import Snapshot
 from contacts.states import OFF
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints32
 from statechart.automaton.trace import Key
+from statechart.kernels.jit import kernel
+from statechart.kernels.tapes import tape_values
 
 # A condition as near zero as this, of what the state's own sizes change it by, is on the edge.
 _BAND = 1e-13
@@ -59,13 +61,9 @@ class Conditions:
         """Return how near zero each condition counts as on the edge: name -> band."""
         if not self.present:
             return {}
-        first = self.tape.at(initial, values, 0.0)
-        change = np.abs(first)
-        for i, size in enumerate(sizes.tolist()):
-            moved = initial.copy()
-            moved[i] += size
-            change = change + np.abs(self.tape.at(moved, values, 0.0) - first)
-        bands = np.where(np.isfinite(change), _BAND * change, 0.0).tolist()
+        found = np.empty(len(self.listed))
+        edges(*self.tape.program, values, initial, sizes, found)
+        bands = found.tolist()
         names = [margin.name for margins in self._margins for margin in margins]
         result = dict(zip(names, bands, strict=True))
         for name, margins in zip(self._names, self._margins, strict=True):
@@ -141,3 +139,40 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
         for contact, name in zip(snapshot.contacts, mode, strict=True)
     )
     return snapshot._replace(contacts=contacts)
+
+
+@kernel
+def edges(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    values: Array,
+    initial: Array,
+    sizes: Array,
+    bands: Array,
+) -> None:
+    """Write how near zero each condition (k,) counts as on the edge.
+
+    Parameters
+    ----------
+    code, constants, outputs
+        Tape of the conditions' margins.
+    values, initial
+        Parameters, and the state at the start.
+    sizes : (n,) array
+        How large the variables are.
+    """
+    count = outputs.shape[0]
+    first, moved = np.empty(count), np.empty(count)
+    state = initial.copy()
+    tape_values(code, constants, outputs, state, values, 0.0, first)
+    for k in range(count):
+        bands[k] = abs(first[k])
+    for i in range(sizes.shape[0]):
+        state[i] = initial[i] + sizes[i]
+        tape_values(code, constants, outputs, state, values, 0.0, moved)
+        state[i] = initial[i]
+        for k in range(count):
+            bands[k] += abs(moved[k] - first[k])
+    for k in range(count):
+        bands[k] = _BAND * bands[k] if abs(bands[k]) < math.inf else 0.0

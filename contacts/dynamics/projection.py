@@ -21,14 +21,14 @@ from statechart.errors import NoConsistentMode, SingularMode
 from statechart.formulas.tape import Tape
 
 # A state is brought onto the constraints of the mode entered from this part of their tolerance on.
-_DRIFT = 0.05
+DRIFT = 0.05
 # A velocity left over where a flow begins moves the point as long as the flow lasts.
-_CREEP = 5e-4
+CREEP = 5e-4
 # Weights of an open contact's numbers.
 _FREE = (0.0,) * 5
 # Of the scene's length: how far a step may be off a surface before it counts as blind. Enclosures
 # as narrow as the gap's tolerance would take 1e5 boxes a step.
-_UNSEEN = 1e-4
+UNSEEN = 1e-4
 _EPS = float(np.finfo(float).eps)
 # A distance that projection cannot reduce is rounding up to so many of those of its terms.
 _ROUNDINGS = 64.0
@@ -177,12 +177,12 @@ class Projection:
 def unseen_room(tolerances: Mapping[str, float], scales: Scales) -> float:
     """Return how far a step may be off a surface before it counts as blind."""
     # What may be off that far at a loose tolerance is not brought back.
-    return max(_UNSEEN * scales.length, tolerances["gap"])
+    return max(UNSEEN * scales.length, tolerances["gap"])
 
 
 def landing(tolerances: Mapping[str, float]) -> tuple[float, float]:
     """Return how far off a mode's constraints gaps, and velocities, may be when it is entered."""
-    return _DRIFT * tolerances["gap"], _CREEP * tolerances["speed"]
+    return DRIFT * tolerances["gap"], CREEP * tolerances["speed"]
 
 
 def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, float]) -> Array:

@@ -10,10 +10,10 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
-from contacts.solvers.saddle_point import largest_sizes
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
+from statechart.kernels.jit import kernel
 
 _EPS = float(np.finfo(float).eps)
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
@@ -61,6 +61,15 @@ class ScaleTape:
     ----------
     mechanics : Mechanics
         The scene's equations.
+
+    Attributes
+    ----------
+    tape : Tape
+        Outputs: groups of numbers.
+    begins : (g + 1,) array of int64
+        Where each group begins.
+    places, gravity : int
+        How many numbers places and their speeds are; how many groups gravity is.
     """
 
     def __init__(self, mechanics: Mechanics) -> None:
@@ -99,11 +108,12 @@ class ScaleTape:
         mass = sp.Add(*map(sp.Abs, masses))
         # Of each group the largest is wanted.
         groups = [lengths, speeds, pushes, [mass], [duration], *([g] for g in mechanics.gravity)]
-        self._gravity = len(mechanics.gravity)
+        self.gravity = len(mechanics.gravity)
         groups += moves
         self._owners = owners
-        self._begins = np.array([*accumulate(map(len, groups), initial=0)])
-        self._tape = mechanics.tape(
+        self.places = 2 * len(owners)
+        self.begins = np.array([*accumulate(map(len, groups), initial=0)])
+        self.tape = mechanics.tape(
             [expression for group in groups for expression in group],
             definitions=mechanics.controlled(),
         )
@@ -116,30 +126,12 @@ class ScaleTape:
         DeclarationProblem
             If a place or the gravity there is not finite.
         """
-        sizes = np.empty(len(self._begins) - 1)
-        numbers = self._tape.at(state, values, 0.0)
-        checked = np.abs(numbers[: 2 * len(self._owners)]).max(initial=0.0)
-        pulls = np.abs(numbers[self._begins[5] : self._begins[5 + self._gravity]]).max(initial=0.0)
-        if not (checked <= _MOST and pulls <= _MOST):
+        numbers = self.tape.at(state, values, 0.0)
+        scales, sizes = np.empty(4), np.empty(len(state))
+        if not measure(numbers, self.begins, self.places, self.gravity, scales, sizes):
             self._check(numbers)
-        largest_sizes(numbers, self._begins, sizes)
-        largest = sizes.tolist()
-        length, speed, push, mass, duration = largest[:5]
-        moves = largest[5 + self._gravity :]
-        duration = min(max(duration, _LEAST), _MOST)
-        acceleration = math.hypot(*largest[5 : 5 + self._gravity]) or push
-        # A start that is off zero by rounding of what the motion needs to turn has no length.
-        turn = speed**2 / acceleration if acceleration > 0.0 else 0.0
-        if length <= max(_LEAST, _EPS * turn):
-            length = max(speed * duration, acceleration * duration**2) or 1.0
-        acceleration = max(acceleration, speed**2 / length)
-        if acceleration == 0.0:
-            acceleration = length / duration**2
-        speed = max(speed, math.sqrt(acceleration * length))
-        # A coordinate that moves no point is an angle about a centre.
-        coordinates = [length / move if move > 0.0 else 1.0 for move in moves]
-        sizes = np.array([*coordinates, *(size * (speed / length) for size in coordinates)])
-        return Scales(length, speed, acceleration, mass * acceleration, sizes)
+        length, speed, acceleration, force = scales.tolist()
+        return Scales(length, speed, acceleration, force, sizes)
 
     def _check(self, numbers: Array) -> None:
         """Raise at the first place, speed or gravity that is not finite or too large."""
@@ -153,8 +145,57 @@ class ScaleTape:
             check_range(numbers[place], "its place at the start", owner)
             speed = numbers[len(self._owners) + place]
             check_range(speed, "its speed at the start", owner)
-        gravity = numbers[self._begins[5] : self._begins[5 + self._gravity]]
+        gravity = numbers[self.begins[5] : self.begins[5 + self.gravity]]
         if not np.isfinite(gravity).all():
             raise DeclarationProblem("must be finite", loc=("gravity",))
         for number in gravity:
             check_range(number, "", ("gravity",))
+
+
+@kernel
+def measure(
+    numbers: Array, begins: Ints, places: int, gravity: int, scales: Array, sizes: Array
+) -> bool:
+    """Read the scales off a scene's numbers at the start; False where some are out of range.
+
+    Parameters
+    ----------
+    numbers, begins, places, gravity
+        See `ScaleTape`.
+    scales : (4,), sizes : (2 n,) array
+        To be filled: length, speed, acceleration, force; the sizes of coordinates and rates.
+    """
+    n = sizes.shape[0] // 2
+    largest = np.zeros(begins.shape[0] - 1)
+    for group in range(largest.shape[0]):
+        for i in range(begins[group], begins[group + 1]):
+            if largest[group] < abs(numbers[i]) < math.inf:
+                largest[group] = abs(numbers[i])
+    inside = True
+    for i in range(begins[5 + gravity]):
+        if i < places or i >= begins[5]:
+            inside = inside and abs(numbers[i]) <= _MOST
+    length, speed, push, mass = largest[0], largest[1], largest[2], largest[3]
+    duration = min(max(largest[4], _LEAST), _MOST)
+    acceleration = 0.0
+    for i in range(5, 5 + gravity):
+        acceleration = math.hypot(acceleration, largest[i])
+    if acceleration == 0.0:
+        acceleration = push
+    # A start that is off zero by rounding of what the motion needs to turn has no length.
+    turn = speed * speed / acceleration if acceleration > 0.0 else 0.0
+    if length <= max(_LEAST, _EPS * turn):
+        length = max(speed * duration, acceleration * (duration * duration))
+        if length == 0.0:
+            length = 1.0
+    acceleration = max(acceleration, speed * speed / length)
+    if acceleration == 0.0:
+        acceleration = length / (duration * duration)
+    speed = max(speed, math.sqrt(acceleration * length))
+    scales[0], scales[1], scales[2], scales[3] = length, speed, acceleration, mass * acceleration
+    for i in range(n):
+        move = largest[5 + gravity + i]
+        # A coordinate that moves no point is an angle about a centre.
+        sizes[i] = length / move if move > 0.0 else 1.0
+        sizes[n + i] = sizes[i] * (speed / length)
+    return inside

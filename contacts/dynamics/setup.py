@@ -31,15 +31,17 @@ _Reader = Callable[[Sequence[float]], ContactLaw]
 # size of rounding in a solved mode, with room; entering asks for half of it (hysteresis). It does
 # not grow with the tolerance of the integration: events are those of the trajectory computed.
 _FORCE_BAND = 1e-12
+# What breaks an inequality of a mode by up to this part of the force's tolerance is a tie.
+TIE = 0.5
 # A moment of inertia below this part of mass times arm squared cannot be told from zero: the
 # forces that turn the body are then differences of terms that many times larger.
-_POINT_MASS = 1e-12
+POINT_MASS = 1e-12
 # Sequences of impacts are looked at from here on; how high the contacts still fly decides.
-_SHORT = 0.1
+SHORT = 0.1
 # Positions and speeds carry rounding of this size relative to the scene.
-_ROUNDING = 1e-13
+ROUNDING = 1e-13
 # How far the first flow looks ahead, in the scene's own unit of time.
-_LOOK_AHEAD = 64.0
+LOOK_AHEAD = 64.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,7 +69,7 @@ class SceneSetup(Setup):
     @property
     def tie(self) -> float:
         """Up to this, in the scales, what breaks an inequality of a mode is a boundary case."""
-        return 0.5 * self.tolerances["force"] / self.scales.force
+        return TIE * self.tolerances["force"] / self.scales.force
 
 
 class SceneNumbers:
@@ -79,44 +81,62 @@ class SceneNumbers:
         The scene's equations.
     stops : mapping
         Stop condition -> margin.
+
+    Attributes
+    ----------
+    scene : Scene
+    parameters : Parameters
+        What the values follow from.
+    places : mapping
+        Parameter -> its place among the values.
+    scale_tape : ScaleTape
+    conditions : Conditions
+    stops, of_forces : collection of str
+        Stop conditions; those that have no value before forces are known.
+    stop_tape : Tape
+        Outputs: their margins.
+    inertias : list of (str, int or None)
+        Body and the place of its moment of inertia among the values.
+    limits : Tape or None
+        What is surely physical between `bounds` (2, l); None where that cannot be told so.
     """
 
     def __init__(self, mechanics: Mechanics, stops: Mapping[str, Margin]) -> None:
         scene = mechanics.scene
-        self._scene = scene
-        self._parameters = mechanics.parameters
+        self.scene = scene
+        self.parameters = mechanics.parameters
         self._remembered = len(mechanics.memory)
-        self._places = {name: i for i, name in enumerate(mechanics.parameters.names)}
-        self._scales = ScaleTape(mechanics)
+        self.places = {name: i for i, name in enumerate(mechanics.parameters.names)}
+        self.scale_tape = ScaleTape(mechanics)
         self.conditions = Conditions(mechanics)
         self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
-        self._stops = tuple(stops)
+        self.stops = tuple(stops)
         forces = mechanics.unknown_forces
-        self._of_forces = {
+        self.of_forces = {
             name
             for name, stop in stops.items()
             if stop.expression.free_symbols.intersection(forces)
         }
-        self._stop_tape = mechanics.tape(
+        self.stop_tape = mechanics.tape(
             [margin.expression for margin in stops.values()],
             definitions=[*mechanics.controlled(), *((force, sp.S.Zero) for force in forces)],
         )
         rows = mechanics.joint_rows
         self._joint_names = tuple(row.joint for row in rows)
-        self._redundant = [self._places[f"{r.joint}.redundant_{r.component.lower()}"] for r in rows]
+        self._redundant = [self.places[f"{r.joint}.redundant_{r.component.lower()}"] for r in rows]
         self._joint_tape = mechanics.tape(
             [entry for row in rows for entry in row.jacobian],
         )
-        self._inertias = [(name, self._places.get(f"{name}.inertia")) for name in scene.bodies]
-        self._limits: Tape | None = None
+        self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
+        self.limits: Tape | None = None
         limits = physical_limits(scene)
         if limits is not None:
             # What is a number was checked when it was read.
             varying = [limit for limit in limits if parse(limit[0]).names]
             bounded = [parse(text).to_sympy(mechanics.known) for text, _, _ in varying]
             if not any(expression.has(sp.oo) for expression in bounded):
-                self._limits = mechanics.tape(bounded)
-                self._bounds = np.array([bounds for _, *bounds in varying]).reshape(-1, 2).T
+                self.limits = mechanics.tape(bounded)
+                self.bounds = np.array([bounds for _, *bounds in varying]).reshape(-1, 2).T
 
     def at(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
         """Return the numbers for `overrides` of the parameters.
@@ -126,56 +146,57 @@ class SceneNumbers:
         DeclarationProblem, FormulaError
             If a parameter is unknown, or a number has no value or is not physical.
         """
-        values, further = self._parameters.values(overrides)
-        values, warnings = self._point_masses(values, further[-len(self._inertias) :])
-        begins = further[: -len(self._inertias)]
+        values, further = self.parameters.values(overrides)
+        values, warnings = self._point_masses(values, further[-len(self.inertias) :])
+        begins = further[: -len(self.inertias)]
         initial = begins[: len(begins) - self._remembered]
         memory = begins[len(initial) :]
         if overrides and not self._physical(_known(memory, values), initial):
-            check_physical(self._scene, self._scene.values(overrides))
+            check_physical(self.scene, self.scene.values(overrides))
         if not all(map(math.isfinite, initial.tolist())):
-            check_finite(self._scene, self._scene.values(overrides))
+            check_finite(self.scene, self.scene.values(overrides))
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         values, implied = self._implied(values, initial, memory)
         known = _known(memory, values)
         try:
-            scales = self._scales.at(known, initial)
+            scales = self.scale_tape.at(known, initial)
         except DeclarationProblem:
             # It is a formula's fault where one has no finite value.
-            check_finite(self._scene, self._scene.values(overrides))
+            check_finite(self.scene, self.scene.values(overrides))
             raise
-        margins = self._stop_tape.at(initial, known, 0.0).tolist()
-        for name, margin in zip(self._stops, margins, strict=True):
-            if math.isnan(margin) and name not in self._of_forces:
+        margins = self.stop_tape.at(initial, known, 0.0).tolist()
+        for name, margin in zip(self.stops, margins, strict=True):
+            if math.isnan(margin) and name not in self.of_forces:
                 raise DeclarationProblem(
                     "it has no value at the start, so that nobody could watch it",
                     advice="look for a logarithm, a root or a quotient without a value there",
                     loc=("stop", "conditions", name),
                 )
+        gap, speed, force = tolerated(relative)
         tolerances = {
-            "gap": max(10.0 * relative, _ROUNDING) * scales.length,
-            "speed": max(10.0 * relative, 10.0 * _ROUNDING) * scales.speed,
-            "force": _FORCE_BAND * scales.force,
+            "gap": gap * scales.length,
+            "speed": speed * scales.speed,
+            "force": force * scales.force,
             "plain": 0.0,
         }
         return SceneSetup(
             values=values,
             initial=begins,
             tolerances=tolerances,
-            short=_SHORT,
+            short=SHORT,
             warnings=(*warnings, *implied),
             # What begins at zero does not tell how large it gets.
             sizes=np.concatenate([scales.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))])
             if len(memory)
             else scales.sizes,
-            horizon=_LOOK_AHEAD * scales.length / scales.speed,
+            horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
-            capture=math.sqrt(max(relative, _ROUNDING)) * scales.speed,
+            capture=math.sqrt(max(relative, ROUNDING)) * scales.speed,
             bands={
                 **{
-                    n: _ROUNDING * abs(v) if math.isfinite(v) else 0.0
-                    for n, v in zip(self._stops, margins, strict=True)
+                    n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
+                    for n, v in zip(self.stops, margins, strict=True)
                 },
                 **self.conditions.bands(known, initial, scales.sizes),
             },
@@ -183,18 +204,18 @@ class SceneNumbers:
 
     def _physical(self, values: Array, initial: Array) -> bool:
         """Whether masses and the like are surely within their bounds."""
-        if self._limits is None:
+        if self.limits is None:
             return False
-        found, (least, most) = self._limits.at(initial, values, 0.0), self._bounds
+        found, (least, most) = self.limits.at(initial, values, 0.0), self.bounds
         return bool(((least <= found) & (found <= most)).all())
 
     def _point_masses(self, values: Array, levers: Array) -> tuple[Array, tuple[str, ...]]:
         """Set to zero the moments of inertia that cannot be told from it."""
         warnings = []
-        for (name, place), lever in zip(self._inertias, levers.tolist(), strict=True):
-            if place is not None and 0.0 < values[place] < _POINT_MASS * lever:
+        for (name, place), lever in zip(self.inertias, levers.tolist(), strict=True):
+            if place is not None and 0.0 < values[place] < POINT_MASS * lever:
                 warnings.append(
-                    f"the inertia of {name!r}, {values[place]:g}, is below {_POINT_MASS:g} of its "
+                    f"the inertia of {name!r}, {values[place]:g}, is below {POINT_MASS:g} of its "
                     "mass times arm squared: computed as a point mass"
                 )
                 values = values.copy()
@@ -232,41 +253,49 @@ class SceneNumbers:
         states : mapping, optional
             Controller -> its state; those at the start by default.
         """
-        states = states or self._scene.controlled.initial
+        states = states or self.scene.controlled.initial
         key = tuple(states.values())
         if key not in self._readers:
             self._readers[key] = tuple(
-                self._reader(name, contact, states)
-                for name, contact in self._scene.contacts.items()
+                self._reader(name, contact, states) for name, contact in self.scene.contacts.items()
             )
         listed = values.tolist()
         return tuple(read(listed) for read in self._readers[key])
 
-    def _reader(self, name: str, contact: Contact, states: Mapping[str, str]) -> _Reader:
-        """Return what reads a contact's coefficients off the values of a run."""
-        region_of = self._scene.controlled.region_of
+    def coefficients(
+        self, name: str, contact: Contact, states: Mapping[str, str] | None = None
+    ) -> tuple[tuple[int | None, float], ...]:
+        """Return where cone_n, cone_t and the restitution of a contact are found.
+
+        Places among the values, and what they are where there is none.
+        """
+        states = self.scene.controlled.initial if states is None else states
+        region_of = self.scene.controlled.region_of
 
         def place(key: str, text: FormulaText | None) -> int | None:
             region = region_of(text)
-            return self._places.get(f"{name}.{key}" + (f".{states[region]}" if region else ""))
+            return self.places.get(f"{name}.{key}" + (f".{states[region]}" if region else ""))
 
-        region_states = states_of(contact, gate=self._scene.gate(name))
-        n, t = (place(key, contact.friction) for key in ("cone_n", "cone_t"))
-        e = place("restitution", contact.restitution)
         # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `friction_cones`.
         fixed = (1.0, 0.0) if contact.frictionless else (0.0, 1.0)
+        n, t = (place(key, contact.friction) for key in ("cone_n", "cone_t"))
+        return (n, fixed[0]), (t, fixed[1]), (place("restitution", contact.restitution), 0.0)
+
+    def _reader(self, name: str, contact: Contact, states: Mapping[str, str]) -> _Reader:
+        """Return what reads a contact's coefficients off the values of a run."""
+        region_states = states_of(contact, gate=self.scene.gate(name))
+        found = self.coefficients(name, contact, states)
 
         def read(values: Sequence[float]) -> ContactLaw:
-            return ContactLaw(
-                name,
-                region_states,
-                fixed[0] if n is None else values[n],
-                fixed[1] if t is None else values[t],
-                0.0 if e is None else values[e],
-                contact.impact,
-            )
+            n, t, e = [fixed if place is None else values[place] for place, fixed in found]
+            return ContactLaw(name, region_states, n, t, e, contact.impact)
 
         return read
+
+
+def tolerated(relative: float) -> tuple[float, float, float]:
+    """Return the tolerances of gap, speed and force in the scene's scales."""
+    return max(10.0 * relative, ROUNDING), max(10.0 * relative, 10.0 * ROUNDING), _FORCE_BAND
 
 
 def _known(memory: Array, values: Array) -> Array:

@@ -7,10 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import SCALARS
+from contacts.impacts.impact import MEANINGS
 from contacts.impacts.path import ENDED, RAISES, strike
 from contacts.impacts.plastic import together
 from contacts.modes.fast_classification import classify
+from contacts.scene.parts import MOREAU
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.engines.whole_flow import Program, tape_of
@@ -277,3 +280,8 @@ def hit(
                 return -1, 0, 0
     put(after, state)
     return c, path, bits
+
+
+def meaning(law: ContactLaw) -> int:
+    """Return what restitution means where an impact goes along a path."""
+    return -1 if law.impact == MOREAU else MEANINGS[law.impact]

@@ -80,7 +80,7 @@ class SceneLaws:
         self.ordinary: Ordinary | None = None
         if not mechanics.joint_rows:
             self.ordinary = SceneInstants(
-                self._names, self._tape, self._projection, self._conditions, self.jump
+                self._names, numbers, self._tape, self._projection, self.jump
             )
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:

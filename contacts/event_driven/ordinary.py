@@ -9,20 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from contacts.dynamics.conditions import Conditions
-from contacts.dynamics.contact_law import ContactLaw, cones
+from contacts.dynamics.contact_law import cones
 from contacts.dynamics.projection import Projection, landing, unseen_room
-from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.run_numbers import rules
+from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.decision import cause
-from contacts.event_driven.hit import SceneWatch
+from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.impact_jump import flow_in
+from contacts.event_driven.rows import RowCall
 from contacts.event_driven.run_on import CAUSES, run_on
+from contacts.event_driven.run_rows import INSTANTS, run_rows
 from contacts.impacts.bounces import FAST
-from contacts.impacts.impact import MEANINGS, pieces
+from contacts.impacts.impact import pieces
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
 from contacts.modes.fast_classification import allowed
-from contacts.scene.parts import MOREAU
 from contacts.states import CODES, OFF, OFF_CODE
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, Setup, roles_in
@@ -41,12 +42,12 @@ class SceneInstants:
     ----------
     names : tuple of str
         Of the contacts.
-    numbers : SnapshotTape
-        The scene's numbers.
+    numbers : SceneNumbers
+        From the values of the parameters to the numbers of a run.
+    snapshots : SnapshotTape
+        The scene's numbers at a state.
     projection : Projection
         Of its constraints.
-    conditions : Conditions
-        Of its contacts.
     ask : callable
         What the laws do at an instant.
     """
@@ -54,17 +55,21 @@ class SceneInstants:
     def __init__(
         self,
         names: tuple[str, ...],
-        numbers: SnapshotTape,
+        numbers: SceneNumbers,
+        snapshots: SnapshotTape,
         projection: Projection,
-        conditions: Conditions,
         ask: Callable[[Instant], tuple[Jump | None, Flow] | None],
     ) -> None:
-        self._names, self._projection, self._conditions = names, projection, conditions
-        self._ask = ask
-        self.tapes = numbers.tape, projection.tape, conditions.tape
+        self._names, self._projection, self._ask = names, projection, ask
+        self._numbers, conditions = numbers, numbers.conditions
+        self._rules, limits = rules(numbers), numbers.limits
+        self.tapes: tuple[Tape, ...] = snapshots.tape, projection.tape, conditions.tape
+        if limits is not None:
+            self.tapes += limits, numbers.scale_tape.tape, numbers.stop_tape
         owners = {name: k + 1 for k, (_, name) in enumerate(conditions.listed)}
         off = {f"{name}.{OFF}": -1 - c for c, name in enumerate(names)}
         self._of_margins = {**owners, **off}
+        self._conditions = conditions
         self._owners = np.array([contact for contact, _ in conditions.listed], np.int64)
         self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
@@ -82,6 +87,11 @@ class SceneInstants:
         states = [OFF_CODE if state == OFF else CODES[state] for state in mode]
         return [*states, *(self._of_margins.get(name, 0) for name in margins)]
 
+    def tolerances(self, setup: Setup) -> Mapping[str, float]:
+        """Return the margins that have a tolerance of their own in a run, with it."""
+        assert isinstance(setup, SceneSetup)
+        return setup.bands
+
     def takes(self, setup: Setup, flow: Flow) -> bool:
         """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
         assert isinstance(setup, SceneSetup)
@@ -98,7 +108,7 @@ class SceneInstants:
         """Return the loop for the numbers of a run."""
         assert isinstance(setup, SceneSetup)
         tolerances = setup.tolerances
-        numbers, constraints, conditions = loop.tapes
+        numbers, constraints, conditions = loop.tapes[:INSTANTS]
         count = len(self._projection.tape.outputs)
         watch = Watch(
             setup.values,
@@ -120,7 +130,7 @@ class SceneInstants:
             allowed(tuple([law.states for law in setup.contacts])),
             cones(setup.contacts),
             np.array([law.restitution for law in setup.contacts]),
-            np.array([_meaning(law) for law in setup.contacts], np.int64),
+            np.array([meaning(law) for law in setup.contacts], np.int64),
             near,
             creep,
             tolerances["gap"],
@@ -133,15 +143,29 @@ class SceneInstants:
         )
         return partial(run_on, loop.program, loop.pace, watch, loop.memory, scene)
 
+    def rows_compiled(self) -> bool:
+        """Whether the call for many runs lies compiled on disk."""
+        return is_cached(run_rows)
+
+    def rows(self, loop: Loop, names: Sequence[str], relative: float) -> RowCall | None:
+        """Return the call for runs with values of some parameters."""
+        if self._rules is None:
+            return None
+        return RowCall(self._numbers, self._rules, loop, names, relative)
+
+    def about(self, event: Event) -> tuple[str, str]:
+        """Return the contact that an event is about, and its cause."""
+        if event.struck >= 0:
+            return self._names[event.struck], "touchdown"
+        return cause(self._names, event.source, event.target, False)
+
     def jump(self, setup: Setup, event: Event, fired: str) -> Jump:
         """Return the jump of an event that the loop has made."""
         assert isinstance(setup, SceneSetup)
-        source, target = event.source, event.target
-        region, how = cause(self._names, source, target, False)
+        region, how = self.about(event)
         impulse: Mapping[str, tuple[float, float]] = {}
         path: tuple[str, ...] = ()
         if event.struck >= 0:
-            region, how = self._names[event.struck], "touchdown"
             if event.group == 0:
                 path = (" ".join([region, *pieces(event.path)]),)
                 if event.normal != 0.0 or event.tangential != 0.0:
@@ -154,8 +178,8 @@ class SceneInstants:
             event.j,
             region,
             how,
-            source,
-            target,
+            event.source,
+            event.target,
             event.before,
             event.after,
             (fired,) if fired else (),
@@ -181,8 +205,3 @@ class SceneInstants:
             if group >> place & 1:
                 yield f"{name}:{IMPULSE_STATES[code & 7]}"
                 code >>= 3
-
-
-def _meaning(law: ContactLaw) -> int:
-    """Return what restitution means where an impact goes along a path."""
-    return -1 if law.impact == MOREAU else MEANINGS[law.impact]

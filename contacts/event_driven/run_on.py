@@ -110,7 +110,7 @@ def _hold(
 
 
 @part
-def _row(program: Program, states: Ints) -> int:
+def row_of(program: Program, states: Ints) -> int:
     """Return the mode of these states of the contacts; -1 where it is not compiled."""
     modes = program.modes
     for row in range(modes.shape[0]):
@@ -209,7 +209,7 @@ def _instant(
         struck, path, group = hit(
             program, scene, watch.parameters, state, high, kept, numbers, impulse, taken
         )
-    target = _row(program, taken) if found or struck >= 0 else -1
+    target = row_of(program, taken) if found or struck >= 0 else -1
     if target == mode and struck < 0 and margin < 0:
         place[N_ASKED] = 0
         return GOES_ON, -1, 0.0

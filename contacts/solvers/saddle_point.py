@@ -178,17 +178,6 @@ def solve_refined(scaled: Array, b: Array, x: Array) -> int:
 
 
 @kernel
-def largest_sizes(numbers: Array, begins: Ints, largest: Array) -> None:
-    """Write the largest finite absolute value of each group of numbers; 0 where it has none."""
-    for group in range(len(largest)):
-        size = 0.0
-        for i in range(begins[group], begins[group + 1]):
-            if size < abs(numbers[i]) < math.inf:
-                size = abs(numbers[i])
-        largest[group] = size
-
-
-@kernel
 def saddle(
     mass: Array, right: Array, rows: Array, columns: Array, constants: Array
 ) -> tuple[int, Array]:

@@ -274,6 +274,10 @@ class Ordinary(Protocol):
         """Return what is to stay above a room, as `Constraints.within`."""
         ...
 
+    def tolerances(self, setup: Setup) -> Mapping[str, float]:
+        """Return the margins that have a tolerance of their own in a run, with it."""
+        ...
+
     def takes(self, setup: Setup, flow: Flow) -> bool:
         """Whether it can go on from the start of a flow in a mode that it knows."""
         ...
@@ -282,6 +286,21 @@ class Ordinary(Protocol):
         self, setup: Setup, loop: Any, floors: Array
     ) -> Callable[..., tuple[int, int, float]]:
         """Return the loop for the numbers of a run; see `statechart.execution.ahead`."""
+        ...
+
+    def rows_compiled(self) -> bool:
+        """Whether the call for many runs lies compiled on disk; if not, that takes a while."""
+        ...
+
+    def rows(self, loop: Any, names: Sequence[str], relative: float) -> Any | None:
+        """Return the call for runs with values of some parameters; None where there is none.
+
+        See `statechart.execution.rows`.
+        """
+        ...
+
+    def about(self, event: Event) -> tuple[str, str]:
+        """Return the region that an event is about, and its cause, as in its jump."""
         ...
 
     def jump(self, setup: Setup, event: Event, fired: str) -> Jump:

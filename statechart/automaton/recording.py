@@ -108,6 +108,21 @@ def pad(variables: int) -> Block:
     return _empty((_ARCS, _TIMES, _TERMS, _ARCS), variables)
 
 
+def polynomials(block: Block, row: int, variables: int) -> tuple[Array, Array]:
+    """Return the times and the coefficients of an arc of a block (see `Arc`)."""
+    steps, width = block.arcs[row, 2:].tolist()
+    at, begin = block.places[row].tolist()
+    terms = block.coefficients[begin : begin + steps * variables * width]
+    return block.times[at : at + steps + 1], terms.reshape(steps, variables, width)
+
+
+def event_of(block: Block, row: int, j: int, kinds: Sequence[Kind]) -> Event:
+    """Return an event of a block, before which there were `j` jumps."""
+    source, target, *codes = block.events[row].tolist()
+    numbers, states = block.numbers[row].tolist(), block.states[row].copy()
+    return Event(j, kinds[source][0], kinds[target][0], *codes, *numbers, *states)
+
+
 def _empty(room: tuple[int, int, int, int], variables: int) -> Block:
     arcs, times, terms, events = room
     return Block(
@@ -273,28 +288,20 @@ class Recording:
 
     def _arc(self, place: int) -> Arc:
         block, row = self._found(self._arcs, place)
-        kind, j, steps, width = block.arcs[row].tolist()
-        at, begin = block.places[row].tolist()
+        kind, j = block.arcs[row, :2].tolist()
         mode, roles = self._kinds[kind]
-        times = block.times[at : at + steps + 1]
-        terms = block.coefficients[begin : begin + steps * self.variables * width]
+        times, terms = polynomials(block, row, self.variables)
         if block is self.memory:  # which is written on again
             times, terms = times.copy(), terms.copy()
         start = Clock._make(block.starts[row].tolist())
-        return Arc(mode, roles, start, j, times, terms.reshape(steps, self.variables, width))
+        return Arc(mode, roles, start, j, times, terms)
 
     def _event(self, j: int) -> Jump:
         made = self.made.get(j)
         if made is not None:
             return made
-        block, row = self._found(self._events, j)
-        source, target, *codes = block.events[row].tolist()
-        ends = self._kinds[source][0], self._kinds[target][0]
-        numbers, states = block.numbers[row].tolist(), block.states[row]
-        if block is self.memory:
-            states = states.copy()
         assert self._jump is not None
-        return self._jump(Event(j, *ends, *codes, *numbers, *states))
+        return self._jump(event_of(*self._found(self._events, j), j, self._kinds))
 
     def _found(self, begins: list[int], place: int) -> tuple[Block, int]:
         """Return the block that holds a place of a sequence, and its row there."""

@@ -1,9 +1,9 @@
 """Runs on hybrid time.
 
 `simulator` runs an automaton on an engine, `compiled_modes` keeps what it has compiled for that.
-`execution` is the loop: `flow` to the first event (`finding` judges what was found), ask the
-laws, jump; `ahead` lets compiled loops do so where nothing is unusual. `zeno` watches for jumps
-that accumulate, `livelock` for those that lead nowhere, and `record` makes a trace of it.
-`certificate` proves how far a run is off. `time_stepping` runs models by fixed steps instead.
-`perturbation` changes a run slightly, `outcome` makes an error of an end.
+`execution` is the loop: `flow` to the first event (`finding` judges what was found), ask the laws,
+jump; `ahead` lets compiled loops do so where nothing is unusual, and `rows` many runs at once.
+`zeno` watches for jumps that accumulate, `livelock` for those that lead nowhere, and `record` makes
+a trace of it. `certificate` proves how far a run is off. `time_stepping` runs models by fixed steps
+instead. `perturbation` changes a run slightly, `outcome` makes an error of an end.
 """

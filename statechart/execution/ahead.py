@@ -6,8 +6,8 @@ instant is. What it does not do, the execution does, and lets it go on from ther
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.laws import Flow, Ordinary, Setup, roles_in
-from statechart.automaton.recording import Event, Kind
+from statechart.automaton.recording import Block, Event, Kind
 from statechart.automaton.trace import Clock, Jump, Key, Roles
 from statechart.engines.engine import Engine, Entry, Pace
 from statechart.engines.whole_flow import (
@@ -34,6 +34,7 @@ from statechart.kernels.polynomials import summands
 
 if TYPE_CHECKING:
     from statechart.execution.execution import Execution
+    from statechart.execution.rows import Found, Rows
 
 OVER, FELL, FLOW, FULL, PAUSED, COUNTED, ACCUMULATES = range(7)
 """Why a compiled loop ends: the run is over; a margin fell, and what follows is to be decided; the
@@ -81,10 +82,20 @@ class Modes:
         self._memory: Scratch | None = None
         self._loop: Loop | None = None
         self._asked, self._worth = 0, False
+        self._calls: dict[tuple[str, ...], RowCall | None] = {}
+        self._rows_asked, self._rows_worth = 0, False
 
     def compiled(self, kind: Kind) -> CompiledMode:
         """Return a mode that was added."""
         return self._compiled[kind]
+
+    def knows(self, kind: Kind) -> bool:
+        """Whether loops can go through a mode."""
+        return kind in self._compiled
+
+    def about(self, event: Event) -> tuple[str, str]:
+        """Return the region that an event of a loop is about, and its cause."""
+        return self._ordinary.about(event)
 
     def jump(self, setup: Setup, event: Event) -> Jump:
         """Return the jump of an event that a loop has made, in a run with these numbers."""
@@ -101,6 +112,27 @@ class Modes:
         if entry is not None:
             self._compiled[kind], self._entries[kind] = compiled, entry
             self._loop = None
+            self._calls.clear()
+
+    def rows(self, names: tuple[str, ...], count: int) -> RowCall | None:
+        """Return the call for so many runs with values of some parameters; None where none is.
+
+        As a loop it is compiled once it is worth that.
+        """
+        self._rows_asked += count
+        if not self._rows_worth:
+            self._rows_worth = self._rows_asked > _WORTH or self._ordinary.rows_compiled()
+        if not self._rows_worth or not self._compiled:
+            return None
+        if names not in self._calls:
+            if self._loop is None:
+                self._loop = self._made()
+            self._calls[names] = self._ordinary.rows(self._loop, names, self._engine.tolerance)
+        return self._calls[names]
+
+    def tolerances(self, setup: Setup) -> Mapping[str, float]:
+        """Return the margins that have a tolerance of their own in a run, with it."""
+        return self._ordinary.tolerances(setup)
 
     def loop(self, mode: Key, roles: Roles) -> Loop | None:
         """Return what loops run through from a flow on; None where they cannot enter it."""
@@ -116,7 +148,7 @@ class Modes:
         return self._loop
 
     def _made(self) -> Loop:
-        packed = _Packed()
+        packed = Packed()
         known = set(self.kinds)
         self.kinds += [kind for kind in self._compiled if kind not in known]
         rows = np.zeros((len(self.kinds), COLUMNS), np.int64)
@@ -159,6 +191,23 @@ class Modes:
         )
 
 
+class RowCall(Protocol):
+    """Runs rows of values of some parameters in one call."""
+
+    @property
+    def loop(self) -> Loop:
+        """What they go through."""
+        ...
+
+    def inputs(self, table: Array) -> Array:
+        """Return what the numbers of runs are computed from (m, i), of rows (m, p) of values."""
+        ...
+
+    def run(self, rows: Rows, block: Block, found: Found) -> int:
+        """Make runs; return how many of them before the block was full."""
+        ...
+
+
 class Loop(NamedTuple):
     """What compiled loops run through.
 
@@ -186,7 +235,7 @@ class Loop(NamedTuple):
 _NO_TAPE = (0,) * TAPE
 
 
-class _Packed:
+class Packed:
     """Arrays one behind the other."""
 
     def __init__(self) -> None:
@@ -219,7 +268,12 @@ class _Packed:
 
     def program(self, modes: Ints) -> Program:
         """Return all of it."""
-        return Program(np.concatenate(self._ints), np.concatenate(self._floats), modes)
+        return Program(*self.arrays(), modes)
+
+    def arrays(self) -> tuple[Ints32, Array]:
+        """Return whole numbers and floats, one behind the other."""
+        ints, floats = [np.zeros(0, np.int32), *self._ints], [np.zeros(0), *self._floats]
+        return np.concatenate(ints), np.concatenate(floats)
 
 
 class Ahead:

@@ -38,7 +38,7 @@ _STEEP = 1e6
 # A margin that cannot be decided gets so much more room at a time, and in all.
 _WIDER, _WIDEST = 16.0, 1e4
 # A flow of no scale is looked at so far ahead at first: its powers are floats.
-_FARTHEST = 1e12
+FARTHEST = 1e12
 
 
 @dataclass(eq=False)
@@ -97,7 +97,7 @@ class Execution:
         self.state = self.setup.initial
         self.started_mode: Key | None = None
         self.started_state = self.setup.initial
-        self.horizon = min(self.setup.horizon, _FARTHEST)
+        self.horizon = min(self.setup.horizon, FARTHEST)
         self.evaluations = self.engine.evaluations
         self._progress = Progress(self.until)
         ordinary = None if self.ahead is None else self.automaton.laws_of_events.ordinary

@@ -17,7 +17,7 @@ from statechart.kernels.polynomials import sample_states
 # Errors of dense output, in tolerances of the engine.
 _NOISE = 100.0
 # A gap that is closed to this part of its tolerance as the run ends has just closed.
-_AT_END = 1e-2
+AT_END = 1e-2
 _LOCATED = (Verdict.CROSSING, Verdict.GRAZE)
 
 
@@ -102,7 +102,7 @@ def closing(
     terms: list[float] = []
     for place, ((name, kind), margin) in enumerate(zip(compiled.watched, margins, strict=True)):
         if kind == "gap":
-            closed |= margin <= _AT_END * setup.tolerances[kind]
+            closed |= margin <= AT_END * setup.tolerances[kind]
         elif kind == "plain" and name in tolerances:
             terms = terms or sizes_at(guards, state, sizes, parameters, time)
             tolerances[name] = max(tolerances[name], engine.tolerance * terms[place])

@@ -43,7 +43,7 @@ _FALLS, _ROUGH = 0.25, 1e-3
 # After so many steps of which it is not known what they miss, they are no longer asked.
 _UNKNOWN = 4096
 # Variables count as so large at least, in their sizes.
-_LEAST = 1e-6
+LEAST = 1e-6
 # Of the way to where a step left its constraints unseen, or missed its rates.
 _NEARER = 0.5
 # So many steps tell how many the rest takes; of more than this, days at a microsecond each.
@@ -299,7 +299,7 @@ class Advance:
 def floors(engine: Engine, variables: int) -> Array:
     """Return how small each variable (n,) can be and still count."""
     least = np.empty(variables)
-    least[:] = _LEAST if engine.sizes is None else _LEAST * engine.sizes
+    least[:] = LEAST if engine.sizes is None else LEAST * engine.sizes
     return np.maximum(least, engine.floor)
 
 

@@ -32,6 +32,11 @@ class Simulator:
         The automaton's modes, where others run it, too: from another start, or on another engine.
     progress : bool
         Whether runs above about a second report to stderr.
+
+    Attributes
+    ----------
+    pad : Block
+        Takes what a run records, or many at a time, until it is copied.
     """
 
     def __init__(
@@ -47,7 +52,7 @@ class Simulator:
         self.progress = progress
         self.modes = CompiledModes(solved or SolvedModes(automaton), engine)
         # Their arrays are used again, from flow to flow and from run to run.
-        self.path, self._pad = Path(), pad(len(automaton.variables))
+        self.path, self.pad = Path(), pad(len(automaton.variables))
         self._loops: dict[frozenset[int], Modes] = {}
 
     def run(
@@ -126,10 +131,14 @@ class Simulator:
         ahead, jump = self._ahead(setup, zeros), None
         if ahead is not None:
             kinds, jump = ahead.modes.kinds, partial(ahead.modes.jump, setup)
-        record = Recording(len(self.automaton.variables), kinds, self._pad, jump)
+        record = Recording(len(self.automaton.variables), kinds, self.pad, jump)
         return Execution(
             self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, ahead
         )
+
+    def known(self) -> list[tuple[frozenset[int], Modes]]:
+        """Return the modes that compiled loops know, by the parameters that are zero in them."""
+        return list(self._loops.items())
 
     def _ahead(self, setup: Setup, zeros: frozenset[int]) -> Ahead | None:
         """Return what runs usual instants in compiled code; None where nothing can."""

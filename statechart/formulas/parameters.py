@@ -32,6 +32,11 @@ class Parameters:
         Name -> expression in the parameters' symbols; appended to the parameters.
     further : sequence of Expr
         Expressions evaluated with them (an initial state), in parameters and derived ones.
+
+    Attributes
+    ----------
+    literals : dict
+        The parameters that are declared as numbers.
     """
 
     def __init__(
@@ -52,7 +57,7 @@ class Parameters:
         self._derived = tuple(extra.values())
         self._further = tuple(further(self.symbols))
         self._tapes: dict[frozenset[str], tuple[Tape, tuple[str, ...]]] = {}
-        self._literals = {
+        self.literals = {
             name: formula.value({}) for name, formula in self._formulas.items() if not formula.names
         }
 
@@ -73,11 +78,8 @@ class Parameters:
                 )
             if value != value:
                 raise DeclarationProblem(f"parameter {name!r} is not a number")
-        given = frozenset(overrides).difference(self._literals)
-        if given not in self._tapes:
-            self._tapes[given] = self._tape(given)
-        tape, inputs = self._tapes[given]
-        known = {**self._literals, **overrides}
+        tape, inputs = self.program(frozenset(overrides))
+        known = {**self.literals, **overrides}
         numbers = np.array([*(known[name] for name in inputs), math.inf])
         found = tape.at(_NO_VARIABLES, numbers, 0.0)
         parameters, further = found[: len(self.names)], found[len(self.names) :]
@@ -86,8 +88,18 @@ class Parameters:
             Constants(self._formulas).values(overrides)
         return parameters, further
 
+    def program(self, overridden: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:
+        """Return the tape of `values` where these are overridden, and what it takes.
+
+        Behind those parameters it takes an infinity.
+        """
+        given = overridden.difference(self.literals)
+        if given not in self._tapes:
+            self._tapes[given] = self._tape(given)
+        return self._tapes[given]
+
     def _tape(self, given: frozenset[str]) -> tuple[Tape, tuple[str, ...]]:
-        inputs = tuple(n for n in self._declared if n in self._literals or n in given)
+        inputs = tuple(n for n in self._declared if n in self.literals or n in given)
         definitions: list[tuple[sp.Symbol, sp.Expr]] = []
         known = {name: self.symbols[name] for name in self._declared}
         for name in order_parameters(self._formulas):

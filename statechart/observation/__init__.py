@@ -2,7 +2,7 @@
 
 `observer` evaluates formulas along a trace, by the equations that `flows` finds for an instant;
 `observers` keeps one for every setting of a model. `sampling` makes grids and finds extremes,
-`outputs` are what a model declares. `difference` says
-how far two runs are apart, `condition` how events magnify errors, `zeno_tails` where runs resolved
-a Zeno sequence alike.
+`outputs` are what a model declares, `rows` those of many runs at once. `difference` says how far
+two runs are apart, `condition` how events magnify errors, `zeno_tails` where runs resolved a Zeno
+sequence alike.
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
@@ -19,6 +19,11 @@ from statechart.observation.sampling import Points
 
 Where = tuple[tuple[str, str], ...]
 """Regions, and the states or superstates that they have to be in."""
+
+
+def wanted(during: Sequence[Mapping[str, str]]) -> tuple[Where, ...]:
+    """Return regions and states as they are declared, as `places_in` takes them."""
+    return tuple([tuple(states.items()) for states in during])
 
 
 def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> list[int]:

@@ -35,6 +35,7 @@ from statechart.observation.flows import (
     roles_at,
     seen,
     start_of,
+    wanted,
 )
 from statechart.observation.sampling import Points, Samples, along, at_times, extremes, subdivided
 
@@ -43,7 +44,7 @@ FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 
 
 @dataclass(frozen=True, eq=False)
-class _Active:
+class Active:
     """What is integrated in one mode: places among the formulas, and whether it is solved for."""
 
     places: list[int]
@@ -75,7 +76,7 @@ class Observer:
         self._given: frozenset[sp.Basic] = frozenset(given)
         self._needs: dict[tuple[sp.Expr, ...], bool] = {}
         self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
-        self._actives: dict[tuple[Key, tuple[Where, ...], tuple[sp.Expr, ...]], _Active] = {}
+        self._actives: dict[tuple[Key, tuple[Where, ...], tuple[sp.Expr, ...]], Active] = {}
         self._passed = PassedModes(simulator) if isinstance(simulator, Simulator) else None
 
     @property
@@ -164,16 +165,16 @@ class Observer:
 
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
-        expressions = self._all(formulas)
-        if not self._needed(expressions):
-            return self._tape(expressions, None).values(trace.initial, trace.values, 0.0)
+        expressions = self.expressions(formulas)
+        if not self.needed(expressions):
+            return self.tape(expressions, None).values(trace.initial, trace.values, 0.0)
         return self._table(trace, expressions, start_of(trace, len(self._solved)))[0]
 
     def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the end, after all jumps."""
-        expressions = self._all(formulas)
-        if not self._needed(expressions):
-            return self._tape(expressions, None).values(trace.final, trace.values, trace.t_end)
+        expressions = self.expressions(formulas)
+        if not self.needed(expressions):
+            return self.tape(expressions, None).values(trace.final, trace.values, trace.t_end)
         return self._table(trace, expressions, end_of(trace, len(self._solved)))[0]
 
     def at(
@@ -198,10 +199,10 @@ class Observer:
             The state just before each jump, in the mode left; else just after it, in the mode
             entered.
         """
-        expressions = self._all(formulas)
-        if not self._needed(expressions):
+        expressions = self.expressions(formulas)
+        if not self.needed(expressions):
             times, states = instants(trace, jumps, before)
-            return self._tape(expressions, None).table(states, trace.values, times)
+            return self.tape(expressions, None).table(states, trace.values, times)
         return self._table(trace, expressions, beside(trace, jumps, before, len(self._solved)))
 
     def margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
@@ -222,7 +223,7 @@ class Observer:
             if mode is None or not mode.margins:
                 continue
             names = [margin.name for margin in mode.margins]
-            rows = self._tape(tuple(m.expression for m in mode.margins), mode).table(
+            rows = self.tape(tuple(m.expression for m in mode.margins), mode).table(
                 np.array([jumps[place].before for place in places]),
                 values,
                 np.array([jumps[place].t for place in places]),
@@ -266,8 +267,8 @@ class Observer:
             (`slide` is `slide+` and `slide-`); only arcs in all these states count. All of the
             run by default.
         """
-        expressions = self._all(formulas)
-        where = tuple([tuple(d.items()) for d in during]) if during else ((),) * len(expressions)
+        expressions = self.expressions(formulas)
+        where = wanted(during) if during else ((),) * len(expressions)
         total = np.zeros(len(expressions))
         for places, found, _ in self._integrated(trace, expressions, where):
             total[places] += found
@@ -279,14 +280,12 @@ class Observer:
         """Yield, an arc each, which expressions count there, their integrals, ends of pieces."""
         values, modes = trace.values, None
         for arc in trace.arcs:
-            active = self._actives.get((arc.mode, where, expressions))
-            if active is None:
-                active = self._active(arc.mode, where, expressions)
+            active = self.active(arc.mode, where, expressions)
             if not active.places:
                 continue
             mode, tape, coefficients = None, None, arc.coefficients
             if active.needed and arc.solved is not None:
-                tape = self._tape(active.expressions, None, known=True)
+                tape = self.tape(active.expressions, None, known=True)
                 coefficients = np.pad(coefficients, ((0, 0), (0, arc.solved.shape[1]), (0, 0)))
                 # Where a force is not known, in a step with an impact between two others, it adds
                 # nothing.
@@ -295,7 +294,7 @@ class Observer:
                 modes = modes or self._modes(trace)
                 mode = modes(arc.roles)
             found, ends = integrals(
-                tape or self._tape(seen(active.expressions, mode), mode),
+                tape or self.tape(seen(active.expressions, mode), mode),
                 arc.times,
                 coefficients,
                 values,
@@ -322,27 +321,31 @@ class Observer:
         pieces = [ends for _, _, ends in self._integrated(trace, expressions, ((),))]
         return extremes(trace.arcs, pieces, evaluate)
 
-    def _all(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
+    def expressions(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
+        """Return formulas in the automaton's symbols."""
         return tuple([self.expression(formula) for formula in formulas])
 
-    def _active(
+    def active(
         self, key: Key, where: tuple[Where, ...], expressions: tuple[sp.Expr, ...]
-    ) -> _Active:
-        """Find what is integrated in the mode `key`."""
+    ) -> Active:
+        """Return what is integrated in the mode `key`."""
+        known = self._actives.get((key, where, expressions))
+        if known is not None:
+            return known
         places = places_in(self.automaton.regions, key, where)
         chosen = tuple([expressions[i] for i in places])
-        found = _Active(places, chosen, self._needed(chosen))
+        found = Active(places, chosen, self.needed(chosen))
         self._actives[key, where, expressions] = found
         return found
 
     def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
         """Return the values (m, f) of expressions, one call of a kernel per flow."""
         values = trace.values
-        if not self._needed(expressions):
-            return self._tape(expressions, None).table(points.states, values, points.times)
+        if not self.needed(expressions):
+            return self.tape(expressions, None).table(points.states, values, points.times)
         if points.unknowns is not None:
             rows = np.hstack([points.states, points.unknowns])
-            return self._tape(expressions, None, known=True).table(rows, values, points.times)
+            return self.tape(expressions, None, known=True).table(rows, values, points.times)
         result = np.full((len(points.times), len(expressions)), np.nan)
         owners: dict[Roles, list[NDArray[np.intp]]] = {}
         start = 0
@@ -353,16 +356,16 @@ class Observer:
         for roles, parts in owners.items():
             mode = modes(roles)
             columns = [
-                i for i, e in enumerate(expressions) if mode is not None or not self._needed((e,))
+                i for i, e in enumerate(expressions) if mode is not None or not self.needed((e,))
             ]
             if columns:
                 index = np.concatenate(parts)
-                tape = self._tape(seen([expressions[i] for i in columns], mode), mode)
+                tape = self.tape(seen([expressions[i] for i in columns], mode), mode)
                 found = tape.table(points.states[index], values, points.times[index])
                 result[np.ix_(index, np.array(columns))] = found
         return result
 
-    def _needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
+    def needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
         """Tell whether the expressions use what a mode solves for."""
         found = self._needs.get(expressions)
         if found is None:
@@ -370,7 +373,7 @@ class Observer:
             self._needs[expressions] = found
         return found
 
-    def _tape(
+    def tape(
         self, expressions: tuple[sp.Expr, ...], mode: Mode | None, *, known: bool = False
     ) -> Tape:
         """Return the program for expressions in a mode, or in any that they do not depend on.

@@ -26,6 +26,13 @@ class Outputs:
         Of the simulator that makes the runs.
     names : collection of str, optional
         Those to compute; all by default.
+
+    Attributes
+    ----------
+    names : tuple of str
+        In the order of the declaration.
+    at, counts, extremes, start, end, integrals
+        By what they are computed from, each with its name.
     """
 
     def __init__(self, observer: Observer, names: Collection[str] | None = None) -> None:
@@ -33,31 +40,31 @@ class Outputs:
         declared = observer.automaton.declaration.outputs
         if names is not None:
             declared = {name: output for name, output in declared.items() if name in names}
-        self._names = tuple(declared)
-        self._at: list[tuple[str, Value, Moment]] = []
-        self._counts: list[tuple[str, tuple[Event, ...]]] = []
-        self._extremes: list[tuple[str, str | int | float, int]] = []
+        self.names = tuple(declared)
+        self.at: list[tuple[str, Value, Moment]] = []
+        self.counts: list[tuple[str, tuple[Event, ...]]] = []
+        self.extremes: list[tuple[str, str | int | float, int]] = []
         # Taken together: one call of a kernel, not one each.
-        self._start: dict[str, str | int | float] = {}
-        self._end: dict[str, str | int | float] = {}
-        self._integrals: dict[str, Integral] = {}
+        self.start: dict[str, str | int | float] = {}
+        self.end: dict[str, str | int | float] = {}
+        self.integrals: dict[str, Integral] = {}
         for name, output in declared.items():
             match output:
                 case Value():
                     moment = output.moment
                     if moment.events:
-                        self._at.append((name, output, moment))
+                        self.at.append((name, output, moment))
                     else:
-                        values = self._end if moment.when == "end" else self._start
+                        values = self.end if moment.when == "end" else self.start
                         values[name] = output.value
                 case Integral():
-                    self._integrals[name] = output
+                    self.integrals[name] = output
                 case Count():
-                    self._counts.append((name, output.events))
+                    self.counts.append((name, output.events))
                 case Minimum():
-                    self._extremes.append((name, output.minimum, 0))
+                    self.extremes.append((name, output.minimum, 0))
                 case Maximum():
-                    self._extremes.append((name, output.maximum, 1))
+                    self.extremes.append((name, output.maximum, 1))
 
     def of(self, trace: Trace) -> dict[str, OutputValue]:
         """Return the outputs of a run, in the order of the declaration.
@@ -71,25 +78,25 @@ class Outputs:
         """
         observer = self.observer
         found: dict[str, OutputValue] = {}
-        for name, output, moment in self._at:
+        for name, output, moment in self.at:
             found[name] = self._at_jumps(trace, output, moment)
-        for name, events in self._counts:
+        for name, events in self.counts:
             found[name] = len(self._jumps(trace, events))
-        for name, formula, which in self._extremes:
+        for name, formula, which in self.extremes:
             found[name] = observer.extremes(trace, formula)[which]
-        if self._start:
-            values = observer.initial(trace, list(self._start.values())).tolist()
-            found |= zip(self._start, values, strict=True)
-        if self._end:
-            values = observer.final(trace, list(self._end.values())).tolist()
-            found |= zip(self._end, values, strict=True)
-        if self._integrals:
-            declared = self._integrals.values()
+        if self.start:
+            values = observer.initial(trace, list(self.start.values())).tolist()
+            found |= zip(self.start, values, strict=True)
+        if self.end:
+            values = observer.final(trace, list(self.end.values())).tolist()
+            found |= zip(self.end, values, strict=True)
+        if self.integrals:
+            declared = self.integrals.values()
             totals = observer.integrals(
                 trace, [o.integral for o in declared], [o.during for o in declared]
             )
-            found |= zip(self._integrals, totals.tolist(), strict=True)
-        return {name: found[name] for name in self._names}
+            found |= zip(self.integrals, totals.tolist(), strict=True)
+        return {name: found[name] for name in self.names}
 
     def endless(self, trace: Trace) -> frozenset[str]:
         """Return the outputs that count or list events of which a Zeno sequence has no end.
@@ -98,10 +105,10 @@ class Outputs:
         """
         summed = last_resolved(trace)
         regions = self.observer.automaton.regions
-        several = [(name, moment.events) for name, _, moment in self._at if moment.several]
+        several = [(name, moment.events) for name, _, moment in self.at if moment.several]
         return frozenset(
             name
-            for name, events in (*several, *self._counts)
+            for name, events in (*several, *self.counts)
             if any(happened(regions, jump, event) for jump in summed for event in events)
         )
 
@@ -113,7 +120,7 @@ class Outputs:
         others are as large as themselves, and left out.
         """
         found: dict[str, OutputValue] = {}
-        for name, output, moment in self._at:
+        for name, output, moment in self.at:
             largest = self._largest(trace, output.value)
             chosen = {jump.j for jump in self._chosen(trace, moment)}
             sizes = [
@@ -122,7 +129,7 @@ class Outputs:
                 if jump.j in chosen
             ]
             found[name] = sizes if moment.several else sizes[0] if sizes else None
-        for name, formula in self._end.items():
+        for name, formula in self.end.items():
             last = abs(float(self.observer.final(trace, [formula])[0]))
             found[name] = float(np.fmax(self._largest(trace, formula)[-1], last))
         return found

@@ -60,6 +60,11 @@ class Answers:
         self._first = self.setting, self.reason
 
     @property
+    def first(self) -> Setting:
+        """How a run is tried first."""
+        return self._first[0]
+
+    @property
     def searching(self) -> bool:
         """Whether the tolerance, or the step, is looked for."""
         return self.setting.accuracy is not None or self.setting.budget is not None

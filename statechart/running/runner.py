@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -22,9 +22,12 @@ from statechart.engines.budget import Allowance
 from statechart.engines.request import planned
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
 from statechart.execution.outcome import error_of
+from statechart.execution.rows import RowRunner
+from statechart.execution.simulator import Simulator
 from statechart.formulas.formula import parse
 from statechart.loading.kind import kind
 from statechart.loading.load import find, interpret
+from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.answers import Answers
 from statechart.running.result import Asked, Result
@@ -203,6 +206,18 @@ class Runner:
             raise error_of(trace)
         timings = {**self._timings, "run": working_time() - began}
         return Result(trace, observer, estimate, timings, self, asked)
+
+    def rows(self, names: Sequence[str]) -> tuple[Observer, RowRunner] | None:
+        """Return what runs rows of values of some parameters, and what observes such runs.
+
+        None where each run is to be looked at alone: an accuracy is looked for, time is stepped.
+        """
+        answers = self._answers
+        if answers.searching or self.setting.stepped or self._plan.measured is not None:
+            return None
+        observer = self.observers.at(answers.first)
+        assert isinstance(observer.simulator, Simulator)
+        return observer, RowRunner(observer.simulator, names)
 
     def alternatives(self) -> dict[str, Runner]:
         """Return what runs the model under the other choices that its laws leave open.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints32
-from statechart.automaton.trace import Key, Outcome, Trace
+from statechart.automaton.trace import Key, Outcome
 from statechart.documents.declaration import Declaration
 from statechart.errors import (
     DeclarationError,
@@ -27,9 +27,11 @@ from statechart.errors import (
 )
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
+from statechart.observation.rows import modes_of
 from statechart.running.result import Result
 from statechart.running.runner import Runner
 from statechart.sweeps.plan import Task, lists
+from statechart.sweeps.together import Together
 
 REFUSED = "DECLARATION_ERROR"
 """Outcome of a cell whose values the declaration does not allow."""
@@ -167,27 +169,83 @@ class _Cells:
     def block(self, rows: Array) -> Block:
         """Run rows of values, those of one structure of the model one after another."""
         found = Block.empty(len(rows), self._numbers, self._lists)
-        names, structures = self._task.names, rows[:, self._whole].tolist()
+        structures = [tuple(values) for values in rows[:, self._whole].tolist()]
+        groups: dict[tuple[float, ...], list[int]] = {}
+        for k, key in enumerate(structures):
+            groups.setdefault(key, []).append(k)
         codes: dict[str, int] = {}
-        for k in sorted(range(len(rows)), key=structures.__getitem__):
-            began = time.perf_counter()
-            try:
-                structure = self._structure(tuple(structures[k]))
-                values = dict(zip(names, rows[k].tolist(), strict=True))
-                result = structure.runner.run(values, until=self._task.until, throw=False)
-                self._tell(structure, result, found, k, codes)
-            except SimulationError as error:
-                found.end(k, error.outcome or FAULTY, error.message)
-            except DeclarationError as error:
-                found.end(k, REFUSED, str(error))
-            except MemoryError:
-                raise
-            except Exception as error:
-                interrupts.check()  # in compiled code a signal becomes another error
-                found.end(k, FAULTY, f"{type(error).__name__}: {error}")
-            found.seconds[k] = time.perf_counter() - began
+        for key in sorted(groups):
+            places = np.array(groups[key])
+            while places.size:
+                alone = self._together(key, places, rows, found, codes)
+                for k in alone.tolist():
+                    self._alone(key, rows[k].tolist(), found, k, codes)
+                places = places[np.flatnonzero(found.outcome[places] == "")]
         found.sequences = tuple(codes)
         return found
+
+    def _together(
+        self,
+        key: tuple[float, ...],
+        places: NDArray[np.intp],
+        rows: Array,
+        found: Block,
+        codes: dict[str, int],
+    ) -> NDArray[np.intp]:
+        """Run what can be of the next rows in one compiled call; return the others of them."""
+        structure = self._structures.get(key)
+        size = 1 if structure is None else structure.together.size
+        if structure is None or size == 1:
+            return places[:size]
+        places = places[:size]
+        began = time.perf_counter()
+        done: list[NDArray[np.intp]] = []
+        table = rows[places]
+        for batch, numbers, several in structure.together.run(table):
+            here = places[batch.rows]
+            done.append(here)
+            for name, values in numbers.items():
+                found.numbers[name][here] = values
+            for name, listed in several.items():
+                for k, values in zip(here.tolist(), listed, strict=True):
+                    found.lists[name][k] = values
+            found.outcome[here] = Outcome.HORIZON.name
+            found.outcome[here[batch.stopped]] = Outcome.STOPPED.name
+            found.message[here] = ""
+            found.certified[here] = True
+            found.t_end[here] = batch.found.clock[:, 0]
+            texts = map(structure.sequence, modes_of(batch))
+            found.modes[here] = [codes.setdefault(text, len(codes)) for text in texts]
+        if done:
+            through = np.concatenate(done)
+            found.seconds[through] = (time.perf_counter() - began) / len(through)
+        return places[found.outcome[places] == ""]
+
+    def _alone(
+        self,
+        key: tuple[float, ...],
+        row: list[float],
+        found: Block,
+        k: int,
+        codes: dict[str, int],
+    ) -> None:
+        """Run one cell, whatever comes of it."""
+        began = time.perf_counter()
+        try:
+            structure = self._structure(key)
+            values = dict(zip(self._task.names, row, strict=True))
+            result = structure.runner.run(values, until=self._task.until, throw=False)
+            self._tell(structure, result, found, k, codes)
+        except SimulationError as error:
+            found.end(k, error.outcome or FAULTY, error.message)
+        except DeclarationError as error:
+            found.end(k, REFUSED, str(error))
+        except MemoryError:
+            raise
+        except Exception as error:
+            interrupts.check()  # in compiled code a signal becomes another error
+            found.end(k, FAULTY, f"{type(error).__name__}: {error}")
+        found.seconds[k] = time.perf_counter() - began
 
     def _structure(self, key: tuple[float, ...]) -> _Structure:
         """Return what runs the model as it is with these numbers of copies."""
@@ -198,7 +256,7 @@ class _Cells:
                 model = self._model.variant(whole)
             except (DeclarationProblem, FormulaError) as error:
                 raise DeclarationError(str(error)) from None
-            found = _Structure(Runner(model, **asdict(self._task.setting)))
+            found = _Structure(Runner(model, **asdict(self._task.setting)), self._task)
         self._structures[key] = found
         if len(self._structures) > _STRUCTURES:
             del self._structures[next(iter(self._structures))]
@@ -213,7 +271,7 @@ class _Cells:
         block.end(k, trace.outcome.name, "" if trace.outcome.succeeded else trace.message)
         block.certified[k] = trace.certified is not False
         block.t_end[k] = trace.t_end
-        block.modes[k] = codes.setdefault(structure.sequence(trace), len(codes))
+        block.modes[k] = codes.setdefault(structure.sequence(trace.modes), len(codes))
         if result.error_estimate is not None:
             block.error_estimate[k] = result.error_estimate
         if not self._task.outputs:
@@ -229,8 +287,9 @@ class _Cells:
 class _Structure:
     """A runner of the model with one structure, and what looks at its runs."""
 
-    def __init__(self, runner: Runner) -> None:
+    def __init__(self, runner: Runner, task: Task) -> None:
         self.runner = runner
+        self.together = Together(runner, task)
         self._outputs: dict[Observer, Outputs] = {}
         self._texts: dict[tuple[Key, ...], str] = {}
 
@@ -241,9 +300,8 @@ class _Structure:
             found = self._outputs[observer] = Outputs(observer, names)
         return found
 
-    def sequence(self, trace: Trace) -> str:
+    def sequence(self, modes: tuple[Key, ...]) -> str:
         """Return the modes of a run, in order, as text."""
-        modes = trace.modes
         found = self._texts.get(modes)
         if found is None:
             if len(self._texts) >= _REMEMBERED:

@@ -1,0 +1,179 @@
+"""The numbers of a run in compiled code, for runs that are made many at a time.
+
+What `contacts.dynamics.setup` computes for one run, and to the same bits, where nothing is wrong
+with the values and nothing is to be told of them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.dynamics.conditions import edges
+from contacts.dynamics.scales import measure
+from contacts.dynamics.setup import POINT_MASS, ROUNDING, SceneNumbers
+from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.engines.whole_flow import Program, tape_of
+from statechart.kernels.jit import kernel
+from statechart.kernels.tapes import tape_values
+
+LIMITS, SCALES, STOPS = range(3)
+"""Rows of the tapes that they are computed from, behind those of the instants."""
+
+
+class Rules(NamedTuple):
+    """How the numbers of a run follow from the values of a scene's parameters.
+
+    Attributes
+    ----------
+    inertias : (b,) array of int64
+        Place of every body's moment of inertia among the values; -1 where it has none.
+    least, most : (l,) array
+        Between which limits lie.
+    begins : (g + 1,) array of int64
+    places, gravity : int
+        See `contacts.dynamics.scales.ScaleTape`.
+    forced : (s,) array of bool
+        Which stop conditions have no value before forces are known.
+    owners : (k,) array of int64
+        Contact of every condition.
+    """
+
+    inertias: Ints
+    least: Array
+    most: Array
+    begins: Ints
+    places: int
+    gravity: int
+    forced: Bools
+    owners: Ints
+
+
+class Numbers(NamedTuple):
+    """The numbers of a run.
+
+    Attributes
+    ----------
+    values : (p,) array
+        Of the parameters.
+    initial : (n,) array
+    scales : (4,), sizes : (n,) array
+        See `contacts.dynamics.scales.Scales`.
+    bands : (s + k + c,) array
+        How near zero stop conditions, conditions of contacts, and the return of contacts that are
+        off count as met.
+    """
+
+    values: Array
+    initial: Array
+    scales: Array
+    sizes: Array
+    bands: Array
+
+
+def rules(numbers: SceneNumbers) -> Rules | None:
+    """Return the rules of a scene without joints; None where one run has to be looked at alone."""
+    if numbers.limits is None:
+        return None
+    return Rules(
+        np.array([-1 if place is None else place for _, place in numbers.inertias], np.int64),
+        np.ascontiguousarray(numbers.bounds[0]),
+        np.ascontiguousarray(numbers.bounds[1]),
+        numbers.scale_tape.begins,
+        numbers.scale_tape.places,
+        numbers.scale_tape.gravity,
+        np.array([name in numbers.of_forces for name in numbers.stops], np.bool_),
+        np.array([contact for contact, _ in numbers.conditions.listed], np.int64),
+    )
+
+
+def room(parameters: int, variables: int, rules: Rules, contacts: int) -> Numbers:
+    """Return memory for the numbers of a run."""
+    bands = len(rules.forced) + len(rules.owners) + contacts
+    return Numbers(
+        np.empty(parameters),
+        np.empty(variables),
+        np.empty(4),
+        np.empty(variables),
+        np.empty(bands),
+    )
+
+
+@kernel
+def run_numbers(
+    program: Program,
+    tapes: NDArray[np.int64],
+    conditions: NDArray[np.int64],
+    rules: Rules,
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    inputs: Array,
+    made: Numbers,
+) -> bool:
+    """Write the numbers of a run; False where something is wrong with them, or to be told.
+
+    Parameters
+    ----------
+    program : Program
+        Holds the tapes.
+    tapes : (3, 9) array of int64
+        Limits, scales, stops.
+    conditions : (9,) array of int64
+    rules : Rules
+    code, constants, outputs
+        Tape of the parameters, the initial state and the levers of bodies.
+    inputs : (i,) array
+        What it takes.
+    made : Numbers
+        To be filled.
+    """
+    values, initial, bodies = made.values, made.initial, rules.inertias.shape[0]
+    found = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, np.empty(0), inputs, 0.0, found)
+    p, n = values.shape[0], initial.shape[0]
+    for i in range(p):
+        values[i] = found[i]
+        if values[i] != values[i]:
+            return False
+    for i in range(n):
+        initial[i] = found[p + i]
+        if not abs(initial[i]) < math.inf:
+            return False
+    for b in range(bodies):
+        lever, place = found[p + n + b], rules.inertias[b]
+        if lever != lever:
+            return False
+        if place >= 0 and 0.0 < values[place] < POINT_MASS * lever:
+            return False
+    code, constants, outputs, _, _ = tape_of(program, tapes[LIMITS])
+    limits = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, initial, values, 0.0, limits)
+    for i in range(limits.shape[0]):
+        if not rules.least[i] <= limits[i] <= rules.most[i]:
+            return False
+    code, constants, outputs, _, _ = tape_of(program, tapes[SCALES])
+    numbers = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, initial, values, 0.0, numbers)
+    if not measure(numbers, rules.begins, rules.places, rules.gravity, made.scales, made.sizes):
+        return False
+    code, constants, outputs, _, _ = tape_of(program, tapes[STOPS])
+    stops, bands = outputs.shape[0], made.bands
+    tape_values(code, constants, outputs, initial, values, 0.0, bands[:stops])
+    for i in range(stops):
+        if bands[i] != bands[i] and not rules.forced[i]:
+            return False
+        bands[i] = ROUNDING * abs(bands[i]) if abs(bands[i]) < math.inf else 0.0
+    count = rules.owners.shape[0]
+    if count > 0:
+        code, constants, outputs, _, _ = tape_of(program, conditions)
+        edges(code, constants, outputs, values, initial, made.sizes, bands[stops : stops + count])
+    for c in range(stops + count, bands.shape[0]):
+        bands[c] = -1.0
+    for k in range(count):
+        at, band = stops + count + rules.owners[k], bands[stops + k]
+        bands[at] = band if bands[at] < 0.0 else min(bands[at], band)
+    return True

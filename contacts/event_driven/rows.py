@@ -1,0 +1,140 @@
+"""Rows of runs of a scene: what they have in common, made ready for the compiled call."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
+from contacts.dynamics.run_numbers import Rules, room
+from contacts.dynamics.setup import LOOK_AHEAD, SHORT, TIE, SceneNumbers, tolerated
+from contacts.event_driven.hit import SceneWatch, meaning
+from contacts.event_driven.run_on import CAUSES
+from contacts.event_driven.run_rows import SceneRows, run_rows
+from contacts.impacts.bounces import FAST
+from contacts.modes.fast_classification import allowed
+from contacts.states import CODES, OFF, OFF_CODE, superstates_of
+from statechart.arrays import Array, Bools
+from statechart.automaton.recording import Block
+from statechart.engines.whole_flow import KINDS, Watch
+from statechart.execution.ahead import Loop
+from statechart.execution.rows import Found, Rows
+from statechart.kernels.accumulation import WIDTH
+
+_NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE: OFF}
+
+
+class RowCall:
+    """The compiled call for rows of values of some parameters.
+
+    Parameters
+    ----------
+    numbers : SceneNumbers
+        From the values of the parameters to the numbers of a run.
+    rules : Rules
+        Of it.
+    loop : Loop
+        What runs go through.
+    names : sequence of str
+        The parameters.
+    relative : float
+        Tolerance of the integration.
+    """
+
+    def __init__(
+        self,
+        numbers: SceneNumbers,
+        rules: Rules,
+        loop: Loop,
+        names: Sequence[str],
+        relative: float,
+    ) -> None:
+        self.loop = loop
+        tape, inputs = numbers.parameters.program(frozenset(names))
+        literals = numbers.parameters.literals
+        self._columns = [names.index(name) if name in names else -1 for name in inputs]
+        self._fixed = np.array([*(literals.get(name, math.nan) for name in inputs), math.inf])
+        variables, parameters = len(loop.memory.state), len(loop.memory.pars) - 1
+        # What contacts may do is the same whatever the values.
+        laws = numbers.contacts(np.zeros(parameters))
+        contacts, may = len(laws), allowed(tuple([law.states for law in laws]))
+        means = np.array([meaning(law) for law in laws], np.int64)
+        found = [numbers.coefficients(*item) for item in numbers.scene.contacts.items()]
+        places = [[-1 if place is None else place for place, _ in one] for one in found]
+        fixed = [[value for _, value in one] for one in found]
+        gap, speed, force = tolerated(relative)
+        conditions = numbers.conditions
+        bands = [*numbers.stops, *(name for _, name in conditions.listed)]
+        bands += [f"{law.name}.{OFF}" for law in laws]
+        scene = SceneRows(
+            loop.tapes,
+            rules,
+            np.array(places, np.int64).reshape(contacts, 3),
+            np.array(fixed, float).reshape(contacts, 3),
+            np.array([bands.index(m) if m in bands else -1 for m in loop.margins], np.int64),
+            may,
+            means,
+            _starts([law.name for law in laws], numbers.scene.modes),
+            gap,
+            speed,
+            force,
+            DRIFT,
+            CREEP,
+            UNSEEN,
+            TIE,
+            FAST,
+            SHORT,
+            LOOK_AHEAD,
+        )
+        made = room(parameters, variables, rules, contacts)
+        count = int(loop.tapes[1, 5])
+        watch = Watch(
+            np.empty(parameters),
+            np.empty(len(KINDS)),
+            np.empty(len(loop.margins)),
+            np.empty(variables),
+            loop.tapes[1],
+            np.zeros(count),
+            np.zeros(count),
+            0.0,
+        )
+        instants = SceneWatch(
+            loop.tapes[0],
+            loop.tapes[2],
+            rules.owners,
+            np.empty(len(rules.owners)),
+            may,
+            np.empty((contacts, 2)),
+            np.empty(contacts),
+            means,
+            *[0.0] * 9,
+        )
+        series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
+        self._call = partial(run_rows, loop.program, loop.pace, loop.memory, scene, *tape.program)
+        self._memory = made, watch, instants, series
+
+    def inputs(self, table: Array) -> Array:
+        """Return what the numbers of runs are computed from (m, i), of rows (m, p) of values."""
+        found = np.tile(self._fixed, (len(table), 1))
+        for place, column in enumerate(self._columns):
+            if column >= 0:
+                found[:, place] = table[:, column]
+        return found
+
+    def run(self, rows: Rows, block: Block, found: Found) -> int:
+        """Make runs; return how many of them before the block was full."""
+        return self._call(rows, *self._memory, block, found)
+
+
+def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
+    """Return (c, 6): whether a contact may start in the state of that code, as declared."""
+    found = np.zeros((len(names), len(_NAMES)), np.bool_)
+    for place, name in enumerate(names):
+        wanted = declared.get(name)
+        for code, state in _NAMES.items():
+            fits = {state, *superstates_of((state,)).values()}
+            found[place, code] = wanted is None or wanted in fits
+    return found

@@ -1,0 +1,312 @@
+"""Runs of a scene, one after another in one compiled call: numbers, first mode, loop."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
+from contacts.event_driven.hit import SceneWatch, classified
+from contacts.event_driven.run_on import row_of, run_on
+from contacts.states import FREE, OFF_CODE
+from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.automaton.recording import ARCS, EVENTS, Block
+from statechart.engines.engine import Pace
+from statechart.engines.whole_flow import (
+    GAP,
+    GUARDS,
+    MARGINS,
+    MARGINS_AT,
+    PLAIN,
+    STOPS,
+    TAPE,
+    Program,
+    Scratch,
+    Watch,
+    tape_of,
+)
+from statechart.execution.ahead import (
+    FELL,
+    FULL,
+    N_BOXES,
+    N_JUMPS,
+    N_MODE,
+    N_STEPS,
+    OVER,
+    PAUSED,
+    T_HIGH,
+    T_LOW,
+)
+from statechart.execution.execution import FARTHEST
+from statechart.execution.finding import AT_END
+from statechart.execution.flow import LEAST
+from statechart.execution.rows import CLOSING, ENDED, OTHER, STOPPED, UNUSUAL, Found, Rows
+from statechart.kernels.accumulation import HIGH, WIDTH
+from statechart.kernels.copies import put
+from statechart.kernels.jit import kernel, part
+from statechart.kernels.tapes import tape_values
+
+# What a longer run takes is not worth a row.
+_PAUSES = 64
+
+INSTANTS = 3
+"""So many tapes, those of the instants, stand before those of the numbers: the scene's numbers,
+its constraints, its conditions."""
+
+
+class SceneRows(NamedTuple):
+    """What all rows of a scene have in common.
+
+    Attributes
+    ----------
+    tapes : (6, 9) array of int64
+        Of the instants and of the numbers.
+    rules : Rules
+    places : (c, 3) array of int64, fixed : (c, 3) array
+        Where a contact's cone_n, cone_t, restitution are found among the values; what they are
+        where that is -1.
+    sources : (b,) array of int64
+        Place of the own tolerance of each margin among the bands of `Numbers`; -1 for none.
+    allowed, meanings
+        See `SceneWatch`.
+    starts : (c, 6) array of bool
+        Whether a contact may start in the state of that code.
+    gap, speed, force : float
+        Tolerances, in the scene's scales.
+    near, creep, unseen, tie, fast, short, ahead : float
+        Likewise; see `SceneWatch`, `Watch.room` and `Setup.horizon`.
+    """
+
+    tapes: NDArray[np.int64]
+    rules: Rules
+    places: Ints
+    fixed: Array
+    sources: Ints
+    allowed: Bools
+    meanings: Ints
+    starts: Bools
+    gap: float
+    speed: float
+    force: float
+    near: float
+    creep: float
+    unseen: float
+    tie: float
+    fast: float
+    short: float
+    ahead: float
+
+
+@part
+def _watches(
+    scene: SceneRows, numbers: Numbers, floor: float, watch: Watch, instants: SceneWatch
+) -> tuple[Watch, SceneWatch]:
+    """Return what a run is watched for, by its numbers; their arrays are filled again."""
+    length, speed = numbers.scales[0], numbers.scales[1]
+    acceleration, force = numbers.scales[2], numbers.scales[3]
+    gap, slow, weak = scene.gap * length, scene.speed * speed, scene.force * force
+    put(numbers.values, watch.parameters)
+    watch.kinds[0], watch.kinds[1], watch.kinds[2], watch.kinds[3] = 0.0, gap, slow, weak
+    for i in range(scene.sources.shape[0]):
+        source = scene.sources[i]
+        watch.bands[i] = numbers.bands[source] if source >= 0 else -1.0
+    for i in range(watch.floors.shape[0]):
+        watch.floors[i] = max(LEAST * numbers.sizes[i], floor)
+    stops = scene.rules.forced.shape[0]
+    for k in range(instants.bands.shape[0]):
+        instants.bands[k] = numbers.bands[stops + k]
+    for c in range(scene.places.shape[0]):
+        for k in range(3):
+            place = scene.places[c, k]
+            value = numbers.values[place] if place >= 0 else scene.fixed[c, k]
+            if k < 2:
+                instants.cones[c, k] = value
+            else:
+                instants.restitution[c] = value
+    return Watch(
+        watch.parameters, watch.kinds, watch.bands, watch.floors, watch.off, watch.targets,
+        watch.weights, max(scene.unseen * length, gap),
+    ), SceneWatch(
+        instants.numbers, instants.conditions, instants.owners, instants.bands, instants.allowed,
+        instants.cones, instants.restitution, instants.meanings, scene.near * gap,
+        scene.creep * slow, gap, slow, scene.tie * weak / force, force, acceleration, scene.short,
+        scene.fast * speed,
+    )  # fmt: skip
+
+
+@part
+def _start(
+    program: Program,
+    scene: SceneRows,
+    watch: Watch,
+    instants: SceneWatch,
+    state: Array,
+    taken: Ints,
+) -> int:
+    """Return the first mode; -1 where that takes more than the state, or is not compiled."""
+    contacts = taken.shape[0]
+    code, constants, outputs, _, _ = tape_of(program, instants.numbers)
+    numbers = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, state, watch.parameters, 0.0, numbers)
+    kept, lowest = np.full(contacts, FREE), np.zeros(contacts)
+    if instants.owners.shape[0] > 0:
+        code, constants, outputs, _, _ = tape_of(program, instants.conditions)
+        values = np.empty(outputs.shape[0])
+        tape_values(code, constants, outputs, state, watch.parameters, 0.0, values)
+        for k in range(values.shape[0]):
+            if values[k] != values[k]:
+                return -1
+            if values[k] < 0.0:
+                kept[instants.owners[k]] = OFF_CODE
+    if not classified(instants, numbers, state.shape[0] // 2, False, kept, lowest, taken):
+        return -1
+    for c in range(contacts):
+        if not scene.starts[c, taken[c]]:
+            return -1
+    return row_of(program, taken)
+
+
+@part
+def _closing(program: Program, mode: int, watch: Watch, state: Array, time: float) -> int:
+    """Return how a run ends whose time is over, see `statechart.execution.finding.closing`."""
+    row = program.modes[mode]
+    code, constants, outputs, _, _ = tape_of(program, row[GUARDS : GUARDS + TAPE])
+    margins, judged = np.empty(row[MARGINS]), False
+    tape_values(code, constants, outputs, state, watch.parameters, time, margins)
+    for i in range(margins.shape[0]):
+        kind = program.ints[row[MARGINS_AT] + 2 * i]
+        own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
+        if kind == GAP and margins[i] <= AT_END * watch.kinds[GAP]:
+            return UNUSUAL
+        judged = judged or (kind == PLAIN and own >= 0.0)
+    return CLOSING if judged else ENDED
+
+
+@part
+def _end(
+    program: Program, reason: int, margin: int, place: Ints, been: Bools, watch: Watch,
+    state: Array, time: float,
+) -> int:  # fmt: skip
+    """Return how a row ends that its loop has left."""
+    mode = place[N_MODE]
+    if reason == FELL and margin >= program.modes[mode, STOPS]:
+        return STOPPED
+    if reason != OVER:
+        return UNUSUAL
+    return _closing(program, mode, watch, state, time) if been[mode] else ENDED
+
+
+@part
+def _other(values: Array, zeros: Bools) -> bool:
+    """Whether other parameters are zero than these."""
+    other = False
+    for i in range(values.shape[0]):
+        other = other or (values[i] == 0.0) != zeros[i]
+    return other
+
+
+@kernel
+def run_rows(
+    program: Program,
+    pace: Pace,
+    memory: Scratch,
+    scene: SceneRows,
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    rows: Rows,
+    numbers: Numbers,
+    first_watch: Watch,
+    first_instants: SceneWatch,
+    series: Array,
+    block: Block,
+    found: Found,
+) -> int:
+    """Make runs from their numbers to their ends; return how many were made before it was full.
+
+    Parameters
+    ----------
+    program, pace, memory
+        See `statechart.engines.whole_flow`.
+    scene : SceneRows
+    code, constants, outputs
+        Tape of the parameters.
+    rows : Rows
+    numbers, first_watch, first_instants, series
+        Memory.
+    block : Block
+        Takes arcs and events of all rows.
+    found : Found
+        To be filled, a row for each; a row that ends as `UNUSUAL` or `OTHER` leaves nothing else.
+    """
+    used = block.used
+    now, place = np.empty(5), np.empty(6, np.int64)
+    state, taken = np.empty(numbers.initial.shape[0]), np.empty(scene.places.shape[0], np.int64)
+    before = np.empty(4, np.int64)
+    for row in range(rows.inputs.shape[0]):
+        ends = found.ends[row]
+        ends[0] = UNUSUAL
+        for k in range(4):
+            before[k] = used[k]
+        if not rows.until[row] >= 0.0 or not run_numbers(
+            program, scene.tapes[INSTANTS:], scene.tapes[2], scene.rules, code, constants,
+            outputs, rows.inputs[row], numbers,
+        ):  # fmt: skip
+            continue
+        if _other(numbers.values, rows.zeros):
+            ends[0] = OTHER
+            continue
+        watch, instants = _watches(scene, numbers, rows.floor, first_watch, first_instants)
+        put(numbers.initial, state)
+        mode = _start(program, scene, watch, instants, state, taken)
+        if mode < 0:
+            continue
+        length, speed = numbers.scales[0], numbers.scales[1]
+        now[0] = now[1] = now[4] = 0.0
+        now[2], now[3] = rows.until[row], min(scene.ahead * length / speed, FARTHEST)
+        place[:] = 0
+        place[0], place[2] = mode, rows.most_jumps
+        for i in range(series.shape[0]):
+            for k in range(WIDTH):
+                series[i, k] = 0.0
+            series[i, HIGH] = math.nan
+        pauses = 0
+        while True:
+            reason, margin, _ = run_on(
+                program, pace, watch, memory, instants, block, now, place, state, series,
+                found.entered[row],
+            )  # fmt: skip
+            pauses += 1
+            if reason != PAUSED or pauses == _PAUSES:
+                break
+        if reason == FULL:
+            for k in range(4):
+                used[k] = before[k]
+            if row > 0:
+                return row
+            continue
+        ends[0] = _end(
+            program, reason, margin, place, found.entered[row], watch, state, now[T_HIGH]
+        )
+        if ends[0] == UNUSUAL:
+            for k in range(4):
+                used[k] = before[k]
+            continue
+        ends[1], ends[2], ends[3] = margin, mode, place[N_MODE]
+        spans = found.spans[row]
+        spans[0], spans[1], spans[2], spans[3] = (
+            before[ARCS],
+            used[ARCS],
+            before[EVENTS],
+            used[EVENTS],
+        )
+        counts = found.counts[row]
+        counts[0], counts[1], counts[2] = place[N_JUMPS], place[N_STEPS], place[N_BOXES]
+        found.clock[row, 0], found.clock[row, 1] = now[T_HIGH], now[T_LOW]
+        put(numbers.values, found.values[row])
+        put(numbers.initial, found.initial[row])
+        put(state, found.final[row])
+    return rows.inputs.shape[0]

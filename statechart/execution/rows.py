@@ -1,0 +1,253 @@
+"""Many runs of an automaton in one compiled call, as long as each of them is a usual one.
+
+A row is a run: values of parameters. What is not usual, a start that is refused, an instant that a
+loop would hand back, is not judged here: that row is left to a run of its own, with the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart import interrupts
+from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.laws import Flow, Setup
+from statechart.automaton.recording import Block, polynomials
+from statechart.automaton.trace import Outcome
+from statechart.execution.finding import closing
+from statechart.kernels.polynomials import summands
+
+if TYPE_CHECKING:
+    from statechart.automaton.recording import Kind
+    from statechart.execution.ahead import Modes
+    from statechart.execution.simulator import Simulator
+
+UNUSUAL, OTHER, ENDED, CLOSING, STOPPED = range(5)
+"""How a row ends: it is left to a run of its own; other parameters of it are zero than those that
+the modes were solved for; at the end of the run; there, where it is to be judged whether something
+just happens; at a stop."""
+
+HOW, MARGIN, FIRST_MODE, LAST_MODE = range(4)
+"""Columns of `Found.ends`."""
+ARCS, ARCS_END, EVENTS, EVENTS_END = range(4)
+"""Columns of `Found.spans`."""
+JUMPS, STEPS, BOXES = range(3)
+"""Columns of `Found.counts`."""
+
+# Rows of one call: tens of milliseconds, between which a signal is heard.
+_AT_ONCE = 256
+
+
+class Found(NamedTuple):
+    """What rows gave beside their arcs and events, which stand in a block.
+
+    Attributes
+    ----------
+    ends : (m, 4) array of int64
+        How it ended, the margin of a stop, the kinds of the first and of the last mode.
+    spans : (m, 4) array of int64
+        Where its arcs and its events begin and end.
+    counts : (m, 3) array of int64
+        Jumps, steps, boxes.
+    clock : (m, 2) array
+        When it ended.
+    values : (m, p), initial, final : (m, n) array
+        Its parameters, first and last state.
+    entered : (m, k) array of bool
+        The kinds of modes that it has been in.
+    """
+
+    ends: Ints
+    spans: Ints
+    counts: Ints
+    clock: Array
+    values: Array
+    initial: Array
+    final: Array
+    entered: Bools
+
+
+class Rows(NamedTuple):
+    """Rows for a compiled call.
+
+    Attributes
+    ----------
+    inputs : (m, i) array
+        What the numbers of a run are computed from.
+    until : (m,) array
+        When each ends; not a number where that is refused.
+    zeros : (p,) array of bool
+        Which parameters are exactly zero.
+    most_jumps : int
+    floor : float
+        What is smaller counts as so large.
+    """
+
+    inputs: Array
+    until: Array
+    zeros: Bools
+    most_jumps: int
+    floor: float
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Rows that have gone through; valid until the next of them are made.
+
+    Attributes
+    ----------
+    rows : (m,) array of int
+        Which they are.
+    found : Found
+        Of them alone.
+    block : Block
+        Holds their arcs and events, and others.
+    kinds : tuple of (Key, Roles)
+        Of the modes.
+    modes : Modes
+    zeros : frozenset of int
+        Places of the parameters that are exactly zero.
+    """
+
+    rows: NDArray[np.intp]
+    found: Found
+    block: Block
+    kinds: tuple[Kind, ...]
+    modes: Modes
+    zeros: frozenset[int]
+
+    @property
+    def stopped(self) -> Bools:
+        """Which rows (m,) a stop has ended."""
+        return np.asarray(self.found.ends[:, HOW] == STOPPED)
+
+    def outcome(self, row: int) -> Outcome:
+        """Return why a row ended."""
+        return Outcome.STOPPED if self.found.ends[row, HOW] == STOPPED else Outcome.HORIZON
+
+
+class RowRunner:
+    """Runs rows of values of some parameters.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Whose modes they go through, those that runs of it have entered.
+    names : sequence of str
+        The parameters.
+
+    Attributes
+    ----------
+    simulator : Simulator
+    """
+
+    def __init__(self, simulator: Simulator, names: Sequence[str]) -> None:
+        self.simulator, self._names = simulator, tuple(names)
+
+    def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
+        """Run rows; yield those that have gone through, in batches.
+
+        Parameters
+        ----------
+        table : (m, p) array
+            Of the parameters.
+        until : (m,) array
+            When each ends.
+        max_jumps : int
+            A run ends after so many jumps.
+        """
+        left = np.arange(len(table))
+        for zeros, modes in self.simulator.known():
+            if not left.size:
+                return
+            others: list[NDArray[np.intp]] = []
+            done = 0
+            while done < left.size:
+                interrupts.check()
+                part = left[done : done + _AT_ONCE]
+                batch = self._called(modes, zeros, part, table[part], until[part], max_jumps)
+                if batch is None:
+                    others.append(left[done:])
+                    break
+                how = batch.found.ends[:, HOW]
+                done += len(how)
+                others.append(batch.rows[how == OTHER])
+                kept = np.flatnonzero(self._judged(batch, table[batch.rows]))
+                if kept.size:
+                    found = Found._make([array[kept] for array in batch.found])
+                    yield Batch(batch.rows[kept], found, batch.block, batch.kinds, modes, zeros)
+            left = np.concatenate(others)
+
+    def _called(
+        self,
+        modes: Modes,
+        zeros: frozenset[int],
+        rows: NDArray[np.intp],
+        table: Array,
+        until: Array,
+        max_jumps: int,
+    ) -> Batch | None:
+        """Make as many rows as there is room for; None where none can be made."""
+        simulator = self.simulator
+        automaton, engine = simulator.automaton, simulator.engine
+        call = modes.rows(self._names, len(rows))
+        if call is None or not isinstance(engine.floor, float):
+            return None
+        m, kinds = len(rows), call.loop.kinds
+        p, n = len(automaton.parameters), len(automaton.variables)
+        found = Found(
+            np.zeros((m, 4), np.int64),
+            np.zeros((m, 4), np.int64),
+            np.zeros((m, 3), np.int64),
+            np.zeros((m, 2)),
+            np.empty((m, p)),
+            np.empty((m, n)),
+            np.empty((m, n)),
+            np.zeros((m, len(kinds)), np.bool_),
+        )
+        gone = np.zeros(p, np.bool_)
+        gone[list(zeros)] = True
+        asked = Rows(call.inputs(table), until, gone, max_jumps, engine.floor)
+        block = simulator.pad
+        block.used[:] = 0
+        made = max(call.run(asked, block, found), 1)
+        found = Found._make([array[:made] for array in found])
+        return Batch(rows[:made], found, block, kinds, modes, zeros)
+
+    def _judged(self, batch: Batch, table: Array) -> Bools:
+        """Return which rows (m,) have gone through: nothing just happens as they end."""
+        how = batch.found.ends[:, HOW]
+        kept = np.asarray((how == ENDED) | (how == STOPPED))
+        for row in np.flatnonzero(how == CLOSING).tolist():
+            kept[row] = not self._closing(batch, row, table[row])
+        return kept
+
+    def _closing(self, batch: Batch, row: int, values: Array) -> bool:
+        """Whether something may just be happening as a row ends (see `closing`)."""
+        found, block, simulator = batch.found, batch.block, self.simulator
+        setup = self.setup(values)
+        kind = batch.kinds[found.ends[row, LAST_MODE]]
+        terms = None
+        size = len(simulator.automaton.variables)
+        arc = int(found.spans[row, ARCS_END]) - 1
+        if arc >= found.spans[row, ARCS] and block.arcs[arc, 1] == found.counts[row, JUMPS]:
+            terms = summands(*polynomials(block, arc, size))
+        flow = Flow(kind[0], kind[1], tolerances=batch.modes.tolerances(setup), terms=terms)
+        happens, _ = closing(
+            simulator.engine,
+            batch.modes.compiled(kind),
+            flow,
+            setup,
+            found.final[row],
+            float(found.clock[row, 0]),
+        )
+        return happens
+
+    def setup(self, values: Array) -> Setup:
+        """Return the numbers of a row's run."""
+        overrides: Mapping[str, float] = dict(zip(self._names, values.tolist(), strict=True))
+        return self.simulator.automaton.setup(overrides, self.simulator.engine.tolerance)

@@ -1,0 +1,119 @@
+"""Tapes on the points and the arcs of many runs at once, each with parameters of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.arrays import Array, Ints, Ints32
+from statechart.kernels.jit import kernel
+from statechart.kernels.quadrature import integrate_outputs
+from statechart.kernels.tapes import BLOCK, run_tape
+
+
+@kernel
+def tape_rows(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    states: Array,
+    values: Array,
+    owners: Ints,
+    times: Array,
+    result: Array,
+) -> None:
+    """Write the outputs (m, f) at points of runs.
+
+    Parameters
+    ----------
+    code, constants, outputs
+        A tape.
+    states : (m, n), times : (m,) array
+        The points.
+    values : (r, p) array
+        Parameters of the runs.
+    owners : (m,) array of int64
+        The run of each point.
+    """
+    m, n = states.shape
+    p, c = values.shape[1], constants.shape[0]
+    base = n + 1 + p + c
+    regs = np.empty((base + code.shape[0], BLOCK))
+    for i in range(c):
+        for j in range(BLOCK):
+            regs[n + 1 + p + i, j] = constants[i]
+    for begin in range(0, m, BLOCK):
+        count = min(BLOCK, m - begin)
+        for j in range(count):
+            for v in range(n):
+                regs[v, j] = states[begin + j, v]
+            regs[n, j] = times[begin + j]
+            for i in range(p):
+                regs[n + 1 + i, j] = values[owners[begin + j], i]
+        run_tape(code, 0, code.shape[0], base, regs, count)
+        for j in range(count):
+            for i in range(outputs.shape[0]):
+                result[begin + j, i] = regs[outputs[i], j]
+
+
+@kernel
+def integrate_rows(
+    ints: Ints32,
+    floats: Array,
+    tapes: Ints,
+    columns: Ints,
+    arcs: Ints32,
+    places: NDArray[np.int64],
+    starts: Array,
+    times: Array,
+    coefficients: Array,
+    spans: Ints,
+    values: Array,
+    variables: int,
+    totals: Array,
+) -> None:
+    """Add up the integrals (r, f) of tapes along the arcs of runs.
+
+    Parameters
+    ----------
+    ints, floats : (..,) array
+        Tapes, packed.
+    tapes : (k, 9) array of int64
+        The tape of every kind of arc, see `statechart.engines.whole_flow.TAPE`; one without
+        outputs where nothing is integrated.
+    columns : (k, f) array of int64
+        Where each of its outputs is added.
+    arcs, places, starts, times, coefficients
+        See `statechart.automaton.recording.Block`.
+    spans : (r, ..) array of int64
+        Where the arcs of a run begin and end.
+    values : (r, p) array
+        Parameters of the runs.
+    variables : int
+        Of a state.
+    totals : (r, f) array
+    """
+    for row in range(spans.shape[0]):
+        for arc in range(spans[row, 0], spans[row, 1]):
+            tape = tapes[arcs[arc, 0]]
+            if tape[5] == 0:
+                continue
+            steps, width = np.int64(arcs[arc, 2]), np.int64(arcs[arc, 3])
+            at, place = places[arc, 0], places[arc, 1]
+            found, _ = integrate_outputs(
+                ints[tape[0] : tape[0] + 3 * tape[1]].reshape((tape[1], 3)),
+                floats[tape[2] : tape[2] + tape[3]],
+                ints[tape[4] : tape[4] + tape[5]],
+                ints[tape[6] : tape[6] + tape[7]],
+                tape[8],
+                times[at : at + steps + 1],
+                coefficients[place : place + steps * variables * width].reshape(
+                    (steps, variables, width)
+                ),
+                values[row],
+                starts[arc, 0],
+                0.0,
+                times[at + steps],
+            )
+            for i in range(found.shape[0]):
+                totals[row, columns[arcs[arc, 0], i]] += found[i]
