@@ -33,3 +33,15 @@ def state_colours(states: Sequence[str]) -> Mapping[str, str]:
     """Return the colour of every state of a region, by its name or in order."""
     others = [state for state in dict.fromkeys(states) if state not in _NAMED]
     return {s: _NAMED.get(s) or _OTHERS[others.index(s) % len(_OTHERS)] for s in states}
+
+
+def region_colours(regions: Sequence[Sequence[str]]) -> list[Mapping[str, str]]:
+    """Return the colours of the states of several regions: those of no contact are apart."""
+    before: list[str] = []
+    found: list[Mapping[str, str]] = []
+    for states in regions:
+        others = [state for state in dict.fromkeys(states) if state not in _NAMED]
+        colours = state_colours([*(f"{len(found)}.{n}" for n in before), *others])
+        found.append({state: _NAMED.get(state) or colours[state] for state in states})
+        before += others
+    return found

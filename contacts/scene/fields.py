@@ -22,9 +22,14 @@ from contacts.scene.parts import (
 from contacts.scene.shapes import Collision
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.fields import FormulaText, NameText, unit, value_of
+from statechart.documents.quantities import Dimension, Quantity, per_time
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 
+_OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "angle"}
+_OF_CONTACTS: Mapping[str, Dimension] = {
+    "gap": "length", "slip": "length/time", "V": "force", "H": "force", "friction": "1",
+}  # fmt: skip
 _MOST_COPIES = 10_000
 
 
@@ -162,6 +167,32 @@ class SceneFields(Declaration):
         """Return the name of the rate of `coordinate`: stick.x -> stick.dx, theta -> dtheta."""
         *owner, name = coordinate.split(".")
         return ".".join([*owner, f"d{name}"])
+
+    def quantity(self, name: str) -> Quantity:
+        """Return what a name of the scene measures: of bodies, contacts, joints and energy."""
+        owner, _, part = name.rpartition(".")
+        words = f"{part} of {owner}"
+        if owner in self.contacts and part in _OF_CONTACTS:
+            return Quantity(words, _OF_CONTACTS[part])
+        if owner in self.joints and part in ("X", "Y"):
+            return Quantity(words, "force")
+        if part in _OF_BODIES and owner and owner not in self.contacts:
+            return Quantity(words, _OF_BODIES[part])
+        if part.startswith("d") and part[1:] in _OF_BODIES and owner:
+            return Quantity(f"rate of {part[1:]} of {owner}", per_time(_OF_BODIES[part[1:]]))
+        rates = {self.rate_name(coordinate): coordinate for coordinate in self.coordinates}
+        if name in rates:
+            return Quantity(f"rate of {rates[name]}", per_time(self._dimension(rates[name])))
+        if name in self.coordinates:
+            return Quantity(name, self._dimension(name))
+        if name in self.controlled.clocks:
+            return Quantity(name, "time")
+        return Quantity(name, "energy") if name == "energy" else super().quantity(name)
+
+    def _dimension(self, coordinate: str) -> Dimension:
+        """Return what a coordinate is: an angle where that of a body is a formula of it."""
+        angles = (body.angle for body in self.bodies.values() if body.angle is not None)
+        return "angle" if any(coordinate in parse(angle).names for angle in angles) else ""
 
     def jams(self, contact: str) -> bool:
         """Whether a contact may see an impact without collision.

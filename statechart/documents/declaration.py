@@ -20,9 +20,8 @@ from statechart.documents.fields import (
     unit,
     value_of,
 )
-from statechart.documents.outputs import (
-    Output,
-)
+from statechart.documents.outputs import Count, Maximum, Minimum, Output, Value
+from statechart.documents.quantities import Quantity, unit_of
 from statechart.documents.setting import Setting
 from statechart.documents.validation import located
 from statechart.errors import (
@@ -164,6 +163,12 @@ class Declaration(Part):
         description="What a run reports: name to a value, integral, count, minimum or maximum.",
         examples=[{"t_slip": {"value": "time", "at": "first tip.slip"}}],
     )
+    units: dict[str, Label] = Field(
+        default={},
+        description="For tables and axes: length, time, mass, force, or a name of the model, to "
+        "its unit. Nothing is converted.",
+        examples=[{"length": "m", "time": "s", "mass": "kg"}],
+    )
     settings: Settings = Field(
         default=Settings(),
         description="How a run is computed, where nobody asks for something else.",
@@ -197,6 +202,33 @@ class Declaration(Part):
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the model that runs with `overrides`: another where they change what it has."""
         return self
+
+    def quantity(self, name: str) -> Quantity:
+        """Return what a variable, an observable or an output measures, as far as is known."""
+        return Quantity(name, "time" if name == TIME else "")
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a variable, an observable or an output; empty where it is unknown.
+
+        Examples
+        --------
+        >>> from statechart import load
+        >>> model = load("toppling_stick")
+        >>> model.unit("stick.angle"), model.unit("stick.x")
+        ('rad', '')
+        >>> model.model_copy(update={"units": {"length": "m"}}).unit("stick.x")
+        'm'
+        """
+        if name in self.units:
+            return self.units[name]
+        match self.outputs.get(name):
+            case Value(value=text) | Minimum(minimum=text) | Maximum(maximum=text):
+                # Of a formula that is one name the unit is that of the name.
+                same = str(text).strip()
+                return self.unit(same) if same in parse(text).names and same != name else ""
+            case Count():
+                return "1"
+        return unit_of(self.quantity(name).dimension, self.units)
 
     def with_(self, **values: FormulaText) -> Self:
         """Return the model with other values of parameters.

@@ -17,7 +17,8 @@ from statechart.documents.outputs import (
     check_event,
     check_member,
 )
-from statechart.errors import Findings
+from statechart.documents.quantities import BASES
+from statechart.errors import DeclarationProblem, Findings, close_matches
 from statechart.formulas.formula import parse, parse_relation
 
 
@@ -48,6 +49,16 @@ def check_uses(
         At the first that does not.
     """
     found = Findings()
+    named = {*BASES, *names, *model.parameters, *model.outputs}
+    for name in model.units:
+        with found:
+            if name not in named:
+                raise DeclarationProblem(
+                    f"nothing is called {name!r}",
+                    advice=close_matches(name, named),
+                    loc=("units", name),
+                    key=True,
+                )
     for label, relation in model.stop.conditions.items():
         with found:
             check_names(parse_relation(relation), names, "stop", "conditions", label)

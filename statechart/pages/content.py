@@ -22,7 +22,7 @@ from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 from statechart.palette import LINES, state_colours
 from statechart.pictures.film import Film, Shape, strokes
-from statechart.reporting.figure import curves
+from statechart.reporting.curves import curves
 from statechart.reporting.film import filmed, stage_of, until_rest
 from statechart.reporting.text import change, explanation
 
@@ -148,20 +148,22 @@ def _panels(observer: Observer, trace: Trace, end: float) -> list[dict[str, Any]
 
     made = []
     for panel in found:
-        names = panel.names[: len(LINES)]
+        names = panel.names
+        if not names:
+            continue
         cone = None
         if panel.cone is not None:
             name, friction = panel.cone
             cone = broken(np.broadcast_to(friction * samples.columns[name], samples.t.shape))
         made.append(
             {
-                "title": panel.title,
+                "title": panel.label,
                 "t": broken(samples.t),
                 "names": list(names),
                 "curves": [broken(samples.columns[name]) for name in names],
                 "colours": list(LINES[: len(names)]),
                 "cone": cone,
-                "more": len(panel.names) - len(names),
+                "more": len(panel.left_out),
             }
         )
     return made

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,14 +13,16 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
+from statechart.documents.declaration import TIME
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
-from statechart.palette import GRID, INK, LINES, state_colours
+from statechart.palette import GRID, INK, LINES, RUN, region_colours
 from statechart.pictures.film import Film
 from statechart.pictures.snapshots import strip as draw_strip
 from statechart.pictures.snapshots import strip_height
+from statechart.reporting.curves import Panel, busy_until, curves, largest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,13 +30,14 @@ if TYPE_CHECKING:
 
 
 _WIDTH = 7.2
-_MOST_LINES = 6
-_MOST_PANELS = 4
-# Relative to the largest value: below this a curve is the rounding of zero.
-_NOTHING = 1e-9
 _MOST_LABELLED = 24
 # Between a label that ends at its event and one that begins there, of the width.
 _GAP = 0.02
+_LEVELS = 3
+# How high a panel is, of few and of many.
+_TALL, _LOW, _MANY = 1.35, 1.05, 6
+# Rows of modes; names of what is not drawn, in a legend of so many characters.
+_MOST_BANDS, _NAMED, _LEGEND = 12, 6, 24
 STYLE = {
     "font.family": "sans-serif",
     "font.size": 9.0,
@@ -51,15 +54,6 @@ STYLE = {
 }
 
 
-@dataclass(frozen=True)
-class Panel:
-    """Columns that share an axis; cone: the column and the factor that make its edges."""
-
-    title: str
-    names: tuple[str, ...]
-    cone: tuple[str, float | Array] | None = None
-
-
 def figure(
     observer: Observer,
     trace: Trace,
@@ -69,11 +63,12 @@ def figure(
 ) -> Figure:
     """Draw a run.
 
-    Panels, where there is something to show: the variables that others are the rates of, those
-    rates (of a small chart, each variable), gaps, and per contact the forces ``X.V`` and ``X.H``
-    with the edges of the cone ``+-X.friction * X.V``; below, a band of modes for every region.
-    Dotted lines and labels mark events, where they do not crowd; diamonds mark modes of zero
-    duration.
+    Panels, where there is something to show: positions, angles and their velocities (of a small
+    chart, each variable), gaps, and per contact the forces ``X.V`` and ``X.H`` with the edges of
+    the cone ``+-X.friction * X.V``, its impulses as triangles; impulses alone where there are no
+    forces; controls. Of many curves those that move most are drawn, and the others named. Below, a
+    band of modes for every region. Dotted lines and labels mark events, where they do not crowd;
+    diamonds mark modes of zero duration. Time ends where nothing happens any more.
 
     Parameters
     ----------
@@ -95,8 +90,10 @@ def figure(
     from matplotlib.figure import Figure
 
     samples, panels = curves(observer, trace)
-    bands = len(trace.regions)
-    heights = [1.6 if i == 0 else 1.3 for i in range(len(panels))] + [0.26 * bands]
+    end = busy_until(trace, samples, panels) or 1.0
+    bands = min(len(trace.regions) or 1, _MOST_BANDS)
+    each = _TALL if len(panels) < _MANY else _LOW
+    heights = [*(each for _ in panels), 0.26 * bands]
     with rc_context(STYLE):
         high = 0.9 + 1.12 * sum(heights)
         above = 0.0 if strip is None else 0.3 + strip_height(strip, _WIDTH)
@@ -109,9 +106,10 @@ def figure(
             :, 0
         ]
         for ax, panel in zip(axes, panels, strict=False):
-            _draw_panel(ax, panel, samples)
-        _draw_bands(axes[-1], observer.automaton, trace)
-        _draw_events(list(axes), trace)
+            _draw_panel(ax, panel, samples, trace)
+        _draw_bands(axes[-1], observer.automaton, trace, end)
+        axes[-1].set_xlabel(_time(observer.automaton.declaration.unit(TIME), trace, end))
+        _draw_events(list(axes), trace, end)
         result.align_ylabels(axes)
         result.suptitle(trace.name, x=0.01, ha="left", fontsize=10, fontweight="bold")
     if path is not None:
@@ -137,12 +135,6 @@ def write(drawing: Figure, path: Path | str) -> None:
         raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
 
 
-def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
-    """Return a run sampled for curves, and which of them share an axis."""
-    samples = observer.sample(trace, per_step=_per_step(trace))
-    return samples, _panels(observer.automaton, trace, samples)
-
-
 def render(drawing: Figure, kind: str) -> bytes:
     """Return a figure as a file's content: `kind` svg, png or pdf; the same each time."""
     from matplotlib import rc_context
@@ -154,76 +146,18 @@ def render(drawing: Figure, kind: str) -> bytes:
     return stream.getvalue()
 
 
-def _per_step(trace: Trace) -> int:
-    """Enough points for a smooth curve, few for a run of many steps."""
-    steps = sum(len(arc.coefficients) for arc in trace.arcs)
-    return int(np.clip(4000 // max(steps, 1), 4, 64))
-
-
-def _panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
-    # A variable whose rate is another variable is a position, the other its speed.
-    places = {symbol: k for k, symbol in enumerate(automaton.variables)}
-    speeds = {places[rate] for rate in automaton.rates if rate in places}
-    groups: dict[str, list[str]] = {"position": [], "velocity": []}
-    for k, name in enumerate(automaton.names):
-        groups["velocity" if k in speeds else "position"].append(name)
-    if not speeds:
-        # Nothing tells which belong together: few get a panel each, since units may differ.
-        few = len(automaton.names) < _MOST_PANELS
-        groups = {n: [n] for n in automaton.names} if few else {"variables": groups["position"]}
-    panels = [Panel(title, tuple(names)) for title, names in groups.items() if names]
-    columns = samples.columns
-    scale = max((_largest(columns[name]) for name in automaton.names), default=0.0)
-    gaps, forces = [], []
-    for region in trace.regions:
-        gap = columns.get(f"{region}.gap")
-        # On the ground all the time, or the height that is drawn already: nothing to see.
-        if gap is not None and _largest(gap) > _NOTHING * scale:
-            others = (_largest(gap - columns[name]) for name in automaton.names)
-            if min(others, default=np.inf) > _NOTHING * scale:
-                gaps.append(f"{region}.gap")
-        normal, tangential = f"{region}.V", f"{region}.H"
-        if normal in columns and tangential in columns and _largest(columns[normal]) > 0.0:
-            # A column where states of regions set it.
-            friction = columns.get(f"{region}.friction")
-            if friction is None:
-                friction = np.array(trace.parameters.get(f"{region}.friction", 0.0))
-            drawable = np.where((friction > 0.0) & (friction < np.inf), friction, np.nan)
-            cone = None if np.isnan(drawable).all() else (normal, drawable)
-            drawn = (normal, tangential) if _largest(columns[tangential]) > 0.0 else (normal,)
-            forces.append(Panel("force", drawn, cone))
-    forces = forces[: _MOST_PANELS - len(panels)]
-    if gaps and len(panels) + len(forces) < _MOST_PANELS:
-        panels.append(Panel("gap", tuple(gaps)))
-    # Coefficients of contacts show as the edges of their cones.
-    controls = [
-        name
-        for name, expression in automaton.observables.items()
-        if expression in automaton.controls and "." not in name
-    ]
-    if controls:
-        forces.append(Panel("control", tuple(controls)))
-    return panels + forces
-
-
-def _largest(values: Array) -> float:
-    return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
-
-
-def _draw_panel(ax: Axes, panel: Panel, samples: Samples) -> None:
+def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
     # Broken at jumps, which take no time: a vertical line would be no part of the motion.
     breaks = np.flatnonzero(np.diff(samples.j)) + 1
     t = np.insert(samples.t, breaks, np.nan)
     ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)
-    values = {name: samples.columns[name] for name in panel.names}
-    for name, colour in zip(panel.names[:_MOST_LINES], LINES, strict=False):
-        ax.plot(t, np.insert(values[name], breaks, np.nan), color=colour, label=name, zorder=3)
-    if len(panel.names) > _MOST_LINES:
-        ax.plot([], [], " ", label=f"and {len(panel.names) - _MOST_LINES} more")
-    low, high = _limits(list(values.values())[:_MOST_LINES])
+    values = [samples.columns[name] for name in panel.names]
+    for name, column, colour in zip(panel.names, values, LINES, strict=False):
+        ax.plot(t, np.insert(column, breaks, np.nan), color=colour, label=name, zorder=3)
+    low, high = _limits(values)
     if panel.cone is not None:
         name, friction = panel.cone
-        edge = np.insert(friction * values[name], breaks, np.nan)
+        edge = np.insert(friction * samples.columns[name], breaks, np.nan)
         ax.fill_between(t, -edge, edge, color="#000000", alpha=0.06, linewidth=0.0, zorder=0)
         for sign in (1.0, -1.0):
             label = "\u00b1\u03bcV, the cone" if sign > 0 else None
@@ -231,16 +165,63 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples) -> None:
                 t, sign * edge, color="#777777", linewidth=0.9, linestyle=(0, (4, 2)), label=label
             )
         # A cone much wider than the force is cut off: the force is what is looked at.
-        reach = min(_largest(edge), 2.0 * max(abs(low), abs(high)))
+        reach = min(largest(edge), 2.0 * max(abs(low), abs(high)))
         low, high = min(low, -1.08 * reach), max(high, 1.08 * reach)
+    if panel.impulses and panel.names:
+        _mark_impulses(ax, panel, trace)
+    elif panel.impulses:
+        low, high = _draw_impulses(ax, panel, trace)
     ax.set_ylim(low, high)
-    ax.set_ylabel(panel.title)
+    ax.set_ylabel(panel.label)
     ax.grid(visible=True, color=GRID, linewidth=0.6)
     ax.set_axisbelow(True)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
-    if panel.names != (panel.title,):
+    if panel.left_out:
+        ax.plot([], [], " ", label=_left_out(panel.left_out))
+    if panel.names != (panel.title,) or panel.left_out:
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.6)
+
+
+def _left_out(names: Sequence[str]) -> str:
+    """Return what is not drawn, in a few lines."""
+    words = ", ".join(names[:_NAMED]) + (f", {len(names) - _NAMED} more" * (len(names) > _NAMED))
+    return "\n".join(textwrap.wrap(f"not drawn: {words}", _LEGEND))
+
+
+def _struck(trace: Trace, region: str) -> tuple[Array, Array]:
+    """Return when a region was struck, and the normal impulses."""
+    found = [(jump.t, jump.impulse[region][0]) for jump in trace.jumps if region in jump.impulse]
+    times, impulses = np.array(found).reshape(-1, 2).T
+    return times, impulses
+
+
+def _mark_impulses(ax: Axes, panel: Panel, trace: Trace) -> None:
+    """Mark impulses on the axis of forces, which has no place for their size."""
+    for region in panel.impulses:
+        times, impulses = _struck(trace, region)
+        ax.plot(
+            times,
+            np.zeros(len(times)),
+            "^",
+            markersize=5.0,
+            color=RUN,
+            markeredgecolor="white",
+            markeredgewidth=0.5,
+            zorder=4,
+            label=f"impulse, up to {largest(impulses):.3g}",
+        )
+
+
+def _draw_impulses(ax: Axes, panel: Panel, trace: Trace) -> tuple[float, float]:
+    """Draw impulses as stems; return the limits of the axis."""
+    greatest = 0.0
+    for region, colour in zip(panel.impulses, LINES, strict=False):
+        times, impulses = _struck(trace, region)
+        ax.vlines(times, 0.0, impulses, color=colour, linewidth=1.2, zorder=3)
+        ax.plot(times, impulses, "o", markersize=2.5, color=colour, label=region, zorder=3)
+        greatest = max(greatest, largest(impulses))
+    return -0.08 * greatest, 1.08 * greatest
 
 
 def _limits(curves: Sequence[Array]) -> tuple[float, float]:
@@ -250,30 +231,30 @@ def _limits(curves: Sequence[Array]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _draw_bands(ax: Axes, automaton: Automaton, trace: Trace) -> None:
+def _draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None:
     """Draw one row per region, the first on top, its states as coloured stretches of time."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    span = trace.t_end or 1.0
-    rows = len(trace.regions)
+    rows = min(len(trace.regions), _MOST_BANDS)
+    colours = region_colours([region.states for region in automaton.regions])
     unnamed: dict[str, Patch | Line2D] = {}
-    for row, region in enumerate(automaton.regions):
+    for row in range(rows):
         y = rows - 1 - row
-        colours = state_colours(region.states)
         for state, stretches in _stretches(trace, row).items():
             ax.broken_barh(
-                [(start, end - start) for start, end in stretches],
+                [(start, last - start) for start, last in stretches],
                 (y + 0.1, 0.8),
-                facecolors=colours[state],
+                facecolors=colours[row][state],
                 edgecolor="white",
                 linewidth=0.4 if len(stretches) < _MOST_LABELLED else 0.0,
             )
-            wide = [pair for pair in stretches if (pair[1] - pair[0]) / span > _room(state)]
-            for start, end in wide[:_MOST_LABELLED]:
-                ax.text((start + end) / 2, y + 0.5, state, ha="center", va="center", fontsize=8)
+            seen = [(start, min(last, end)) for start, last in stretches if start < end]
+            wide = [pair for pair in seen if (pair[1] - pair[0]) / end > _room(state)]
+            for start, last in wide[:_MOST_LABELLED]:
+                ax.text((start + last) / 2, y + 0.5, state, ha="center", va="center", fontsize=8)
             if not wide:
-                unnamed[state] = Patch(facecolor=colours[state], label=state)
+                unnamed[state] = Patch(facecolor=colours[row][state], label=state)
         for state, times in _instants(trace, row).items():
             unnamed[f"{state} for no time"] = ax.plot(
                 times,
@@ -281,18 +262,20 @@ def _draw_bands(ax: Axes, automaton: Automaton, trace: Trace) -> None:
                 "D",
                 markersize=4.5,
                 clip_on=False,
-                color=colours[state],
+                color=colours[row][state],
                 markeredgecolor=INK,
                 markeredgewidth=0.7,
                 label=f"{state} for no time",
             )[0]
-    ax.set_ylim(0, rows)
-    ax.set_yticks([rows - 0.5 - row for row in range(rows)], trace.regions)
+    ax.set_ylim(0, rows or 1)
+    ax.set_yticks([rows - 0.5 - row for row in range(rows)], trace.regions[:rows])
     ax.tick_params(axis="y", length=0)
     for side in ("top", "right", "left"):
         ax.spines[side].set_visible(False)
-    ax.set_xlim(0.0, span)
-    ax.set_xlabel("time")
+    ax.set_xlim(0.0, end)
+    if rows < len(trace.regions):
+        words = _left_out(trace.regions[rows:])
+        unnamed[words] = Patch(facecolor="none", label=words)
     if unnamed:
         ax.legend(
             handles=list(unnamed.values()),
@@ -300,6 +283,14 @@ def _draw_bands(ax: Axes, automaton: Automaton, trace: Trace) -> None:
             bbox_to_anchor=(1.0, 0.5),
             handlelength=1.0,
         )
+
+
+def _time(unit: str, trace: Trace, end: float) -> str:
+    """Return what stands at the axis of time."""
+    label = f"time in {unit}" if unit else "time"
+    if end < trace.t_end:
+        label += f"; until the end at {trace.t_end:.6g} nothing happens any more"
+    return label
 
 
 def _room(text: str) -> float:
@@ -333,14 +324,14 @@ def _instants(trace: Trace, row: int) -> dict[str, list[float]]:
     return result
 
 
-def _draw_events(axes: Sequence[Axes], trace: Trace) -> None:
-    span = trace.t_end or 1.0
+def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> None:
+    jumps = [jump for jump in trace.jumps if jump.t <= span]
     times: list[float] = []
-    for jump in trace.jumps:
+    for jump in jumps:
         # Events that accumulate would make a black bar.
         if not times or jump.t - times[-1] > span / 250:
             times.append(jump.t)
-    faint = 0.8 if len(trace.jumps) <= _MOST_LABELLED else 0.35
+    faint = 0.8 if len(jumps) <= _MOST_LABELLED else 0.35
     for ax in axes:
         ax.vlines(
             times,
@@ -353,22 +344,23 @@ def _draw_events(axes: Sequence[Axes], trace: Trace) -> None:
             linestyle=(0, (1, 2)),
             zorder=2,
         )
-    if len(trace.jumps) > _MOST_LABELLED:
+    if len(jumps) > _MOST_LABELLED:
         return
-    # Labels on two levels over the first panel; what has no room on them is left out.
-    free = [-1.0] * 2
+    # Labels on levels over the first panel; what has no room on them is left out.
+    free = [-1.0] * _LEVELS
     top = axes[0].get_xaxis_transform()
-    for jump in trace.jumps:
-        place, width = jump.t / span, _room(jump.cause)
+    for jump in jumps:
+        said = f"{jump.region}.{jump.cause}" if jump.region else jump.cause
+        place, width = jump.t / span, _room(said)
         left = place if place + width <= 1.0 else place - width
-        level = next((k for k, end in enumerate(free) if left >= end), None)
+        level = next((k for k, last in enumerate(free) if left >= last), None)
         if level is None:
             continue
         free[level] = left + width + (_GAP if left < place else 0.0)
         axes[0].text(
             jump.t,
             1.02 + 0.1 * level,
-            jump.cause,
+            said,
             transform=top,
             fontsize=8,
             color=INK,

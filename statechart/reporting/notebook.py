@@ -33,9 +33,13 @@ def html(report: Mapping[str, Any], drawing: Figure) -> str:
     said = escape(Outcome[report["outcome"]].value)
     parts = [f"<p>{head}<br>{said} {escape(report['message'])}</p>"]
     parts += [f"<p>Warning: {escape(warning)}</p>" for warning in report["warnings"]]
-    outputs = [(name, number(value)) for name, value in report["outputs"].items()]
+    units = report["units"]
+    outputs = [
+        (escape(name), number(value), escape(units.get(name, "").removeprefix("1")))
+        for name, value in report["outputs"].items()
+    ]
     if outputs:
-        parts.append(table(("output", "value"), outputs))
+        parts.append(table(("output", "value", "unit" if units else ""), outputs))
     if report["events"]:
         parts.append(table(("t", "region", "cause", "from &rarr; to"), _events(report["events"])))
     return "<div>" + "".join(parts) + f'<div style="max-width:760px">{picture}</div></div>'

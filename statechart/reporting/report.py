@@ -64,7 +64,8 @@ def report(
         `built` (modes with unknowns, guards and evidence), `left_out` (what, and why), `modes`
         (in the order visited), `indeterminate` (modes whose motion leaves quantities of
         regions open, and which), `events`, `final`, `outputs`, `margins`, `invariants` (the least
-        margin of each), `warnings`, `counts`, `timings`, `parameters`, `tolerances`.
+        margin of each), `warnings`, `counts`, `timings`, `parameters`, `tolerances`,
+        `units` (of outputs and variables, where they are known).
     """
     automaton = observer.automaton
     done = Pieces(strict=True) if pieces is None else pieces
@@ -115,6 +116,11 @@ def report(
         "timings": timings or {},
         "parameters": trace.parameters,
         "tolerances": trace.tolerances,
+        "units": {
+            name: unit
+            for name in (*found_outputs, *trace.variables)
+            if (unit := automaton.declaration.unit(name))
+        },
     }
     safe: dict[str, Any] = json_safe(result)
     return safe | {"events": events}

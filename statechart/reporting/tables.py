@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statechart.automaton.trace import Trace
+from statechart.documents.declaration import TIME
 from statechart.documents.files import aside, write_atomic
+from statechart.documents.quantities import unit_of
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
@@ -50,12 +52,17 @@ def samples_table(observer: Observer, trace: Trace, *, per_step: float = _ROWS) 
     per_step : float
         Rows in every step of the integrator; both ends of an arc have one, so a jump shows as
         two rows of one time. Below one: 0.1 is a row every ten steps.
+
+    Returns
+    -------
+    DataFrame
+        Its `attrs` have `units`, of the columns whose units are known, and `long_names`.
     """
     import pandas as pd
 
     samples = observer.sample(trace, per_step=per_step)
     names = _columns(samples.columns)
-    return pd.DataFrame(
+    table = pd.DataFrame(
         {
             "t": samples.t,
             "j": samples.j,
@@ -63,6 +70,12 @@ def samples_table(observer: Observer, trace: Trace, *, per_step: float = _ROWS) 
             **{names[name]: values for name, values in samples.columns.items()},
         }
     )
+    model = observer.automaton.declaration
+    table.attrs["units"] = _known(
+        {"t": model.unit(TIME), **{names[n]: model.unit(n) for n in samples.columns}}
+    )
+    table.attrs["long_names"] = {names[n]: model.quantity(n).words for n in samples.columns}
+    return table
 
 
 def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
@@ -70,7 +83,7 @@ def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
 
     Columns: t, j, region, cause, source, target, skipped, then `X.normal` and `X.tangential`
     (impulses) of every region X that had one, `energy before` and `energy after` where there is
-    an energy, and the state: `X before` and `X` of every variable X.
+    an energy, and the state: `X before` and `X` of every variable X. Units are in `attrs`.
     """
     import pandas as pd
 
@@ -85,19 +98,26 @@ def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
         "skipped": np.array([jump.skipped for jump in jumps]),
     }
     none = (np.nan, np.nan)
+    model = observer.automaton.declaration
+    impulse, energy = unit_of("impulse", model.units), model.unit("energy")
+    units = {"t": model.unit(TIME), "skipped": model.unit(TIME)}
     for region in trace.regions:
         if any(region in jump.impulse for jump in jumps):
             pairs = np.array([jump.impulse.get(region, none) for jump in jumps])
-            columns |= {f"{region}.normal": pairs[:, 0], f"{region}.tangential": pairs[:, 1]}
+            named = {f"{region}.normal": pairs[:, 0], f"{region}.tangential": pairs[:, 1]}
+            columns, units = columns | named, units | dict.fromkeys(named, impulse)
     if any(jump.energy is not None for jump in jumps):
         pairs = np.array([jump.energy or none for jump in jumps])
-        columns |= {"energy before": pairs[:, 0], "energy after": pairs[:, 1]}
+        named = {"energy before": pairs[:, 0], "energy after": pairs[:, 1]}
+        columns, units = columns | named, units | dict.fromkeys(named, energy)
     for k, name in enumerate(trace.variables):
+        after = name if name not in columns else f"{name} after"
         columns[f"{name} before"] = np.array([jump.before[k] for jump in jumps])
-        columns[name if name not in columns else f"{name} after"] = np.array(
-            [jump.after[k] for jump in jumps]
-        )
-    return pd.DataFrame(columns)
+        columns[after] = np.array([jump.after[k] for jump in jumps])
+        units |= dict.fromkeys((f"{name} before", after), model.unit(name))
+    table = pd.DataFrame(columns)
+    table.attrs["units"] = _known(units)
+    return table
 
 
 def to_xarray(observer: Observer, trace: Trace, *, per_step: float = _ROWS) -> xr.Dataset:
@@ -118,31 +138,35 @@ def to_xarray(observer: Observer, trace: Trace, *, per_step: float = _ROWS) -> x
         Dimension `sample`, with the coordinates t, j and mode, holds the variables and
         observables; dimension `event`, with event_t and event_j, holds what `events_table` has.
         Its attributes say how the run was made and ended; ``parameter.X`` is the value of the
-        parameter X. A name that the format does not allow has an underscore appended.
+        parameter X. A name that the format does not allow has an underscore appended. Variables
+        have `long_name`, and `units` where they are known.
     """
     import xarray as xr
 
     samples = observer.sample(trace, per_step=per_step)
     names = _columns(samples.columns)
     labels = np.array(_labels(observer, samples), dtype=np.str_)
+    model = observer.automaton.declaration
     data: dict[str, Any] = {
-        names[name]: ("sample", values, {"long_name": name, "role": _role(observer, name)})
+        names[name]: ("sample", values, _attributes(observer, name))
         for name, values in samples.columns.items()
     }
     coordinates: dict[str, Any] = {
-        "t": ("sample", samples.t, {"long_name": "time"}),
+        "t": ("sample", samples.t, {"long_name": "time", **_unit(model.unit(TIME))}),
         # NetCDF 3 has no integers of 64 bits.
         "j": ("sample", samples.j.astype(np.int32), {"long_name": "number of jumps before"}),
         "mode": ("sample", labels[samples.mode], {"long_name": "mode"}),
     }
-    for name, column in events_table(observer, trace).items():
+    events = events_table(observer, trace)
+    for name, column in events.items():
         values = column.to_numpy()
         if values.dtype == np.int64:
             values = values.astype(np.int32)
         elif values.dtype != np.float64:
             values = values.astype(np.str_)
         target = coordinates if name in ("t", "j") else data
-        target[f"event_{name}"] = ("event", values, {"long_name": f"{name} of the event"})
+        said = {"long_name": f"{name} of the event", **_unit(events.attrs["units"].get(name, ""))}
+        target[f"event_{name}"] = ("event", values, said)
     attributes: dict[str, str | float] = {
         "model": trace.name,
         "outcome": trace.outcome.name,
@@ -292,8 +316,18 @@ def _columns(names: Iterable[str]) -> dict[str, str]:
     return {name: f"{name}_" if name in _TAKEN else name for name in names}
 
 
-def _role(observer: Observer, name: str) -> str:
-    return "variable" if name in observer.automaton.names else "observable"
+def _attributes(observer: Observer, name: str) -> dict[str, str]:
+    model = observer.automaton.declaration
+    role = "variable" if name in observer.automaton.names else "observable"
+    return {"long_name": model.quantity(name).words, "role": role, **_unit(model.unit(name))}
+
+
+def _unit(unit: str) -> dict[str, str]:
+    return {"units": unit} if unit else {}
+
+
+def _known(units: Mapping[str, str]) -> dict[str, str]:
+    return {name: unit for name, unit in units.items() if unit}
 
 
 @contextmanager

@@ -67,7 +67,7 @@ def told(report: Mapping[str, Any]) -> list[Block]:
     """Return the report of a run as `summary` does, its tables as such."""
     parts: list[list[Block]] = [[_head(report)], _events(report)]
     parts += [
-        _values(title, values)
+        _values(title, values, report.get("units", {}))
         for title, values in (
             ("outputs", report["outputs"]),
             ("final state", report["final"]),
@@ -181,8 +181,15 @@ def _alternatives(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
     return ["alternatives\n", Table(lines)]
 
 
-def _values(title: str, values: Mapping[str, Any]) -> list[Block]:
-    return [f"{title}\n", Table([(f"  {name}", _text(value)) for name, value in values.items()])]
+def _values(title: str, values: Mapping[str, Any], units: Mapping[str, str]) -> list[Block]:
+    said = {name: units.get(name, "") for name in values}
+    rows = [(f"  {name}", _text(value), _unit(said[name])) for name, value in values.items()]
+    return [f"{title}\n", Table(rows)]
+
+
+def _unit(unit: str) -> str:
+    """Return a unit as it is shown behind a number: a ratio has none."""
+    return "" if unit == "1" else unit
 
 
 def _text(value: object) -> str:

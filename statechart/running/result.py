@@ -13,7 +13,6 @@ from statechart.automaton.trace import Trace
 from statechart.documents.setting import Setting
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import OutputValue as Output
 from statechart.reporting.pieces import Pieces
 from statechart.running.estimate import Cost
 
@@ -134,8 +133,12 @@ class Result:
         return self.trace.warnings
 
     @cached_property
-    def outputs(self) -> Mapping[str, Output]:
-        """The outputs that the model declares."""
+    def outputs(self) -> Mapping[str, Any]:
+        """The outputs that the model declares.
+
+        A number each; a list at `each` event or some of them; None where the event never happened.
+        What it is follows from the declaration, and not from its type.
+        """
         return self.runner.observers.outputs(self.observer).of(self.trace)
 
     @property

@@ -9,13 +9,16 @@ from contacts.kind import automaton
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
+from statechart.documents.yaml_reader import read_text
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
+from statechart.palette import region_colours, state_colours
 from statechart.reporting.figure import figure, render
+from statechart.running.runner import Runner
 
 
 @pytest.fixture(scope="module")
@@ -41,12 +44,19 @@ def texts(axes: object) -> list[str]:
 def test_panels_show_states_forces_with_the_cone_and_modes(
     observer: Observer, trace: Trace
 ) -> None:
-    position, velocity, force, band = figure(observer, trace).axes
-    assert {"stick.x", "stick.y", "stick.angle"} <= set(labels(position))
-    assert {"stick.dx", "stick.dy", "stick.dangle"} <= set(labels(velocity))
+    position, angle, velocity, turning, force, band = figure(observer, trace).axes
+    assert {"stick.x", "stick.y"} == set(labels(position)) - {"_child0"}
+    assert "stick.angle" in labels(angle)
+    assert {"stick.dx", "stick.dy"} == set(labels(velocity)) - {"_child0"}
+    assert "stick.dangle" in labels(turning)
     assert {"tip.V", "tip.H"} <= set(labels(force))
     assert {"pin", "slide-"} <= set(texts(band))
-    assert texts(position) == ["slip", "reverse", "stop"]
+    assert texts(position) == ["tip.slip", "tip.reverse", "stop"]
+    assert [ax.get_ylabel() for ax in (position, angle, force)] == [
+        "position",
+        "angle in rad",
+        "force",
+    ]
     lines = {str(line.get_label()): line for line in force.get_lines()}
     edge = next(line for name, line in lines.items() if name.endswith("cone"))
     np.testing.assert_allclose(edge.get_ydata(), 0.2 * lines["tip.V"].get_ydata())
@@ -58,10 +68,15 @@ def test_a_chart_of_few_variables_has_a_panel_each() -> None:
     assert isinstance(made, Automaton)
     simulator = Simulator(made, Taylor(1e-12))
     trace = simulator.run(until=20.0)
-    x, v, band = figure(Observer(simulator), trace).axes
+    drawn = figure(Observer(simulator), trace)
+    x, v, band = drawn.axes
+    assert [ax.get_ylabel() for ax in (x, v)] == ["x in m", "v in m/s"]
     assert ("x" in labels(x), "v" in labels(v)) == (True, True)
     assert {"flight", "rest"} <= set(texts(band))
     height = next(line for line in x.get_lines() if line.get_label() == "x")
+    # The ball rests from 8.6 on; the picture ends a little later, and says so.
+    assert 8.6 < band.get_xlim()[1] < 10.0
+    assert band.get_xlabel() == "time in s; until the end at 20 nothing happens any more"
     # Broken at every bounce, and nowhere else.
     assert np.isnan(height.get_ydata()).sum() == len({jump.j for jump in trace.jumps})
 
@@ -95,6 +110,83 @@ def test_modes_of_no_duration_are_marked(observer: Observer, trace: Trace) -> No
     band = figure(observer, passing).axes[-1]
     (marks,) = [line for line in band.get_lines() if str(line.get_label()).startswith("pin")]
     assert marks.get_xdata().tolist() == [reverse.t]
+
+
+def drawn(text: str) -> tuple[Trace, list[object]]:
+    """Return a run of a scene, and the axes of its figure."""
+    result = Runner(read_text(text)).run()
+    return result.trace, list(figure(result.observer, result.trace).axes)
+
+
+MANY = """\
+kind: scene
+name: many
+units: {length: m, time: s, mass: kg}
+gravity: 9.81
+bodies:
+""" + "".join(f"  ball{k}: {{mass: 1, start: {{x: {k}, y: 1, dy: -1}}}}\n" for k in range(8))
+MANY += "stop: {time: 1}\n"
+
+
+def test_of_many_curves_those_that_move_most_are_drawn_and_the_others_named() -> None:
+    _, (position, velocity, _) = drawn(MANY)
+    names = [name for name in labels(position) if name.startswith("ball")]
+    assert len(names) == 5
+    assert all(name.endswith(".y") for name in names)
+    legend = [text.get_text() for text in position.get_legend().get_texts()]  # type: ignore[attr-defined]
+    words = " ".join(legend[-1].split())
+    assert words == "not drawn: ball0.x, ball1.x, ball2.x, ball3.x, ball4.x, ball5.x, 5 more"
+    assert position.get_ylabel() == "position in m"  # type: ignore[attr-defined]
+    assert velocity.get_ylabel() == "velocity in m/s"  # type: ignore[attr-defined]
+
+
+DROP = """\
+kind: scene
+name: drop
+gravity: 9.81
+bodies:
+  ball: {mass: 2, start: {y: 0.5, dx: 1e-17}}
+surfaces:
+  floor: {height: 0}
+contacts:
+  tip: {point: {body: ball}, surface: floor, modes: [free, slide], friction: 0, restitution: E}
+stop: {time: 0.5}
+"""
+
+
+def test_impulses_are_marked_on_the_axis_of_forces() -> None:
+    trace, axes = drawn(DROP.replace("E}", "0}"))
+    force = axes[-2]
+    assert labels(force)[1] == "tip.V"  # no H, which is zero
+    (marks,) = [line for line in force.get_lines() if "impulse" in str(line.get_label())]  # type: ignore[attr-defined]
+    assert marks.get_xdata().tolist() == [jump.t for jump in trace.jumps if jump.impulse]
+    assert marks.get_label() == f"impulse, up to {2 * math.sqrt(2 * 9.81 * 0.5):.3g}"
+
+
+def test_impulses_without_forces_have_an_axis_of_their_own() -> None:
+    trace, axes = drawn(DROP.replace("E}", "1}"))
+    impulse = axes[-2]
+    assert impulse.get_ylabel() == "impulse"  # type: ignore[attr-defined]
+    (stems,) = [line for line in impulse.get_lines() if line.get_label() == "tip"]  # type: ignore[attr-defined]
+    assert stems.get_xdata().tolist() == [jump.t for jump in trace.jumps]
+    np.testing.assert_allclose(stems.get_ydata(), 4 * math.sqrt(2 * 9.81 * 0.5))
+
+
+def test_the_rounding_of_zero_is_not_looked_at() -> None:
+    _, axes = drawn(DROP.replace("E}", "0}"))
+    velocity = axes[1]
+    lines = {str(line.get_label()): line for line in velocity.get_lines()}  # type: ignore[attr-defined]
+    assert not lines["ball.dx"].get_ydata()[np.isfinite(lines["ball.dx"].get_ydata())].any()
+    # Forces of rounding alone have no axis.
+    text = DROP.replace("gravity: 9.81", "gravity: 0").replace("y: 0.5", "y: 0")
+    _, axes = drawn(text.replace("E}", "0}").replace("free, ", "").replace(", restitution: 0", ""))
+    assert "force" not in [ax.get_ylabel() for ax in axes]  # type: ignore[attr-defined]
+
+
+def test_controllers_have_colours_of_their_own() -> None:
+    contact, one, two = region_colours([("free", "pin"), ("on", "wait"), ("on", "wait")])
+    assert contact["free"] == state_colours(["free"])["free"]
+    assert len({*one.values(), *two.values(), *contact.values()}) == 6
 
 
 def test_an_empty_run_can_be_drawn(observer: Observer) -> None:

@@ -91,7 +91,7 @@ def test_netcdf_reads_back_equal(observer: Observer, trace: Trace, tmp_path: Pat
     assert read.attrs == data.attrs
     assert read.attrs["parameter.mu"] == 0.2
     assert read["mode"].values[0] == "tip:pin"
-    assert read["tip.V"].attrs["long_name"] == "tip.V"
+    assert read["tip.V"].attrs["long_name"] == "V of tip"
 
 
 @pytest.mark.parametrize("mu", [0.2, math.inf])

@@ -1,0 +1,223 @@
+"""Which curves of a run are looked at, on which axes, and until when anything happens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from statechart.arrays import Array
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Trace
+from statechart.documents.declaration import TIME
+from statechart.documents.quantities import unit_of
+from statechart.observation.observer import Observer
+from statechart.observation.sampling import Samples
+
+MOST = 5
+"""Curves of a panel."""
+
+_MOST_FORCES = 3
+_MOST_PANELS = 4
+# Relative to the largest value: below this a curve is the rounding of zero.
+_NOTHING = 1e-9
+# Of a force, in its tolerances: what is less is none.
+_FORCE = 10.0
+# What changes by less than this part of its range does not change any more.
+_STILL = 2e-3
+# How much of a run is shown after that, of what comes before; a cut saves this much at least.
+_REST, _SAVED = 0.08, 0.25
+_STATES = {
+    "length": "position",
+    "angle": "angle",
+    "length/time": "velocity",
+    "angle/time": "angular velocity",
+}
+_OTHER_STATES = ("coordinate", "rate", "memory")
+_ORDER = ("position", "coordinate", "angle", "velocity", "rate", "angular velocity", "memory")
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves that share an axis.
+
+    Attributes
+    ----------
+    title : str
+        What they are.
+    names : tuple of str
+        Columns.
+    unit : str
+        Of all of them; empty where it is unknown.
+    left_out : tuple of str
+        What belongs to them and is not drawn.
+    cone : (str, float or array) or None
+        The column and the factor that make the edges of the friction cone.
+    impulses : tuple of str
+        Regions whose impulses are marked.
+    """
+
+    title: str
+    names: tuple[str, ...]
+    unit: str = ""
+    left_out: tuple[str, ...] = ()
+    cone: tuple[str, float | Array] | None = None
+    impulses: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """What stands at the axis."""
+        return f"{self.title} in {self.unit}" if self.unit else self.title
+
+
+def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
+    """Return a run sampled for curves, and which of them share an axis."""
+    samples = observer.sample(trace, per_step=_per_step(trace))
+    samples = _without_rounding(observer.automaton, trace, samples)
+    states = _states(observer.automaton, samples)
+    forces = _forces(observer.automaton, trace, samples)
+    panels = [*states, *_gaps(observer.automaton, trace, samples), *forces]
+    panels += _impulses(observer.automaton, trace, forces)
+    return samples, [*panels, *_controls(observer.automaton, samples)]
+
+
+def busy_until(trace: Trace, samples: Samples, panels: Iterable[Panel]) -> float:
+    """Return when nothing that is drawn changes any more, and a little later; at most the end."""
+    events = [jump.t for jump in trace.jumps if jump.t < trace.t_end]
+    last = max(events, default=0.0)
+    for name in dict.fromkeys(name for panel in panels for name in panel.names):
+        values = np.nan_to_num(samples.columns[name], posinf=0.0, neginf=0.0)
+        moving = np.flatnonzero(np.abs(values - values[-1]) > _STILL * np.ptp(values))
+        if len(moving):
+            last = max(last, float(samples.t[min(moving[-1] + 1, len(values) - 1)]))
+    end = (1.0 + _REST) * last
+    return end if 0.0 < end < (1.0 - _SAVED) * trace.t_end else trace.t_end
+
+
+def largest(values: Array) -> float:
+    """Return the largest finite magnitude."""
+    return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+
+
+def _per_step(trace: Trace) -> int:
+    """Enough points for a smooth curve, few for a run of many steps."""
+    steps = sum(len(arc.coefficients) for arc in trace.arcs)
+    return int(np.clip(4000 // max(steps, 1), 4, 64))
+
+
+def _without_rounding(automaton: Automaton, trace: Trace, samples: Samples) -> Samples:
+    """Return samples whose columns are zero where they are the rounding of zero."""
+    columns = dict(samples.columns)
+    groups: dict[str, list[str]] = {}
+    for name in columns:
+        groups.setdefault(automaton.declaration.quantity(name).dimension, []).append(name)
+    for dimension, names in groups.items():
+        if not dimension:
+            continue
+        nothing = _NOTHING * max(largest(columns[name]) for name in names)
+        if dimension == "force":
+            nothing = max(nothing, _FORCE * trace.tolerances.get("force", 0.0))
+        for name in names:
+            if largest(columns[name]) <= nothing:
+                columns[name] = np.where(np.isfinite(columns[name]), 0.0, columns[name])
+    return replace(samples, columns=columns)
+
+
+def _chosen(title: str, names: Sequence[str], unit: str, samples: Samples) -> Panel:
+    """Return a panel of the curves that move most, in their order."""
+    ranges = {name: float(np.ptp(np.nan_to_num(samples.columns[name]))) for name in names}
+    kept = sorted(names, key=lambda name: -ranges[name])[:MOST]
+    drawn = tuple(name for name in names if name in kept)
+    return Panel(title, drawn, unit, tuple(name for name in names if name not in kept))
+
+
+def _states(automaton: Automaton, samples: Samples) -> list[Panel]:
+    """Return the variables: positions and velocities apart, and so lengths and angles."""
+    model = automaton.declaration
+    places = {symbol: k for k, symbol in enumerate(automaton.variables)}
+    speeds = {places[rate] for rate in automaton.rates if rate in places}
+    moved = {k for k, rate in enumerate(automaton.rates) if rate in places}
+    few = len(automaton.names) < _MOST_PANELS
+    groups: dict[tuple[str, str], list[str]] = {}
+    for k, name in enumerate(automaton.names):
+        dimension, unit = model.quantity(name).dimension, model.unit(name)
+        title = _STATES.get(dimension, "")
+        if not title and speeds:
+            title = _OTHER_STATES[0 if k in moved else 1 if k in speeds else 2]
+        elif not title:
+            # Nothing tells which belong together: few get a panel each, since units may differ.
+            title = name if few else "variables"
+        groups.setdefault((title, unit), []).append(name)
+    ordered = sorted(groups, key=lambda g: _ORDER.index(g[0]) if g[0] in _ORDER else len(_ORDER))
+    return [_chosen(title, groups[title, unit], unit, samples) for title, unit in ordered]
+
+
+def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
+    columns, model = samples.columns, automaton.declaration
+    scale = max((largest(columns[name]) for name in automaton.names), default=0.0)
+    names = []
+    for region in trace.regions:
+        gap = columns.get(f"{region}.gap")
+        # On the ground all the time, or the height that is drawn already: nothing to see.
+        if gap is not None and largest(gap) > _NOTHING * scale:
+            others = (largest(gap - columns[name]) for name in automaton.names)
+            if min(others, default=np.inf) > _NOTHING * scale:
+                names.append(f"{region}.gap")
+    return [_chosen("gap", names, model.unit(names[0]), samples)] if names else []
+
+
+def _forces(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
+    """Return the forces of contacts with the edges of their cones; at most some."""
+    columns, model = samples.columns, automaton.declaration
+    struck = {region for jump in trace.jumps for region in jump.impulse}
+    found = []
+    for region in trace.regions:
+        normal, tangential = f"{region}.V", f"{region}.H"
+        if not (normal in columns and largest(columns[normal]) > 0.0):
+            continue
+        # A column where states of regions set it.
+        friction = columns.get(f"{region}.friction")
+        if friction is None:
+            friction = np.array(trace.parameters.get(f"{region}.friction", 0.0))
+        drawable = np.where((friction > 0.0) & (friction < np.inf), friction, np.nan)
+        cone = None if np.isnan(drawable).all() else (normal, drawable)
+        slanted = tangential in columns and largest(columns[tangential]) > 0.0
+        drawn = (normal, tangential) if slanted else (normal,)
+        marked = (region,) if region in struck else ()
+        found.append(Panel("force", drawn, model.unit(normal), (), cone, marked))
+    kept, others = found[:_MOST_FORCES], found[_MOST_FORCES:]
+    if others:
+        left = tuple(name for panel in others for name in panel.names)
+        kept[-1] = replace(kept[-1], left_out=left)
+    return kept
+
+
+def _impulses(automaton: Automaton, trace: Trace, forces: Sequence[Panel]) -> list[Panel]:
+    """Return the impulses of those whose forces are not drawn."""
+    drawn = {name.rpartition(".")[0] for panel in forces for name in panel.names}
+    most: dict[str, float] = {}
+    for jump in trace.jumps:
+        for region, (normal, _) in jump.impulse.items():
+            if region not in drawn:
+                most[region] = max(most.get(region, 0.0), abs(normal))
+    if not any(most.values()):
+        return []
+    kept = sorted(most, key=lambda region: -most[region])[:MOST]
+    marked = tuple(region for region in trace.regions if region in kept)
+    left_out = tuple(region for region in trace.regions if region in most and region not in kept)
+    unit = unit_of("impulse", automaton.declaration.units)
+    return [Panel("impulse", (), unit, left_out, impulses=marked)]
+
+
+def _controls(automaton: Automaton, samples: Samples) -> list[Panel]:
+    # Coefficients of contacts show as the edges of their cones.
+    names = [
+        name
+        for name, expression in automaton.observables.items()
+        if expression in automaton.controls and "." not in name and name != TIME
+    ]
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(automaton.declaration.unit(name), []).append(name)
+    return [_chosen("control", group, unit, samples) for unit, group in groups.items()]
