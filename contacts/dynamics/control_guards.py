@@ -119,7 +119,7 @@ class ControlGuards:
             inputs=(*mechanics.variables, *memory, *mechanics.a, *forces, unknown),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
-            clocks=[mechanics.memory[clock] for clock in mechanics.scene.controlled.clocks],
+            timers=[mechanics.memory[timer] for timer in mechanics.scene.controlled.timers],
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
 

@@ -121,19 +121,24 @@ class Controls:
 
     @cached_property
     def memory(self) -> Mapping[str, FiniteText]:
-        """What regions remember: their variables, and the clocks of their transitions.
+        """What regions remember: their variables, and what their transitions wait for times by.
 
         Name -> initial value.
         """
         found: dict[str, FiniteText] = {}
         for name, region in self.regions.items():
-            found |= {**region.variables, **dict.fromkeys(self.flat[name].clocks, 0)}
+            found |= {**region.variables, **dict.fromkeys(self.flat[name].timers, 0)}
         return found
 
     @property
     def clocks(self) -> tuple[str, ...]:
         """Those of `memory` that are instants of time."""
         return tuple(clock for region in self.flat.values() for clock in region.clocks)
+
+    @property
+    def timers(self) -> tuple[str, ...]:
+        """Those of `memory` that transitions wait for times by."""
+        return tuple(timer for region in self.flat.values() for timer in region.timers)
 
     @cached_property
     def flowing(self) -> Mapping[str, str]:

@@ -147,8 +147,8 @@ class Chart(Declaration):
         for name, declared in self.regions.items():
             found = list(declared_transitions(declared, "regions", name))
             check_listening(name, found, causes, states, alone=("zeno",))
-        clocks = {clock for region in self.flat.values() for clock in region.clocks}
-        check_uses(self, names | clocks, states, causes)
+        timers = {timer for region in self.flat.values() for timer in region.timers}
+        check_uses(self, names | timers, states, causes)
         return self
 
     @model_validator(mode="after")

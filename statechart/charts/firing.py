@@ -160,8 +160,8 @@ class GuardWatch:
         What the guards depend on.
     time : Symbol
         Time.
-    clocks : collection of Symbol
-        Inputs that are instants of time, and as exact.
+    timers : collection of Symbol
+        Inputs that are instants of time, and as exact, or whole numbers.
     """
 
     def __init__(
@@ -173,7 +173,7 @@ class GuardWatch:
         inputs: Sequence[sp.Symbol],
         parameters: Sequence[sp.Symbol],
         time: sp.Symbol,
-        clocks: Collection[sp.Symbol] = (),
+        timers: Collection[sp.Symbol] = (),
     ) -> None:
         self.guards = tuple(watched)
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in inputs}
@@ -181,7 +181,7 @@ class GuardWatch:
         timed: list[bool] = []
         for guard in self.guards:
             margin = guard.relation.margin(known)
-            timed.append(margin.free_symbols <= {time, *clocks, *parameters})
+            timed.append(margin.free_symbols <= {time, *timers, *parameters})
             first = _along(margin, rates, time)
             second = _along(first, rates, time)
             outputs += [margin, first, second]

@@ -90,8 +90,9 @@ class FlatRegion:
     transitions : tuple of FlatTransition
         From each configuration in the order in which they are asked: inner ones first, then as
         declared; those taken together after those alone.
-    clocks : mapping
-        Variable of a transition that waits for a time -> that transition.
+    clocks, counts : tuple of str
+        Variables of transitions that wait for times: when their sources were entered, and how many
+        periods have passed since of those that repeat.
     superstates : mapping
         As of a `statechart.automaton.regions.Region`.
     nesting : Nesting
@@ -103,12 +104,18 @@ class FlatRegion:
     begins: tuple[Updates, ...]
     states: Mapping[str, tuple[BaseState, ...]]
     transitions: tuple[FlatTransition, ...]
-    clocks: Mapping[str, Transition]
+    clocks: tuple[str, ...]
+    counts: tuple[str, ...]
     superstates: Mapping[str, str]
     nesting: Nesting
     _tree: Tree
     _configurations: Mapping[str, tuple[Nodes, Memory]]
     _places: Mapping[tuple[str, tuple[int, ...]], int]
+
+    @property
+    def timers(self) -> tuple[str, ...]:
+        """The variables that transitions wait for times by: clocks, then counts."""
+        return (*self.clocks, *self.counts)
 
     @property
     def ordered(self) -> tuple[str, ...]:

@@ -26,6 +26,7 @@ from statechart.charts.microstep import (
 from statechart.charts.transitions import BaseRegion, BaseState
 from statechart.charts.tree import HISTORIES, ROOT, Sort, Tree, tree
 from statechart.documents.declaration import TIME
+from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem
 
 MOST_CONFIGURATIONS = 4096
@@ -64,6 +65,11 @@ class _Flattening:
             place: f"{name}.{arrow.declared.name}_clock"
             for place, arrow in enumerate(found.arrows)
             if arrow.declared.period is not None
+        }
+        self._counts = {
+            place: f"{name}.{found.arrows[place].declared.name}_count"
+            for place in self._clocks
+            if found.arrows[place].declared.every is not None
         }
         # Asked in this order: those of inner states first, then as declared.
         self._ranks = _inner_first(found)
@@ -107,7 +113,8 @@ class _Flattening:
             tuple(filter(None, (self._entered(node, {}) for node in begin.entries))),
             {name: self._contents(active) for name, (active, _) in self._named.items()},
             ordered,
-            {self._clocks[i]: found.arrows[i].declared for i in self._clocks},
+            tuple(self._clocks.values()),
+            tuple(self._counts.values()),
             {
                 node.name: nodes[node.parent].name
                 for node in nodes
@@ -152,10 +159,13 @@ class _Flattening:
         for place, member in zip(step.taken, members, strict=True):
             clock = self._clocks.get(place)
             updates = dict(member.updates)
-            if clock is not None:
+            count = self._counts.get(place)
+            if count is not None:
+                # Multiples of the period: a sum of periods would gather their roundings.
+                guard = f"{TIME} >= {clock} + ({count} + 1)*({member.period})"
+                updates[count] = f"{count} + 1"
+            elif clock is not None:
                 guard = f"{TIME} >= {clock} + ({member.period})"
-                if member.every is not None:
-                    updates[clock] = f"{clock} + ({member.period})"
             blocks.append(updates)
         blocks += [self._entered(node, step.memory) for node in step.entries]
         return FlatTransition(
@@ -169,12 +179,13 @@ class _Flattening:
 
     def _entered(self, node: int, memory: Memory) -> Updates:
         declared = self._tree.nodes[node].declared
-        clocks = {
-            clock: TIME
-            for place, clock in self._clocks.items()
-            if self._tree.arrows[place].source == node
-        }
-        return {**(declared.entry if isinstance(declared, BaseState) else {}), **clocks}
+        began: dict[str, FiniteText] = {}
+        for place, clock in self._clocks.items():
+            if self._tree.arrows[place].source == node:
+                began[clock] = TIME
+                if place in self._counts:
+                    began[self._counts[place]] = 0
+        return {**(declared.entry if isinstance(declared, BaseState) else {}), **began}
 
     def _name_of(self, active: Nodes, memory: Memory) -> str:
         """Return the name of a configuration, which is added where it is new."""

@@ -86,11 +86,11 @@ class _Symbols:
     """Neutral symbols of a chart: SymPy gives names such as I or beta a meaning of its own."""
 
     def __init__(self, chart: Chart) -> None:
-        clocks = [clock for region in chart.flat.values() for clock in region.clocks]
-        starts = {**chart.variables, **dict.fromkeys(clocks, 0)}
+        timers = [timer for region in chart.flat.values() for timer in region.timers]
+        starts = {**chart.variables, **dict.fromkeys(timers, 0)}
         self.variables = {name: sp.Symbol(f"v{i}", real=True) for i, name in enumerate(starts)}
         self.rates = {name: sp.Symbol(f"r{i}", real=True) for i, name in enumerate(starts)}
-        self.clocks = tuple(self.variables[clock] for clock in clocks)
+        self.timers = tuple(self.variables[timer] for timer in timers)
         self.time = sp.Symbol("t", real=True)
         self.parameters = Parameters(
             chart.parameters,
@@ -303,7 +303,7 @@ class ChartLaws:
                 inputs=tuple(variables.values()),
                 parameters=self._symbols.parameters.ordered,
                 time=self._symbols.time,
-                clocks=self._symbols.clocks,
+                timers=self._symbols.timers,
             )
         return self._watches[roles]
 

@@ -62,11 +62,11 @@ def decided(
     compiled: CompiledMode,
     watch: FlowWatch,
     path: Path,
-    reached: float,
 ) -> Crossing:
     """Return the event that a search found or must be taken for one; raise where it is neither."""
-    where, time = found.crossing or found.undecided, watch.start + reached
+    where = found.crossing or found.undecided
     assert where is not None
+    time = watch.start + where.time
     if found.verdict is Verdict.CROSSING:
         return where
     if found.verdict is Verdict.GRAZE:

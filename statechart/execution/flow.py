@@ -267,14 +267,22 @@ class Advance:
 
     def _arrive(self, found: Search, ended: Array) -> None:
         """End at the event that was found."""
-        path = self.path
-        crossing = decided(found, self.compiled, self.watch, path, self._reached)
+        try:
+            crossing = decided(found, self.compiled, self.watch, self.path)
+        except SimulationError:
+            if found.undecided is not None:
+                self._cut(found.undecided.time, ended)
+            raise
         self.graze = found.verdict is not Verdict.CROSSING
         late = self.graze or self.compiled.kind(crossing.guard) == "force"
-        at = crossing.crossed if late else crossing.time
+        self._cut(crossing.crossed if late else crossing.time, ended)
+        self.crossing = crossing
+
+    def _cut(self, at: float, ended: Array) -> None:
+        """Keep what was flown up to a local time; its state is written to `ended`."""
+        path = self.path
         self._kept = cut_steps(path.times, path.coefficients, path.count, at, ended)
         self.state = ended if self._kept > 0 else self.initial
-        self.crossing = crossing
 
     def _go_on(self, following: Array, finished: bool, *, moved: bool) -> None:
         """Keep the steps made; `moved` says whether their end was brought onto its constraints."""

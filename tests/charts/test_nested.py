@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import pytest
@@ -90,6 +91,27 @@ outputs:
   works: {integral: 1, during: {r: work}}
   entered: {count: r.work}
 """
+
+
+@ENGINES
+def test_samples_are_multiples_of_their_period(tmp_path: Path, engine: str) -> None:
+    # 0.1 is no float: summed, a thousand of them are 300 roundings off.
+    text = """
+variables: {n: 0}
+regions:
+  s:
+    initial: wait
+    states: {wait: {}, on: {}}
+    transitions:
+      - {name: begin, from: wait, to: on, after: 0.7}
+      - {name: tick, from: on, every: 0.1, updates: {n: n + 1}}
+stop: {time: 0.7 + 100}
+outputs: {n: {value: n}, ts: {value: time, at: each s.tick}}
+"""
+    found = run(tmp_path, text, engine).outputs
+    assert found["n"] == 1000
+    wanted = [0.7 + 0.1 * k for k in range(1, 1001)]
+    assert found["ts"] == pytest.approx(wanted, rel=4 * sys.float_info.epsilon, abs=0)
 
 
 @ENGINES

@@ -1,0 +1,47 @@
+"""Runs whose guards or gaps lose their value end where they do, on every engine."""
+
+from __future__ import annotations
+
+import pytest
+from scenes import compose, engine, region
+
+import statechart
+from statechart.documents.yaml_reader import read_text
+from statechart.execution.simulator import Simulator
+from statechart.loading.load import interpret
+
+ROOF = """
+kind: scene
+name: roof
+gravity: 1
+bodies: {ball: {mass: 1, start: {x: 1, dx: -1, y: 1}}}
+surfaces: {roof: {height: sqrt(x)}}
+contacts: {c: {point: {body: ball}, surface: roof, modes: [free, slide], friction: 0,
+  restitution: 0}}
+stop: {time: 3}
+"""
+
+
+@pytest.mark.parametrize("name", ["taylor", "scipy"])
+@pytest.mark.parametrize("guard", ["log(x) <= -100", "sqrt(x) + 1 <= 0"])
+def test_a_guard_that_loses_its_value_is_told_when_it_does(name: str, guard: str) -> None:
+    states = {"s": {"x": "-1"}, "t": {}}
+    go = {"name": "go", "from": "s", "to": "t", "guard": guard}
+    automaton = compose({"x": 1}, {"r": region(states, go)})
+    trace = Simulator(automaton, engine(name)).run({}, until=3.0, throw=False)
+    assert trace.outcome.name == "NON_FINITE"
+    assert trace.t_end == pytest.approx(1.0, abs=1e-12)
+    assert trace.final == pytest.approx([0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "error"),
+    [("taylor", None, 1e-12), ("scipy", None, 1e-12), ("impulse", 1e-3, 2e-3)],
+)
+def test_a_ground_that_ends_without_a_word_ends_the_run(
+    name: str, step: float | None, error: float
+) -> None:
+    model = interpret(read_text(ROOF, "roof.yaml"))
+    trace = statechart.Runner(model, engine=name, step=step).run({}, throw=False).trace
+    assert trace.outcome.name == "NON_FINITE"
+    assert trace.t_end == pytest.approx(1.0, abs=error)
