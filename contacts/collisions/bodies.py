@@ -7,18 +7,21 @@ equations are composed: what moves a body are gravity and the impulses of its co
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-import sympy as sp
 
 from contacts.collisions.body_numbers import BodyNumbers, Memory
 from contacts.collisions.body_step import Room, step_bodies
-from contacts.collisions.declared_surfaces import SurfacePaths
+from contacts.collisions.declared_joints import check_closed
 from contacts.collisions.inside import check_inside
+from contacts.collisions.joints import BOTH
+from contacts.collisions.mechanics import BodyMechanics
 from contacts.collisions.outlines import body_numbers, owners_of
-from contacts.dynamics.mechanics import Mechanics
+from contacts.collisions.paths import Paths
+from contacts.collisions.recall import Recall
+from contacts.collisions.surroundings import Surroundings
+from contacts.dynamics.control_guards import Controllers, controller, memory_rates
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.checks import check_finite, check_physical
@@ -27,6 +30,7 @@ from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
 from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
+from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.loop import DEEPEST, Begun
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Array
@@ -38,7 +42,6 @@ from statechart.errors import (
     NonFinite,
     StepTooLarge,
 )
-from statechart.formulas.formula import parse
 
 # Bodies may overlap at the start by this part of the scene.
 _START_DEPTH = 1e-6
@@ -57,54 +60,47 @@ def bodies_automaton(scene: Scene) -> Automaton:
     bodies = scene.single_bodies()
     owners = owners_of(scene)
     scene = scene.model_copy(update={"bodies": bodies})
-    mechanics = Mechanics(scene)
-    observables = {**mechanics.known, "energy": _energy(mechanics)}
+    mechanics = BodyMechanics(scene, owners)
+    observables = mechanics.observables
     stops = stop_margins(scene.stop.conditions, observables)
+    of_bodies = (
+        Region(
+            name,
+            BODY_STATES,
+            lambda state: State(),
+            BODY_EDGES,
+            superstates_of(BODY_STATES),
+            default="free",
+        )
+        for name in bodies
+    )
+    controllers = scene.controlled.flat
+    regions = (*of_bodies, *(controller(n, r, mechanics) for n, r in controllers.items()))
+    rates = memory_rates(mechanics)
 
     def stepper() -> BodyStepper:
-        return BodyStepper(mechanics, stops, observables["energy"], owners)
+        return BodyStepper(mechanics, stops, regions)
 
     return Automaton(
         name=scene.name,
         declaration=scene,
-        names=mechanics.variable_names,
-        variables=mechanics.variables,
+        names=(*mechanics.variable_names, *mechanics.memory),
+        variables=(*mechanics.variables, *mechanics.memory.values()),
         parameter_names=mechanics.parameters.names,
         parameters=mechanics.parameters.ordered,
         time=mechanics.time,
-        unknowns=mechanics.a,
-        rates=(*mechanics.v, *mechanics.a),
+        unknowns=(*mechanics.a, *mechanics.unknown_forces),
+        rates=(*mechanics.v, *mechanics.a, *rates.values()),
         equations=(),
-        regions=tuple(
-            Region(
-                name,
-                BODY_STATES,
-                lambda state: State(),
-                BODY_EDGES,
-                superstates_of(BODY_STATES),
-                default="free",
-            )
-            for name in bodies
-        ),
+        regions=regions,
         stops=stops,
         observables=observables,
         setup=lambda overrides, _: stepper().setup(overrides),
         laws=None,
+        controls=(*mechanics.controls, *(rate for rate in rates.values() if rate != 0)),
         stepper=stepper,
         own_step=lambda: stepper().own_step(),
     )
-
-
-def _energy(mechanics: Mechanics) -> sp.Expr:
-    known = mechanics.known
-    gx, gy = mechanics.gravity
-    terms = []
-    for name, body in mechanics.scene.bodies.items():
-        mass = parse(body.mass).to_sympy(known)
-        x, y, dx, dy, turn = (known[f"{name}.{c}"] for c in ("x", "y", "dx", "dy", "dangle"))
-        terms.append(mass * (dx**2 + dy**2) / 2 + known[f"{name}.inertia"] * turn**2 / 2)
-        terms.append(-mass * (gx * x + gy * y))
-    return sp.Add(*terms)
 
 
 class BodyStepper(Stepper):
@@ -112,29 +108,31 @@ class BodyStepper(Stepper):
 
     Parameters
     ----------
-    owners : sequence of str
-        What each of the scene's bodies is a copy of, or itself.
+    mechanics : BodyMechanics
+    stops : mapping
+        Stop condition -> margin.
+    regions : tuple of Region
+        One per body, then one per controller.
     """
 
     def __init__(
-        self,
-        mechanics: Mechanics,
-        stops: Mapping[str, Margin],
-        energy: sp.Expr,
-        owners: Sequence[str],
+        self, mechanics: BodyMechanics, stops: Mapping[str, Margin], regions: tuple[Region, ...]
     ) -> None:
+        self._controllers = Controllers(mechanics)
         super().__init__(
             mechanics,
             stops,
-            energy,
-            mechanics.a,
-            regions=tuple(mechanics.scene.bodies),
+            mechanics.energy,
+            (*mechanics.a, *mechanics.unknown_forces),
+            regions=tuple(region.name for region in regions),
+            controls=self._controllers.initial,
             again="impact",
             forces=None,
             sticks=np.zeros(len(mechanics.scene.bodies), dtype=np.bool_),
         )
-        self._owners = owners
-        self._paths = SurfacePaths(mechanics.scene)
+        self._bodies, self._regions = mechanics, regions
+        self._paths = Paths(mechanics.scene)
+        self._recall = Recall(mechanics)
 
     def own_step(self) -> float:
         """Return a step by the scales: of declared parameters, rounded to a digit.
@@ -142,7 +140,9 @@ class BodyStepper(Stepper):
         In it nothing moves far beside the smallest body, at the scene's speed or falling.
         """
         setup, bodies = self._made({}, USUAL.tolerance)
-        size = float(bodies.numbers.sizes.min())
+        sizes = bodies.numbers.sizes
+        # What only carries a surface has no size.
+        size = float(sizes.min(where=sizes > 0.0, initial=np.inf))
         step = _CROSSED * size / setup.scales.speed
         gravity = math.hypot(*bodies.numbers.gravity)
         if gravity > 0.0:
@@ -171,14 +171,20 @@ class BodyStepper(Stepper):
                 f"{size:.3g}; take {longest:.1g} or less"
             )
         free = np.full(len(self._scene.bodies), FREE)
-        return Begun(setup, bodies, free, self._lacks(setup), failure=failure)
+        control = None
+        if self._scene.regions:
+            control = StepControl(
+                self._bodies, self._controllers, setup, bodies, bodies.switch, self._regions
+            )
+        return Begun(setup, bodies, free, self._lacks(setup), control, failure)
 
     def _made(
         self, overrides: Mapping[str, float], allowed: float
     ) -> tuple[SceneSetup, SteppedHeap]:
-        numbers, further = self._mechanics.parameters.values(overrides)
+        values, further = self._mechanics.parameters.values(overrides)
         scene = self._scene
-        initial = further[: 6 * len(scene.bodies)]
+        initial = further[: 6 * len(scene.bodies) + len(self._bodies.memory)]
+        moved, remembered = np.split(initial, [6 * len(scene.bodies)])
         known = scene.values(overrides)
         if overrides:
             check_physical(scene, known)
@@ -187,19 +193,19 @@ class BodyStepper(Stepper):
             check_finite(scene, known)
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         names = list(scene.bodies)
-        for i, number in enumerate(initial.tolist()):
+        for i, number in enumerate(moved.tolist()):
             check_range(number, "its start", ("bodies", names[i // 3 % len(names)]))
-        bodies = body_numbers(scene, self._owners, known)
+        bodies = body_numbers(scene, self._bodies.owners, known)
         for name, size in zip(names, bodies.sizes.tolist(), strict=True):
             check_range(size, "its size", ("bodies", name, "shape"))
         for number in bodies.gravity.tolist():
             check_range(number, "", ("gravity",))
-        length = float(np.abs(initial.reshape(2, -1, 3)[0, :, :2]).max() + bodies.sizes.max())
+        length = float(np.abs(moved.reshape(2, -1, 3)[0, :, :2]).max() + bodies.sizes.max())
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
-        speed = max(speed, float(np.abs(initial[len(initial) // 2 :]).max())) or 1.0
-        scales = Scales(length, speed, speed**2 / length, 1.0, np.ones(len(initial)))
+        speed = max(speed, float(np.abs(moved[len(moved) // 2 :]).max())) or 1.0
+        scales = Scales(length, speed, speed**2 / length, 1.0, np.ones(len(moved)))
         setup = SceneSetup(
-            values=numbers,
+            values=values,
             initial=initial,
             tolerances={"gap": RELATIVE * length, "speed": RELATIVE * speed,
                         "force": 0.0, "plain": 0.0},
@@ -207,12 +213,22 @@ class BodyStepper(Stepper):
             contacts=(),
             capture=0.0,
             bands={},
+            sizes=np.ones(len(initial)),
         )  # fmt: skip
-        check_inside(scene, bodies, initial, self._paths.at(known, np.zeros(1))[0])
-        looks = partial(self._paths.looks, known)
+        soon = 1e-6 * length / speed
+        begun = self._paths.at(known, np.array([0.0, soon]), np.tile(remembered, (2, 1)))
+        check_inside(scene, bodies, moved, begun.frames[0])
+        check_closed(
+            scene, bodies.joints, moved, begun.places[0], np.diff(begun.places, axis=0)[0] / soon,
+            _START_DEPTH * length, _START_DEPTH * speed,
+        )  # fmt: skip
+
+        def around() -> Surroundings:
+            return Surroundings(self._bodies, self._paths, self._recall, known, values)
+
         # A step of no length finds who overlaps.
         plastic = scene.simultaneous == "plastic"
-        trial = SteppedHeap(names, bodies, looks, plastic, allowed)
+        trial = SteppedHeap(names, bodies, around(), plastic, allowed)
         trial.steps(0.0, 1e-9 * length / speed, initial, 1)
         for name, margin in trial.margins.items():
             if margin < -_START_DEPTH * length:
@@ -222,7 +238,7 @@ class BodyStepper(Stepper):
                     advice="move it out",
                     loc=("bodies", body, "start"),
                 )
-        return setup, SteppedHeap(names, bodies, looks, plastic, allowed, DEEPEST * length)
+        return setup, SteppedHeap(names, bodies, around(), plastic, allowed, DEEPEST * length)
 
 
 class SteppedHeap:
@@ -233,8 +249,8 @@ class SteppedHeap:
     names : sequence of str
         Of the bodies.
     numbers : BodyNumbers
-    looks : callable
-        See `SurfacePaths.looks`.
+    around : Surroundings
+        What acts on them.
     plastic : bool
         Whether what is hit together does not rebound.
     allowed : float
@@ -247,20 +263,31 @@ class SteppedHeap:
         self,
         names: Sequence[str],
         numbers: BodyNumbers,
-        looks: Callable[[float, float, int], Array],
+        around: Surroundings,
         plastic: bool,
         allowed: float,
         deepest: float = math.inf,
     ) -> None:
-        self.numbers, self._names, self._looks, self._plastic = numbers, names, looks, plastic
+        self.numbers, self._names, self._around, self._plastic = numbers, names, around, plastic
         count = len(names)
-        self._memory = Memory.room(count)
+        self._memory = self._kept = Memory.room(count)
         self._room = Room.of(self.numbers, self._memory)
         self._allowed = allowed
         self._least = np.full(count, np.inf)
         self._deepest = deepest
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
+
+    def switch(self, states: Mapping[str, str]) -> None:
+        """Go on with controllers in other states."""
+        self._around.switch(states)
+
+    def forget(self) -> None:
+        """Take back the last steps."""
+        while len(self._kept.keys) < len(self._memory.keys):
+            self._kept = self._kept.larger()
+        self._memory = self._kept.copy()
+        self._around.forget()
 
     @property
     def margins(self) -> dict[str, float]:
@@ -295,6 +322,9 @@ class SteppedHeap:
 
         One that is too long for what happens in it is taken in parts.
         """
+        if self._around.controlled:
+            # Steps after a transition of a controller are taken back.
+            self._kept = self._memory.copy()
         chunk, status = self._taken(start, h, state, count, self._deepest)
         parts = iter(_PARTS)
         while status == COARSE and not len(chunk.codes):
@@ -310,7 +340,9 @@ class SteppedHeap:
             raise NonFinite("a coordinate became infinite or undefined")
         bodies = len(self._names)
         self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
-        turns = chunk.h * np.abs(chunk.states[1:, 3 * bodies + 2 :: 3]) * (self.numbers.radii == 0)
+        self._around.passed(len(chunk.codes))
+        rates = np.abs(chunk.states[1:, 3 * bodies + 2 : 6 * bodies : 3])
+        turns = chunk.h * rates * (self.numbers.radii == 0)
         self._turned = max(self._turned, float(np.max(turns, where=chunk.struck, initial=0.0)))
         self._length = max(self._length, h)
         return chunk
@@ -320,16 +352,18 @@ class SteppedHeap:
     ) -> tuple[Chunk, int]:
         """Return the steps that could be taken, and how they ended."""
         bodies = len(self._names)
-        chunk = Chunk.room(h, state, 3 * bodies, bodies, count)
-        looks = self._looks(start, h, count)
+        joint_forces = int((1 + (self.numbers.joints.holds == BOTH)).sum())
+        chunk = Chunk.room(h, state, 3 * bodies + joint_forces, bodies, count)
+        ahead, remembered = self._around.ahead(start, h, state[6 * bodies :], count)
         done, status = 0, FULL
         while status == FULL:
             taken, status = step_bodies(
-                self.numbers, looks[done:], self._plastic, self._memory, self._room,
-                (self._allowed, deepest), chunk.after(done),
+                self.numbers, ahead.after(done), start + done * h, self._plastic, self._memory,
+                self._room, (self._allowed, deepest), chunk.after(done),
             )  # fmt: skip
             done += taken
             if status == FULL:
                 self._memory = self._memory.larger()
                 self._room = Room.of(self.numbers, self._memory)
+        chunk.states[1:, 6 * bodies :] = remembered
         return chunk.first(done), status

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from contacts.collisions.joints import JointNumbers
 from contacts.collisions.surfaces import SurfaceNumbers
 from statechart.arrays import Array, Ints
 
@@ -37,6 +38,7 @@ class BodyNumbers(NamedTuple):
         Which law kinds of bodies touch each other and surfaces by; -1: they do not.
     materials : (m, 3)
         Laws: edge of the cone (2), restitution.
+    joints : JointNumbers
     """
 
     vertices: Array
@@ -50,6 +52,7 @@ class BodyNumbers(NamedTuple):
     kinds: Ints
     laws: Ints
     materials: Array
+    joints: JointNumbers
 
 
 class Memory(NamedTuple):

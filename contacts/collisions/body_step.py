@@ -12,16 +12,27 @@ from typing import NamedTuple
 
 import numpy as np
 
+from contacts.collisions.applied import Ahead
 from contacts.collisions.body_numbers import BodyNumbers, Memory
 from contacts.collisions.broad_phase import Grid
 from contacts.collisions.islands import gathered, grouped, push, velocity
-from contacts.collisions.touching import Ground, Look, Seen, Touches, look_at, touching
+from contacts.collisions.joints import BOTH
+from contacts.collisions.touching import (
+    Ground,
+    Look,
+    Seen,
+    Touches,
+    joined,
+    look_at,
+    pushed,
+    touching,
+)
 from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, part
 from statechart.kernels.tapes import BLOCK, filled
 
 # What is no farther from the edge of its cone than this part of its impulse slides.
@@ -207,10 +218,29 @@ def _kept(
                 chunk.codes[k, b] = SLIDE
 
 
+@part
+def _kept_joints(
+    numbers: BodyNumbers, memory: Memory, room: Room, first: int, k: int, chunk: Chunk
+) -> None:
+    """Remember the impulses of joints, which stand behind the contacts, and write their forces."""
+    holds, at = numbers.joints.holds, 3 * len(numbers.sizes)
+    for j in range(len(holds)):
+        i = first + j
+        memory.keys[i, 0], memory.keys[i, 1] = room.touches.keys[i]
+        memory.contacts[i, 0], memory.contacts[i, 1] = 0.0, 1.0
+        for d in range(2):
+            memory.contacts[i, 2 + d] = room.pressed[i, d]
+            if d == 0 or holds[j] == BOTH:
+                chunk.solved[k, at] = room.steady[i, d] / chunk.h
+                at += 1
+    memory.many[0] = first + len(holds)
+
+
 @kernel
 def step_bodies(
     numbers: BodyNumbers,
-    paths: Array,
+    around: Ahead,
+    instant: float,
     plastic: bool,
     memory: Memory,
     room: Room,
@@ -222,9 +252,10 @@ def step_bodies(
     Parameters
     ----------
     numbers : BodyNumbers
-    paths : (k + 2, s, 3) array
-        Where the frames of surfaces are at the midpoints of the steps, of the one before and of
-        the one after.
+    around : Ahead
+        What acts on the bodies.
+    instant : float
+        When the first step begins.
     plastic : bool
         Whether what is hit together does not rebound.
     memory : Memory
@@ -235,7 +266,8 @@ def step_bodies(
         bodies pass or sink into each other or turn by more than half a turn, is not taken: the
         status is `COARSE`. Infinite: all are taken.
     chunk : Chunk
-        To be filled, per body instead of per contact; the unknowns are accelerations alone.
+        To be filled, per body instead of per contact; the unknowns are accelerations, and the
+        forces of joints.
     """
     h, n, (allowed, deepest) = chunk.h, 3 * len(numbers.sizes), bounds
     state = chunk.states[0].copy()
@@ -243,18 +275,26 @@ def step_bodies(
     surfaces = numbers.surfaces
     registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
     registers[1][1] = 0.0
-    frames, still = np.zeros((3, 3)), np.zeros((3, 3))
+    frames, still, forces = np.zeros((3, 3)), np.zeros((3, 3)), around.forces
+    width = 2 * n + around.memories.shape[1]
+    acting = filled(forces.code, forces.constants, forces.values, width, 1)
     for k in range(len(chunk.codes)):
-        ground = Ground(paths[k : k + 3], registers, frames, still)
+        ground = Ground(around.frames[k : k + 3], registers, frames, still)
         look_at(numbers, state, h, room.look)
+        if len(forces.bodies) > 0:
+            time = instant + (k + 0.5) * h
+            pushed(numbers, forces, acting, around.memories[k + 1], time, h, room.look)
         seen = touching(numbers, ground, memory, room.look, room.grid, h, touches)
-        if seen.contacts < 0:
+        if seen.contacts < 0 or seen.contacts + len(numbers.joints.holds) >= len(touches.hit):
             return k, FULL
         if deepest < math.inf and (seen.passed > 0.0 or seen.sunk > 0.0 or seen.closing > deepest):
             return k, COARSE
-        _solved(numbers, plastic, room, seen.contacts, allowed, chunk.efforts[k])
+        count = joined(
+            numbers, around.places[k : k + 3], memory, room.look, h, seen.contacts, touches
+        )
+        _solved(numbers, plastic, room, count, allowed, chunk.efforts[k])
         rates, forced = loose.copy(), loose.copy()
-        for i in range(seen.contacts):
+        for i in range(count):
             for d in range(2):
                 if room.pressed[i, d] != 0.0:
                     push(
@@ -269,6 +309,7 @@ def step_bodies(
         if deepest < math.inf and h * np.abs(rates[:, 2]).max() > math.pi:
             return k, COARSE
         _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
+        _kept_joints(numbers, memory, room, seen.contacts, k, chunk)
         for b in range(len(numbers.sizes)):
             for d in range(3):
                 at = 3 * b + d

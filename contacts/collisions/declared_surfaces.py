@@ -1,4 +1,4 @@
-"""Surfaces that bodies collide with, as numbers: what they are, and where they move."""
+"""Surfaces that bodies collide with, as numbers."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ import numpy as np
 import sympy as sp
 
 from contacts.collisions.surfaces import GRAPH, HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
-from contacts.dynamics.geometry import surface_frame
 from contacts.scene.parts import Surface
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
-from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
@@ -112,7 +110,7 @@ def _beside(
 @lru_cache(maxsize=16)
 def _program(heights: tuple[str, ...], names: tuple[str, ...]) -> Tape:
     """Compile heights, their slopes and curvatures over x and parameters."""
-    x, parameters = sp.Symbol("x", real=True), _symbols(names)
+    x, parameters = sp.Symbol("x", real=True), symbols_of(names)
     found: list[sp.Expr] = []
     for text in heights:
         height = parse(text).to_sympy({**dict(zip(names, parameters, strict=True)), "x": x})
@@ -122,53 +120,6 @@ def _program(heights: tuple[str, ...], names: tuple[str, ...]) -> Tape:
     )
 
 
-def _symbols(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
+def symbols_of(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
+    """Return symbols for parameters."""
     return tuple(sp.Symbol(f"p{i}", real=True) for i in range(len(names)))
-
-
-class SurfacePaths:
-    """Where the surfaces of a scene are in time.
-
-    Parameters
-    ----------
-    scene : Scene
-        As declared.
-    """
-
-    def __init__(self, scene: Scene) -> None:
-        surfaces = [scene.surfaces[name] for name in touched(scene)]
-        self._count = len(surfaces)
-        self._places = [s for s, surface in enumerate(surfaces) if surface.moves]
-        names = tuple(scene.parameters)
-        parameters, time = _symbols(names), sp.Symbol("t", real=True)
-        known = {TIME: time, **dict(zip(names, parameters, strict=True))}
-        frames = [surface_frame(surfaces[place], known) for place in self._places]
-        self._names = names
-        self._tape = compile_tape(
-            [expression for frame in frames for expression in frame],
-            variables=(),
-            parameters=parameters,
-            time=time,
-        )
-
-    def at(self, known: Mapping[str, float], times: Array) -> Array:
-        """Return the frames (m, s, 3) of all surfaces at instants (m,)."""
-        result = np.zeros((len(times), self._count, 3))
-        if self._places:
-            values = np.array([known[name] for name in self._names], dtype=float)
-            found = self._tape.table(np.empty((len(times), 0)), values, times)
-            result[:, self._places] = found.reshape(len(times), -1, 3)
-        return result
-
-    def looks(self, known: Mapping[str, float], start: float, h: float, count: int) -> Array:
-        """Return the frames at the midpoints of steps, of the one before and the one after.
-
-        Before a run begins its surfaces move as they do then.
-        """
-        times: Array = start + h * (np.arange(count + 2, dtype=float) - 0.5)
-        if start > 0.0 or not self._places:
-            return self.at(known, times)
-        times[0] = 0.0
-        result = self.at(known, times)
-        result[0] = 2.0 * result[0] - result[1]
-        return result

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from contacts.collisions.body_numbers import BodyNumbers
+from contacts.collisions.declared_joints import joint_numbers
 from contacts.collisions.declared_surfaces import surface_numbers, touched
 from contacts.dynamics.contact_law import edge
 from contacts.scene.fields import copies
@@ -87,6 +88,7 @@ def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]
         kinds,
         laws,
         materials,
+        joint_numbers(scene, known),
     )
 
 

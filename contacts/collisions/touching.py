@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from contacts.collisions.applied import ForceProgram, apply
 from contacts.collisions.body_numbers import MEMORY, BodyNumbers, Memory
 from contacts.collisions.broad_phase import Grid, near_pairs
 from contacts.collisions.detection import FOUND, between, placed
 from contacts.collisions.islands import velocity
+from contacts.collisions.joints import BOTH, JointNumbers, joint_rows
 from contacts.collisions.meeting import met, nearby, overlap
 from contacts.collisions.surfaces import (
     against_surface,
@@ -19,6 +21,7 @@ from contacts.collisions.surfaces import (
     distance,
     seen_from,
 )
+from contacts.solvers.contact_rows import GUIDED, HELD
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel, part
@@ -202,6 +205,69 @@ def look_at(numbers: BodyNumbers, state: Array, h: float, look: Look) -> None:
 
 
 @part
+def pushed(
+    numbers: BodyNumbers, forces: ForceProgram, registers: tuple[int, Array], memory: Array,
+    time: float, h: float, look: Look,
+) -> None:  # fmt: skip
+    """Let forces act on bodies in a step that are looked at."""
+    apply(forces, registers, look.places, look.old, memory, time, numbers.inverse, h, look.loose)
+    for b in forces.bodies:
+        sped = math.hypot(look.loose[b, 0] - look.old[b, 0], look.loose[b, 1] - look.old[b, 1])
+        turned, inverse = abs(look.loose[b, 2] - look.old[b, 2]), numbers.inverse[b]
+        look.reach[b] += 2.0 * h * (sped + numbers.sizes[b] * turned)
+        # As fast as the same energy would make it without turning.
+        look.pull[b] = math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
+
+
+@part
+def joined(
+    numbers: BodyNumbers, places: Array, memory: Memory, look: Look, h: float, count: int,
+    touches: Touches,
+) -> int:  # fmt: skip
+    """Append the joints to the contacts of a step; return how many there are in all.
+
+    Parameters
+    ----------
+    numbers, memory, look, h, touches
+        See `touching`.
+    places : (3, j, 2)
+        Where what they hold points to is at this look, the one before and the next.
+    count : int
+        Contacts.
+    """
+    joints, bodies = numbers.joints, len(numbers.sizes)
+    first, at_old, m = bodies * (bodies + len(numbers.surfaces.kinds)), 0, count
+    for j in range(len(joints.holds)):
+        b = joints.bodies[j, 0]
+        touches.bodies[m, 0], touches.bodies[m, 1] = b, joints.bodies[j, 1]
+        bent = joint_rows(
+            joints, j, look.places, look.old, look.loose, places, h, touches.rows[m],
+            touches.before[m], touches.free[m], touches.wanted[m],
+        )  # fmt: skip
+        look.pull[b] += bent
+        touches.materials[m, 0] = HELD if joints.holds[j] == BOTH else GUIDED
+        touches.materials[m, 1] = touches.materials[m, 2] = touches.carries[m] = 0.0
+        touches.hit[m] = False
+        while at_old < memory.many[0] and memory.keys[at_old, 0] < first + j:
+            at_old += 1
+        _recalled(memory, at_old, first + j, 0, h, m, touches)
+        touches.keys[m, 0], touches.keys[m, 1] = first + j, 0
+        touches.memory[m, 0] = touches.memory[m, 1] = 0.0
+        m += 1
+    return m
+
+
+@part
+def _held(joints: JointNumbers, one: int, other: int) -> bool:
+    """Whether a joint holds two bodies together."""
+    for j in range(len(joints.holds)):
+        a, b = joints.bodies[j]
+        if (a == one and b == other) or (a == other and b == one):
+            return True
+    return False
+
+
+@part
 def _felt(look: Look, b: int, c: int, found: Array, m: int, touches: Touches) -> None:
     """Write the rows of a point of contact, and its velocities."""
     bodies, rows, centres = touches.bodies, touches.rows, look.centres
@@ -364,7 +430,7 @@ def touching(
             whole, other, moves = s < 0, c if s < 0 else surfaces.carriers[s], False
             if whole:
                 material = numbers.laws[numbers.kinds[b], numbers.kinds[c]]
-                if material < 0:
+                if material < 0 or _held(numbers.joints, b, c):
                     continue
                 # In short steps all that follows is within their error.
                 slowly = nearby(old, sizes, b, c, _CROSSED / since)
@@ -402,7 +468,8 @@ def touching(
                     look.pull[b] = max(look.pull[b], pull)
                 nearing = -touches.before[m, 0]
                 changed = touches.free[m, 0] - touches.before[m, 0]
-                slow = SLOW * max(abs(changed), fall)
+                gained = max(abs(changed), fall)
+                slow = SLOW * gained
                 if gap < 0.0 and not known:
                     explained = since * max(memory.past[1], nearing, slow)
                     sunk = max(sunk, -gap - explained)
@@ -434,9 +501,9 @@ def touching(
                     approach = max(approach, nearing)
                     closing = max(closing, -gap)
                 else:
-                    # A point that turns away faster than gravity follows lifts off; what is
+                    # A point that turns away faster than forces follow lifts off; what is
                     # deeper than that makes was moved there by a change of features.
-                    touches.wanted[m, 0] = max(above / h, -0.5 * fall)
+                    touches.wanted[m, 0] = max(above / h, -0.5 * gained)
                 for d in range(3):
                     touches.materials[m, d] = numbers.materials[material, d]
                 touches.keys[m, 0], touches.keys[m, 1] = pair, features[p]

@@ -59,6 +59,14 @@ def _flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.
     return {rates[v]: parse(text).to_sympy(mechanics.known) for v, text in flows.items()}
 
 
+def flows_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[sp.Expr]:
+    """Return the rates of what controllers remember while they are in these states."""
+    found: dict[sp.Symbol, sp.Expr] = {}
+    for name, state in states.items():
+        found |= _flows(mechanics, name, state)
+    return [found.get(rate, sp.S.Zero) for rate in memory_rates(mechanics).values()]
+
+
 class Controllers:
     """The controllers of a scene: their states, and the guards out of these, made when asked for.
 

@@ -57,7 +57,7 @@ def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
     check_shapes(scene, values)
     if not scene.collisions:
         return
-    for section in ("contacts", "joints", "forces", "coordinates", "regions", "modes"):
+    for section in ("contacts", "coordinates", "modes"):
         if getattr(scene, section):
             raise DeclarationProblem(
                 f"a scene with collisions has no {section} yet",
@@ -65,6 +65,7 @@ def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
                 loc=(section,),
                 key=True,
             )
+    _check_memory(scene)
     for name, body in scene.bodies.items():
         if body.coordinates != ("x", "y", "angle"):
             raise DeclarationProblem(
@@ -91,6 +92,27 @@ def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
             if one not in scene.surfaces:
                 advice = close_matches(one, scene.surfaces)
                 raise DeclarationProblem(f"no surface {one!r}", advice=advice, loc=loc)
+
+
+def _check_memory(scene: SceneFields) -> None:
+    """Check that what controllers remember is known ahead of the steps."""
+    moving = {*scene.variables, *map(scene.rate_name, scene.variables)}
+    for region, declared in scene.regions.items():
+        for state, at in scene.controlled.states(region):
+            for variable, text in state.flows.items():
+                used = [n for n in parse(text).names if n in moving]
+                used += [
+                    n
+                    for n in parse(text).names.intersection(scene.controls)
+                    if any(parse(t).names & moving for t in scene.controlled.texts(n))
+                ]
+                if used and declared.variables:
+                    raise DeclarationProblem(
+                        f"the flow of {variable!r} depends on {min(used)!r}, on how bodies move: "
+                        "in a scene with collisions it may not",
+                        advice="let it depend on time, controls and variables",
+                        loc=(*at, "flows", variable),
+                    )
 
 
 def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:

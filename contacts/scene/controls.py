@@ -113,7 +113,7 @@ class Controls:
             control: [
                 other
                 for other in self.declared
-                if any(other in parse(text).names for text in self._texts(control))
+                if any(other in parse(text).names for text in self.texts(control))
             ]
             for control in self.declared
         }
@@ -328,7 +328,7 @@ class Controls:
                 loc=loc,
             )
         for control in used:
-            for value in self._texts(control):
+            for value in self.texts(control):
                 varying = parse(value).names.difference(parameters)
                 if varying:
                     raise DeclarationProblem(
@@ -338,7 +338,7 @@ class Controls:
                         loc=loc,
                     )
 
-    def _texts(self, control: str) -> list[FormulaText]:
+    def texts(self, control: str) -> list[FormulaText]:
         """Return every formula that a control may be."""
         return [
             self.declared[control],

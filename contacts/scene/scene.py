@@ -162,13 +162,16 @@ class Scene(SceneFields):
         for name, surface in self.surfaces.items():
             if surface.body is not None:
                 self._member(found, "body", surface.body, self.bodies, "surfaces", name, "body")
+        # Of a body with copies joints hold one, by its number; forces act on one or on all.
+        single = self.single_bodies()
         for name, joint in self.joints.items():
             at = ("joints", name)
-            self._member(found, "body", joint.point.body, self.bodies, *at, "point", "body")
+            self._member(found, "body", joint.point.body, single, *at, "point", "body")
             if isinstance(joint.to, Point):
-                self._member(found, "body", joint.to.body, self.bodies, *at, "to", "body")
+                self._member(found, "body", joint.to.body, single, *at, "to", "body")
         for name, force in self.forces.items():
-            self._member(found, "body", force.body, self.bodies, "forces", name, "body")
+            several = {**self.bodies, **single}
+            self._member(found, "body", force.body, several, "forces", name, "body")
         for name, mode in self.modes.items():
             self._member(found, "contact", name, self.contacts, "modes", name)
             if name not in self.contacts or not self._on_a_surface(name):
@@ -205,11 +208,17 @@ class Scene(SceneFields):
             for part, text in body.start.items():
                 self._formulas(found, text, counted, "bodies", name, "start", part)
         for name, force in self.forces.items():
-            for key, names in (("force", known), ("at", parameters), ("moment", known)):
+            # Of a body with copies they may use what each of them is at.
+            copied = self.bodies.get(force.body)
+            own = {f"{force.body}.{c}" for c in copied.coordinates} if copied else set()
+            seen = known | own | {self.rate_name(c) for c in own}
+            for key, names in (("force", seen), ("at", parameters), ("moment", seen)):
                 self._formulas(found, getattr(force, key), names, "forces", name, key)
 
     def _formulas_of_what_touches_use_declared_names(self, found: Findings) -> None:
         parameters = frozenset(self.parameters)
+        # What controllers remember moves what shapes touch, and what holds them.
+        ahead = {TIME, *(self.controlled.memory if self.collisions else ())}
         for name, surface in self.surfaces.items():
             at = ("surfaces", name)
             self._formulas(found, surface.height, parameters | {"x"}, *at, "height")
@@ -219,7 +228,7 @@ class Scene(SceneFields):
                 for place, corner in enumerate(getattr(surface, form) or ()):
                     self._formulas(found, corner, parameters, *at, form, place)
             for key in ("displacement", "turn"):
-                self._formulas(found, getattr(surface, key), parameters | {TIME}, *at, key)
+                self._formulas(found, getattr(surface, key), parameters | ahead, *at, key)
         for name, contact in self.contacts.items():
             self._check_contact(found, name, contact)
         for name, joint in self.joints.items():
@@ -229,7 +238,7 @@ class Scene(SceneFields):
                 for place, key in enumerate(("x", "y")):
                     # Declared as a list or as a mapping: what it is not is skipped.
                     text = getattr(joint.to, key)
-                    self._formulas(found, text, parameters | {TIME}, *at, "to", place, key)
+                    self._formulas(found, text, parameters | ahead, *at, "to", place, key)
             else:
                 self._formulas(found, joint.to.at, parameters, *at, "to", "at")
 

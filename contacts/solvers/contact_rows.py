@@ -17,6 +17,10 @@ from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import part
 
+HELD, GUIDED = -1.0, -2.0
+"""In the place of the first number of a cone: both directions of a row are held, whatever it takes;
+its first one is."""
+
 # What a contact's own impulses do to its velocity is known to this part.
 _ROUNDING = 1e-13
 # The residual, which takes half a sweep, is looked at after so many.
@@ -38,7 +42,7 @@ class ContactRows(NamedTuple):
     own : (m, 3)
         Its compliances: normal, tangential, between the two.
     cones : (m, 2)
-        ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``.
+        ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``; of joints see `HELD`.
     """
 
     places: Ints
@@ -61,7 +65,9 @@ def own_compliances(rows: Array, columns: Array, own: Array) -> None:
 
 @part
 def slope(cone: Array) -> float:
-    """Return the coefficient of friction, which `STEEPEST` bounds."""
+    """Return the coefficient of friction, which `STEEPEST` bounds; or `HELD`, or `GUIDED`."""
+    if cone[0] < 0.0:
+        return cone[0]
     return cone[1] / max(cone[0], STEEPEST)
 
 
@@ -98,9 +104,14 @@ def moved(contacts: ContactRows, impulses: Array, rates: Array) -> None:
 @part
 def one_contact(own: Array, mu: float, normal: float, slip: float) -> tuple[float, float]:
     """Return the impulses of a single contact whose velocities are these without any."""
+    wn, wt, wx = own
+    if mu < 0.0:
+        if mu == GUIDED:
+            return -normal / wn, 0.0
+        det = wn * wt - wx * wx
+        return (wx * slip - wt * normal) / det, (wx * normal - wn * slip) / det
     if not normal < 0.0:
         return 0.0, 0.0
-    wn, wt, wx = own
     first = -normal / wn
     if mu == 0.0:
         return first, 0.0
@@ -131,8 +142,14 @@ def residual(contacts: ContactRows, least: Array, impulses: Array, rates: Array)
         normal, slip = seen(contacts, i, least, rates)
         pn, pt = impulses[i]
         wn, wt = own[i, 0], own[i, 1]
+        mu = slope(cones[i])
+        if mu < 0.0:
+            missed = max(missed, abs(normal), abs(slip) if mu == HELD else 0.0)
+            size = max(size, abs(least[i, 0]), abs(least[i, 1]))
+            size = max(size, _ROUNDING * wn * abs(pn), _ROUNDING * wt * abs(pt))
+            continue
         missed = max(missed, abs(wn * pn - max(wn * pn - normal, 0.0)))
-        edge = wt * slope(cones[i]) * pn
+        edge = wt * mu * pn
         missed = max(missed, abs(wt * pt - min(max(wt * pt - slip, -edge), edge)))
         size = max(size, -least[i, 0], _ROUNDING * wn * pn)
     if missed == 0.0:

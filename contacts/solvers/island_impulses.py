@@ -17,6 +17,7 @@ from contacts.solvers.contact_rows import (
     moved,
     own_compliances,
     residual,
+    slope,
     swept,
 )
 from contacts.solvers.status_newton import by_status
@@ -53,9 +54,10 @@ def solve_rows(
         Whether nothing moves: then they are found as exactly as can be, for the steps to come.
     """
     count = len(impulses)
-    parting = True
+    parting, joined = True, False
     for i in range(count):
-        parting = parting and least[i, 0] >= 0.0
+        held = slope(contacts.cones[i]) < 0.0
+        parting, joined = parting and least[i, 0] >= 0.0 and not held, joined or held
     if parting:
         impulses[:] = 0.0
         return 0.0, 0
@@ -80,7 +82,7 @@ def solve_rows(
         if missed > allowed and count <= _DENSE:
             missed, steps = by_status(contacts, least, other, allowed)
             done += steps
-        if missed > allowed and trial == _ANEW and count <= _LEMKE:
+        if missed > allowed and trial == _ANEW and count <= _LEMKE and not joined:
             put_rows(_by_lemke(contacts, least, rates), other)
             moved(contacts, other, rates)
             missed = residual(contacts, least, other, rates)
@@ -216,6 +218,8 @@ def island_impulses(
     if left > allowed or share < 1.0:
         # What is pushed out may be pushed against others, and gains energy.
         for i in range(count):
+            if slope(contacts.cones[i]) < 0.0:
+                continue
             soft[i, 0] = free[i, 0] if rebounds[i] else free[i, 0] + max(wanted[i, 0], 0.0)
         other = impulses.copy()
         calm, further = solve_rows(contacts, soft, other, allowed, False)

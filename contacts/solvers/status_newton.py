@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.solvers.contact_rows import (
+    HELD,
     ContactRows,
     add,
     moved,
@@ -47,6 +48,10 @@ def _guess(
     for i in range(len(impulses)):
         pn, pt = impulses[i]
         mu = slope(contacts.cones[i])
+        if mu < 0.0:
+            # What is guided slides without friction.
+            status[i], edges[i] = _STICKS if mu == HELD else _SLIDES, 0.0
+            continue
         if not pn > 0.0:
             normal, slip = seen(contacts, i, least, rates)
             pn, pt = one_contact(contacts.own[i], mu, normal, slip)
@@ -73,6 +78,8 @@ def _changed(
     for i in range(len(impulses)):
         pn, pt = impulses[i]
         mu = slope(contacts.cones[i])
+        if mu < 0.0:
+            continue
         normal, slip = seen(contacts, i, least, rates)
         new = status[i]
         if new == _OPEN:
@@ -157,7 +164,7 @@ def _blocked(contacts: ContactRows, begin: Array, end: Array, status: Ints, edge
     """
     share, first, opens = 1.0, -1, False
     for i in range(len(begin)):
-        if status[i] == _OPEN:
+        if status[i] == _OPEN or slope(contacts.cones[i]) < 0.0:
             continue
         if end[i, 0] < 0.0:
             part_way = begin[i, 0] / (begin[i, 0] - end[i, 0])
@@ -204,7 +211,8 @@ def by_status(
     _guess(contacts, least, now, rates, status, edges)
     size = 0.0
     for i in range(len(least)):
-        size = max(size, -least[i, 0])
+        held = slope(contacts.cones[i]) < 0.0
+        size = max(size, abs(least[i, 0]) if held else -least[i, 0])
     begin = now.copy()
     most = _STEPS + _STEPS_EACH * len(now)
     for step in range(most):

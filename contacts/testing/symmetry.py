@@ -195,7 +195,7 @@ class _Change:
         found = {TIME: self.time, "energy": self.energy}
         for name in old.coordinates:
             found |= {name: self.own[0], old.rate_name(name): self.own[1]}
-        for name in old.single_bodies():
+        for name in (*old.single_bodies(), *old.bodies):
             found |= {f"{name}.x": self.x, f"{name}.y": self.y, f"{name}.angle": self.angle}
             found |= {f"{name}.dx": self.rates[0], f"{name}.dy": self.rates[1]}
             found[f"{name}.dangle"] = self.spin

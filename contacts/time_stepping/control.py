@@ -8,16 +8,17 @@ transition are taken back.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from contacts.dynamics.control_guards import Controllers
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.setup import SceneNumbers, SceneSetup
+from contacts.dynamics.memory import Memory
+from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.scene_steps import SteppedScene
 from contacts.time_stepping.scene_tape import SteppedTape
 from statechart.arrays import Array, Bools
 from statechart.automaton.regions import Region
@@ -48,6 +49,18 @@ class SteppedTapes(Controllers):
         return self._tapes[states]
 
 
+class Controlled(Protocol):
+    """What is stepped, and can be controlled."""
+
+    def forget(self) -> None:
+        """Take back the last steps."""
+        ...
+
+    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
+        """Take steps."""
+        ...
+
+
 class StepControl:
     """The controllers of one run.
 
@@ -55,14 +68,14 @@ class StepControl:
     ----------
     mechanics : Mechanics
         The scene's equations.
-    tapes : SteppedTapes
-        Of the scene.
-    numbers : SceneNumbers
+    controllers : Controllers
         Of the scene.
     setup : SceneSetup
         The run's numbers.
-    scene : SteppedScene
+    scene : Controlled
         What is controlled.
+    switch : callable
+        Told the controllers' states, by name, where these change.
     regions : sequence of Region
         All, those of the controllers last.
     """
@@ -70,21 +83,23 @@ class StepControl:
     def __init__(
         self,
         mechanics: Mechanics,
-        tapes: SteppedTapes,
-        numbers: SceneNumbers,
+        controllers: Controllers,
         setup: SceneSetup,
-        scene: SteppedScene,
+        scene: Controlled,
+        switch: Callable[[Mapping[str, str]], None],
         regions: Sequence[Region],
     ) -> None:
         self._controllers = mechanics.scene.controlled.flat
         self._names = tuple(self._controllers)
-        self._tapes, self._numbers, self._setup, self._scene = tapes, numbers, setup, scene
+        self._states, self._setup, self._scene = controllers, setup, scene
+        self._switch, self._memory = switch, Memory(mechanics)
         self._listening = Listening(regions, self._controllers)
         n, r = len(mechanics.q), len(mechanics.joint_rows)
         c = 2 * len(mechanics.scene.contacts)
         # Guards take the forces of joints after those of contacts.
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
-        self.states = tapes.initial
+        self.states = controllers.initial
+        self._begun = False
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> Chunk:
         """Return the steps up to the first after which the controllers are to be asked."""
@@ -100,8 +115,8 @@ class StepControl:
 
     def turn(
         self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
-    ) -> None:
-        """Take the transitions that are due at the end of a step.
+    ) -> Array:
+        """Take the transitions that are due at the end of a step; return the state after them.
 
         Parameters
         ----------
@@ -123,8 +138,14 @@ class StepControl:
         for jump in jumps:
             pending = self._listening.heard(pending, jump)
         time = np.array([recorder.clock.high])
+        if not self._begun:
+            self._begun = True
+            for name, region in self._controllers.items():
+                state = self._memory.updated(
+                    self._setup, recorder.clock, name, region.begins, state
+                )
         for _ in range(_MOST_TURNS):
-            watched = self._tapes.guards(self.states).watch.guards
+            watched = self._states.guards(self.states).watch.guards
             due = self._due(time, state[None], solved[None], h)[0]
             guarded: dict[int, int] = {}
             for guard, now in zip(watched, due.tolist(), strict=True):
@@ -132,7 +153,7 @@ class StepControl:
                     guarded.setdefault(guard.place, guard.transition)
             firing = self._listening.first(self._names, self.states, pending, guarded)
             if firing is None:
-                return
+                return state
             name = self._names[firing.place]
             taken = self._controllers[name].transitions[firing.transition]
             fired = tuple(
@@ -145,12 +166,12 @@ class StepControl:
                 taken.target,
                 *self.states[firing.place + 1 :],
             )
-            jump = recorder.turn(name, taken.name, self.states, state, fired)
-            pending = self._listening.heard(firing.pending, jump)
-            named = self._tapes.named(self.states)
-            self._scene.switch(
-                self._tapes.at(self.states), self._numbers.contacts(self._setup.values, named)
+            after = self._memory.updated(
+                self._setup, recorder.clock, taken.name, taken.blocks, state
             )
+            jump = recorder.turn(name, taken.name, self.states, (state, after), fired)
+            pending, state = self._listening.heard(firing.pending, jump), after
+            self._switch(self._states.named(self.states))
         raise EventLoop(
             f"more than {_MOST_TURNS} transitions of controllers at one instant: "
             + ", ".join(self.states)
@@ -158,7 +179,7 @@ class StepControl:
 
     def _due(self, times: Array, states: Array, solved: Array, h: float) -> Bools:
         """Return which guards (m, g) are due."""
-        guards = self._tapes.guards(self.states)
+        guards = self._states.guards(self.states)
         rows = guards.table(self._setup, times, states, solved[:, self._order])
         margin, rate = rows[..., 0], rows[..., 1]
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)

@@ -89,8 +89,8 @@ class Control(Protocol):
 
     def turn(
         self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
-    ) -> None:
-        """Act at the end of a step, after the jumps of the step."""
+    ) -> Array:
+        """Act at the end of a step, after the jumps of the step; return the state then."""
         ...
 
 
@@ -181,6 +181,7 @@ def run(stepping: Stepping, begun: Begun, span: Span) -> Trace:
         stepping.again,
         stepping.forces,
         lambda state, time: float(stepping.energy.values(state, values, time)[0]),
+        len(stepping.angles),
     )
     made = _Run(stepping, begun, recorder, span)
     try:
@@ -215,7 +216,8 @@ class _Run:
             self._stop(met)
             return
         if self.control is not None:
-            self.control.turn(self.recorder, (), self.state, self.stops.unknown(self.state), step)
+            solved = self.stops.unknown(self.state)
+            self.state = self.control.turn(self.recorder, (), self.state, solved, step)
         whole = math.floor(min(until / step * (1.0 + 4e-16), _COUNTED))
         rest = until - whole * step
         if rest <= 1e-9 * step:
@@ -247,7 +249,9 @@ class _Run:
                     return
                 if self.control is not None:
                     fresh = self.recorder.jumps[jumps:]
-                    self.control.turn(self.recorder, fresh, self.state, chunk.solved[-1], h)
+                    self.state = self.control.turn(
+                        self.recorder, fresh, self.state, chunk.solved[-1], h
+                    )
                 done += len(chunk.codes) * (chunk.h / h)
         self.time = until
         self.message = f"reached t = {until:.17g}"
@@ -304,7 +308,7 @@ class _Run:
         """Return the first step that is too large for what happens in it, and why."""
         n, h = len(self.stepping.angles), chunk.h
         size = self.setup.scales.length
-        turned = np.abs(chunk.states[1:, n:]) * np.where(self.stepping.angles, h, 0.0)
+        turned = np.abs(chunk.states[1:, n : 2 * n]) * np.where(self.stepping.angles, h, 0.0)
         turn: Array = np.max(turned, axis=1, initial=0.0)
         wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
         wrong |= chunk.gained > MOST_ADDED

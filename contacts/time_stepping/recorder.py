@@ -45,6 +45,8 @@ class Recorder:
         Place of the first region's V and H among the further unknowns; None: they have none.
     energy : callable
         (state, time) -> energy.
+    coordinates : int
+        How many there are; behind them and their rates stands what controllers remember.
     """
 
     regions: Sequence[str]
@@ -54,6 +56,7 @@ class Recorder:
     again: str
     forces: int | None
     energy: Callable[[Array, float], float]
+    coordinates: int
     clock: Clock = field(default_factory=Clock)
     arcs: list[Arc] = field(default_factory=list)
     jumps: list[Jump] = field(default_factory=list)
@@ -91,13 +94,18 @@ class Recorder:
         return self._changed(self._shown(chunk.codes)) | np.any(chunk.struck, axis=1)
 
     def turn(
-        self, region: str, cause: str, controls: Key, state: Array, fired: tuple[str, ...]
+        self,
+        region: str,
+        cause: str,
+        controls: Key,
+        states: tuple[Array, Array],
+        fired: tuple[str, ...],
     ) -> Jump:
-        """Append a jump of a further region; return it."""
+        """Append a jump of a further region, from one state to another; return it."""
         self.close()
         target = (*self.key[: len(self.row)], *controls)
         jump = Jump(
-            self.clock.high, len(self.jumps), region, cause, self.key, target, state, state, fired
+            self.clock.high, len(self.jumps), region, cause, self.key, target, *states, fired
         )
         self.jumps.append(jump)
         self.controls, self.key = controls, target
@@ -136,33 +144,37 @@ class Recorder:
 
     def _flow(self, chunk: Chunk, first: int, last: int) -> None:
         """Append steps of one mode as one arc, or to the last arc."""
-        h, n = chunk.h, chunk.states.shape[1] // 2
+        h, n = chunk.h, self.coordinates
         left, right = chunk.states[first:last], chunk.states[first + 1 : last + 1]
-        coefficients = np.zeros((last - first, 2 * n, TERMS))
+        coefficients = np.zeros((*left.shape, TERMS))
         coefficients[:, :, 0] = left
-        coefficients[:, :n, 1] = h * left[:, n:]
+        coefficients[:, :n, 1] = h * left[:, n : 2 * n]
         coefficients[:, n:, 1] = right[:, n:] - left[:, n:]
-        coefficients[:, :n, 2] = 0.5 * h * coefficients[:, n:, 1]
+        coefficients[:, :n, 2] = 0.5 * h * coefficients[:, n : 2 * n, 1]
         times: Array = h * np.arange(last - first + 1, dtype=float)
         self._arc(times, coefficients, chunk.solved[first:last])
 
     def _strike(self, chunk: Chunk, k: int, row: Ints) -> None:
         """Append a step with impacts in its middle: one jump, whose impulses all regions feel."""
-        h, n = chunk.h, chunk.states.shape[1] // 2
+        h, n = chunk.h, self.coordinates
         left, right = chunk.states[k], chunk.states[k + 1]
+        middle = 0.5 * (left + right)[2 * n :]
         acceleration = chunk.solved[k : k + 1, :n]
         # Of the velocities as they were and will be, so that the ends of the step are exact.
         halves = []
         for state, sign in ((left, 1.0), (right, -1.0)):
-            half = np.zeros((1, 2 * n, TERMS))
-            near = state[n:] + sign * 0.25 * h * acceleration[0]
+            half = np.zeros((1, len(state), TERMS))
+            rates = state[n : 2 * n]
+            near = rates + sign * 0.25 * h * acceleration[0]
             other = state[:n] + sign * 0.5 * h * near
-            fast = state[n:] + sign * 0.5 * h * acceleration[0]
-            begin = (state[:n], state[n:]) if sign > 0.0 else (other, fast)
-            half[0, :n, 0], half[0, n:, 0] = begin
+            fast = rates + sign * 0.5 * h * acceleration[0]
+            begin = (state[:n], rates) if sign > 0.0 else (other, fast)
+            half[0, :n, 0], half[0, n : 2 * n, 0] = begin
             half[0, :n, 1] = 0.5 * h * begin[1]
             half[0, :n, 2] = 0.125 * h**2 * acceleration[0]
-            half[0, n:, 1] = 0.5 * h * acceleration[0]
+            half[0, n : 2 * n, 1] = 0.5 * h * acceleration[0]
+            half[0, 2 * n :, 0] = state[2 * n :] if sign > 0.0 else middle
+            half[0, 2 * n :, 1] = sign * (middle - state[2 * n :])
             halves.append(half)
         times = np.array([0.0, 0.5 * h])
         self._arc(times, halves[0], self._held(chunk.solved[k]))

@@ -80,9 +80,13 @@ class SceneStepper(Stepper):
         scene = SteppedScene(self._tapes.at(self._tapes.initial), setup, off, allowed)
         control = None
         if self._scene.regions:
-            control = StepControl(
-                self._mechanics, self._tapes, self._numbers, setup, scene, self._regions
-            )
+            tapes, numbers = self._tapes, self._numbers
+
+            def switch(states: Mapping[str, str]) -> None:
+                contacts = numbers.contacts(setup.values, states)
+                scene.switch(tapes.at(tuple(states.values())), contacts)
+
+            control = StepControl(self._mechanics, tapes, setup, scene, switch, self._regions)
         return Begun(setup, scene, codes, warnings, control, failure)
 
     def _checked(self, overrides: Mapping[str, float], allowed: float) -> Begun:

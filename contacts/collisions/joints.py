@@ -1,0 +1,91 @@
+"""Joints of bodies with shapes, to each other and to places in the world, as rows of a step.
+
+A joint holds at the midpoints of steps: the velocities after a step take its two points onto each
+other at the next look, their turning counted in. Nothing is pushed back afterwards, so that nothing
+drifts; what is held so is Verlet's scheme with constraints (Ryckaert, Ciccotti and Berendsen 1977).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from contacts.collisions.surfaces import carried
+from statechart.arrays import Array, Ints
+from statechart.kernels.jit import part
+
+BOTH, ALONG_X, ALONG_Y = range(3)
+"""What a joint holds."""
+
+
+class JointNumbers(NamedTuple):
+    """The joints of a scene.
+
+    Attributes
+    ----------
+    bodies : (j, 2) array of int
+        Of the point, and of what it is held to; -1: a place in the world.
+    at : (j, 2, 2)
+        The points in the frames of these bodies.
+    holds : (j,) array of int
+    """
+
+    bodies: Ints
+    at: Array
+    holds: Ints
+
+
+@part
+def joint_rows(
+    joints: JointNumbers, j: int, places: Array, old: Array, loose: Array, paths: Array, h: float,
+    rows: Array, before: Array, free: Array, wanted: Array,
+) -> float:  # fmt: skip
+    """Write the rows of a joint; return by how much the path of its place bends in a step.
+
+    Parameters
+    ----------
+    joints, j
+    places, old, loose : (b, 3)
+        Where bodies are at this look, their rates before it, and after it without impulses.
+    paths : (3, j, 2)
+        Where the places of all joints in the world were at the last look, are, and are next.
+    h : float
+    rows : (2, 6)
+        Velocities per unit rates of the two bodies; to be filled, as is what follows.
+    before, free : (2,)
+        Velocities relative to the path, before the step and after it without impulses.
+    wanted : (2,)
+        What these may not differ from, negated.
+    """
+    for d in range(2):
+        before[d] = free[d] = wanted[d] = 0.0
+        for k in range(6):
+            rows[d, k] = 0.0
+        if d == 1 and joints.holds[j] != BOTH:
+            continue
+        across = joints.holds[j] == ALONG_Y or d == 1
+        ux, uy = (0.0, 1.0) if across else (1.0, 0.0)
+        for side in range(2):
+            b, sign = joints.bodies[j, side], 1.0 - 2.0 * side
+            if b < 0:
+                axis = 1 if across else 0
+                now = paths[1, j, axis]
+                before[d] -= (now - paths[0, j, axis]) / h
+                free[d] -= (paths[2, j, axis] - now) / h
+                wanted[d] -= now / h
+                continue
+            x, y = carried(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
+            rx, ry = x - places[b, 0], y - places[b, 1]
+            # What an arm does in a step beyond what its rate says.
+            turn = h * old[b, 2]
+            c, s = math.cos(turn) - 1.0, math.sin(turn) - turn
+            at = 3 * side
+            rows[d, at], rows[d, at + 1] = sign * ux, sign * uy
+            rows[d, at + 2] = sign * (rx * uy - ry * ux)
+            for k in range(3):
+                before[d] += rows[d, at + k] * old[b, k]
+                free[d] += rows[d, at + k] * loose[b, k]
+            wanted[d] += sign * (ux * (x + c * rx - s * ry) + uy * (y + s * rx + c * ry)) / h
+    bend_x = paths[2, j, 0] - 2.0 * paths[1, j, 0] + paths[0, j, 0]
+    bend_y = paths[2, j, 1] - 2.0 * paths[1, j, 1] + paths[0, j, 1]
+    return math.hypot(bend_x, bend_y) / h

@@ -1,0 +1,120 @@
+"""What formulas of a scene of colliding bodies are over, and the forces on these."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+import sympy as sp
+
+from contacts.collisions.applied import ForceProgram
+from contacts.dynamics.joints import JointRow
+from contacts.dynamics.mechanics import Mechanics
+from contacts.scene.scene import Scene
+from statechart.arrays import Array
+from statechart.formulas.determinants import Definition
+from statechart.formulas.formula import parse
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
+
+
+class BodyMechanics(Mechanics):
+    """The symbols of free bodies, of which there may be hundreds; equations are not composed.
+
+    What controllers remember stands behind the variables, as in a state of a run.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its bodies one by one.
+    owners : sequence of str
+        What each of them is a copy of, or itself.
+    """
+
+    def __init__(self, scene: Scene, owners: Sequence[str]) -> None:
+        super().__init__(scene)
+        self.owners = owners
+
+    def tape(
+        self,
+        outputs: Sequence[sp.Expr],
+        *,
+        unknowns: Sequence[sp.Symbol] = (),
+        definitions: Sequence[Definition] = (),
+    ) -> Tape:
+        """Compile expressions of state, parameters and time, and of `unknowns` behind the state."""
+        return compile_tape(
+            outputs,
+            variables=(*self.variables, *self.memory.values(), *unknowns),
+            parameters=self.parameters.ordered,
+            time=self.time,
+            definitions=definitions,
+        )
+
+    @cached_property
+    def energy(self) -> sp.Expr:
+        """Kinetic energy plus that of gravity."""
+        gx, gy = self.gravity
+        terms = []
+        for name, body in self.scene.bodies.items():
+            mass = parse(body.mass).to_sympy(self.known)
+            x, y, dx, dy, turn = (
+                self.known[f"{name}.{c}"] for c in ("x", "y", "dx", "dy", "dangle")
+            )
+            terms.append(mass * (dx**2 + dy**2) / 2 + self.known[f"{name}.inertia"] * turn**2 / 2)
+            terms.append(-mass * (gx * x + gy * y))
+        return sp.Add(*terms)
+
+    @cached_property
+    def joint_rows(self) -> tuple[JointRow, ...]:
+        """What all joints hold, by their names and forces; the steps know the rest as numbers."""
+        nothing, rows = sp.S.Zero, list[JointRow]()
+        for name, joint in self.scene.joints.items():
+            for component in joint.components:
+                force = sp.Symbol(f"{component}{len(rows)}", real=True)
+                key = f"{name}.redundant_{component.lower()}"
+                redundant = self.parameters.symbols[key]
+                row = JointRow(
+                    name, component, nothing, nothing, nothing, (), force, nothing, redundant
+                )
+                rows.append(row)
+        return tuple(rows)
+
+    def forces_at(self, states: Mapping[str, str], values: Array) -> ForceProgram:
+        """Return the forces on bodies while controllers are in these states.
+
+        Parameters
+        ----------
+        states : mapping of str to str
+        values : (p,) array
+            Of the parameters.
+        """
+        found: dict[int, list[sp.Expr]] = {}
+        for force in self.scene.forces.values():
+            for place, known in self._each(force.body):
+                fx, fy = (parse(text).to_sympy(known) for text in force.force)
+                ax, ay = (parse(text).to_sympy(known) for text in force.at)
+                angle = known[f"{force.body}.angle"]
+                c, s = sp.cos(angle), sp.sin(angle)
+                turn = parse(force.moment).to_sympy(known)
+                turn += (c * ax - s * ay) * fy - (s * ax + c * ay) * fx
+                before = found.get(place, [sp.S.Zero] * 3)
+                found[place] = [a + b for a, b in zip(before, (fx, fy, turn), strict=True)]
+        tape = self.tape(
+            [expression for three in found.values() for expression in three],
+            definitions=self.controlled(states),
+        )
+        return ForceProgram(
+            np.array([*found], dtype=np.int64), tape.code, tape.constants, tape.outputs, values
+        )
+
+    def _each(self, body: str) -> Iterator[tuple[int, dict[str, sp.Expr]]]:
+        """Yield the places of a body, or of its copies, with what formulas of each may use."""
+        for place, (name, owner) in enumerate(zip(self.scene.bodies, self.owners, strict=True)):
+            if body in (owner, name):
+                own = {
+                    f"{body}.{c}": self.known[f"{name}.{c}"]
+                    for c in ("x", "y", "angle", "dx", "dy", "dangle")
+                }
+                yield place, {**self.known, **own}

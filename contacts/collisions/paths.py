@@ -1,0 +1,79 @@
+"""Where surfaces, and the places in the world that joints hold points to, are in time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import sympy as sp
+
+from contacts.collisions.declared_surfaces import symbols_of, touched
+from contacts.dynamics.geometry import surface_frame
+from contacts.scene.joints import Path
+from contacts.scene.scene import Scene
+from statechart.arrays import Array
+from statechart.documents.declaration import TIME
+from statechart.formulas.formula import parse
+from statechart.formulas.writer import compile_tape
+
+
+class Where(NamedTuple):
+    """Where what has a path is, at instants.
+
+    Attributes
+    ----------
+    frames : (m, s, 3)
+        Of all surfaces that bodies touch.
+    places : (m, j, 2)
+        Of all joints; zero where they hold two bodies together.
+    """
+
+    frames: Array
+    places: Array
+
+
+class Paths:
+    """The paths of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        As declared. Paths may use what its controllers remember.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        surfaces = [scene.surfaces[name] for name in touched(scene)]
+        self._surfaces, self._joints = len(surfaces), len(scene.joints)
+        self._moved = [s for s, surface in enumerate(surfaces) if surface.moves]
+        self._names = tuple(scene.parameters)
+        parameters, time = symbols_of(self._names), sp.Symbol("t", real=True)
+        memory = {n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(scene.controlled.memory)}
+        known = {TIME: time, **memory, **dict(zip(self._names, parameters, strict=True))}
+        expressions = [e for s in self._moved for e in surface_frame(surfaces[s], known)]
+        for joint in scene.joints.values():
+            path = joint.to if isinstance(joint.to, Path) else Path(x=0, y=0)
+            expressions += [parse(text or 0).to_sympy(known) for text in (path.x, path.y)]
+        self._tape = compile_tape(
+            expressions, variables=tuple(memory.values()), parameters=parameters, time=time
+        )
+
+    def at(self, known: Mapping[str, float], times: Array, memories: Array) -> Where:
+        """Return where all is at instants.
+
+        Parameters
+        ----------
+        known : mapping of str to float
+            Parameters.
+        times : (m,)
+        memories : (m, w)
+            What controllers remember then.
+        """
+        count, moved = len(times), len(self._moved)
+        frames = np.zeros((count, self._surfaces, 3))
+        if not moved and not self._joints:
+            return Where(frames, np.zeros((count, 0, 2)))
+        values = np.array([known[name] for name in self._names], dtype=float)
+        found = self._tape.table(memories, values, times)
+        frames[:, self._moved] = found[:, : 3 * moved].reshape(count, moved, 3)
+        return Where(frames, np.array(found[:, 3 * moved :]).reshape(count, self._joints, 2))

@@ -1,0 +1,77 @@
+"""What acts on bodies along their steps, known ahead: surfaces that move, controllers, forces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from contacts.collisions.applied import Ahead
+from contacts.collisions.mechanics import BodyMechanics
+from contacts.collisions.paths import Paths, Where
+from contacts.collisions.recall import Recall
+from statechart.arrays import Array
+
+
+class Surroundings:
+    """What acts on the bodies of one run.
+
+    Parameters
+    ----------
+    mechanics : BodyMechanics
+    paths : Paths
+    recall : Recall
+    known : mapping of str to float
+        Parameters.
+    values : (p,) array
+        Of the parameters and what follows from them.
+    """
+
+    def __init__(
+        self,
+        mechanics: BodyMechanics,
+        paths: Paths,
+        recall: Recall,
+        known: Mapping[str, float],
+        values: Array,
+    ) -> None:
+        self._mechanics, self._paths, self._recall = mechanics, paths, recall
+        self._known, self._values = known, values
+        self.controlled = bool(mechanics.scene.regions)
+        # Where what has a path was at the last look, and what the length of that step was.
+        self._last: tuple[Where, float] | None = None
+        self._kept: tuple[Where, float] | None = None
+        self.switch(mechanics.scene.controlled.initial)
+
+    def switch(self, states: Mapping[str, str]) -> None:
+        """Go on with controllers in other states."""
+        self._states = states
+        self._forces = self._mechanics.forces_at(states, self._values)
+
+    def forget(self) -> None:
+        """Take back the last steps."""
+        self._last = self._kept
+
+    def ahead(self, start: float, h: float, remembered: Array, count: int) -> tuple[Ahead, Array]:
+        """Return what acts in the steps from an instant on, and what is remembered at their ends.
+
+        Before a run begins surfaces move as they do then, and so do they before a step of another
+        length.
+        """
+        times: Array = start + 0.5 * h * np.arange(2 * count + 2, dtype=float)
+        memories = self._recall.along(self._states, self._values, remembered, times)
+        now = self._paths.at(self._known, times[:1], memories[:1])
+        looks = self._paths.at(self._known, times[1::2], memories[1::2])
+        before = Where(*(2.0 * a - b[:1] for a, b in zip(now, looks, strict=True)))
+        if self._last is not None and self._last[1] == h:
+            before = self._last[0]
+        self._kept = self._last
+        self._looks, self._h = looks, h
+        frames, places = (np.concatenate(pair) for pair in zip(before, looks, strict=True))
+        seen = np.concatenate([memories[:1], memories[1::2]])
+        return Ahead(frames, places, seen, self._forces), memories[2::2]
+
+    def passed(self, count: int) -> None:
+        """Note how many of these steps were taken."""
+        if count:
+            self._last = Where(*(rows[count - 1 : count] for rows in self._looks)), self._h

@@ -1,0 +1,134 @@
+"""Forces on bodies with shapes, and controllers that set them and move surfaces."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+SCENE = """
+kind: scene
+name: pushed
+parameters: {{F: 3, g: 9.81}}
+gravity: {gravity}
+bodies:
+  box: {{mass: 2, inertia: 0.1, start: {{y: 0.1}},
+    shape: {{polygon: [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]}}}}
+  ball: {{copies: 3, mass: 1, inertia: 0.02, start: {{x: 1 + index, y: 0.1}}, shape: {{disc: 0.1}}}}
+surfaces: {{ground: {{height: 0}}{surfaces}}}
+collisions:
+  all: {{bodies: [box, ball], surfaces: [ground{names}], friction: {mu}, restitution: 0}}
+{more}
+stop: {{time: {time}}}
+settings: {{engine: impulse, step: 1e-3}}
+"""
+
+
+def text(more, *, mu=0.0, time=1.0, gravity="g", surfaces="", names=""):
+    return SCENE.format(
+        more=more, mu=mu, time=time, gravity=gravity, surfaces=surfaces, names=names
+    )
+
+
+def run(scene):
+    result = Runner(interpret(read_text(scene))).run()
+    assert result.trace.outcome is Outcome.HORIZON, result.trace.message
+    return result
+
+
+def test_a_constant_force_accelerates_a_box():
+    final = run(
+        text("forces: {push: {body: box, force: [F, 0], at: [0, -0.05]}}", time=0.8)
+    ).trace.final
+    # Its moment is borne by the ground.
+    assert final[[0, 1, 2]] == pytest.approx([0.48, 0.1, 0.0], abs=1e-9)
+    assert final[12] == pytest.approx(1.2, abs=1e-9)
+
+
+def test_forces_and_moments_turn_a_free_body():
+    more = "forces: {push: {body: box, force: [0, F], at: [0.1, 0], moment: 0.2}}"
+    final = run(text(more, gravity=0, time=0.01)).trace.final
+    assert final[14] == pytest.approx((3 * 0.1 + 0.2) / 0.1 * 0.01, rel=1e-4)
+
+
+def test_a_force_on_a_body_with_copies_acts_on_each():
+    more = "forces: {drag: {body: ball, force: [-2*(ball.x - 1.5), 0]}}"
+    final = run(text(more, gravity=0, time=0.3)).trace.final
+    wave = math.cos(math.sqrt(2) * 0.3)
+    assert final[3:12:3] == pytest.approx([1.5 + (k - 0.5) * wave for k in range(3)], abs=1e-6)
+
+
+def test_a_force_on_one_copy_leaves_the_others():
+    final = run(text("forces: {push: {body: ball1, force: [1, 0]}}", time=0.5)).trace.final
+    assert final[3:12:3] == pytest.approx([1.0, 2.125, 3.0], abs=1e-9)
+
+
+BANG = """
+controls: {push: 0}
+forces: {act: {body: box, force: [push, 0]}}
+regions:
+  motor:
+    initial: forward
+    states: {forward: {sets: {push: F}}, back: {sets: {push: -F}}}
+    transitions:
+      - {name: far, from: forward, to: back, guard: box.x >= 0.25}
+"""
+
+
+def test_a_controller_switches_a_force_on_a_guard():
+    result = run(text(BANG, time=0.8))
+    trace = result.trace
+    turned = math.sqrt(2 * 0.25 * 2 / 3)
+    (jump,) = (jump for jump in trace.jumps if jump.region == "motor")
+    assert jump.t == pytest.approx(turned, abs=1e-3)
+    v, rest = 1.5 * turned, 0.8 - turned
+    assert trace.final[0] == pytest.approx(0.25 + v * rest - 0.75 * rest**2, abs=2e-3)
+    assert trace.final_mode[-1] == "back"
+
+
+GATE = """
+regions:
+  gate:
+    initial: shut
+    variables: {lift: 0}
+    states: {shut: {}, opening: {flows: {lift: 0.5}}, open: {}}
+    transitions:
+      - {name: waited, from: shut, to: opening, after: 0.2}
+      - {name: up, from: opening, to: open, guard: lift >= 0.1}
+"""
+
+
+def test_a_gate_lifts_what_stands_on_it_and_clocks_are_kept():
+    scene = text(
+        GATE, surfaces=", plate: {edge: [[-1, 0.0], [0.8, 0.0]], displacement: [0, lift]}",
+        names=", plate", time=0.6,
+    )  # fmt: skip
+    result = run(scene)
+    trace = result.trace
+    changes = [(jump.cause, jump.t) for jump in trace.jumps if jump.region == "gate"]
+    assert [cause for cause, _ in changes] == ["waited", "up"]
+    assert [t for _, t in changes] == pytest.approx([0.2, 0.4], abs=2.1e-3)
+    # It stops with the plate, or is thrown a little and lands on it.
+    assert trace.final[1] == pytest.approx(0.2, abs=1e-3)
+    lift = result.observer.sample(trace, ["lift"], times=np.array([0.1, 0.3, 0.5])).columns["lift"]
+    assert lift == pytest.approx([0.0, 0.05, 0.1], abs=2e-3)
+
+
+def test_flows_that_depend_on_how_bodies_move_are_refused():
+    more = GATE.replace("lift: 0.5", "lift: box.dx")
+    with pytest.raises(DeclarationError, match=r"the flow of 'lift' depends on 'box\.dx'"):
+        interpret(read_text(text(more)))
+
+
+def test_paths_of_surfaces_use_no_controls_that_jump():
+    more = BANG
+    surfaces = ", plate: {edge: [[-1, 0.0], [0.8, 0.0]], displacement: [0, push]}"
+    with pytest.raises(DeclarationError, match="unknown name 'push'"):
+        interpret(read_text(text(more, surfaces=surfaces, names=", plate")))

@@ -1,0 +1,199 @@
+"""Joints between bodies with shapes, and to the world, beside closed forms and points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from contacts.testing.symmetry import mirrored, rescaled
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+G = 9.81
+
+CHAIN = """
+kind: scene
+name: chain
+parameters: {{l: 0.5, a: 1.2, w: 0, g: {gravity}}}
+gravity: g
+bodies:
+{bodies}
+surfaces: {{ground: {{height: {ground}}}}}
+joints:
+{joints}
+collisions: {{all: {{bodies: [{names}], surfaces: [ground], friction: 0.5, restitution: 0}}}}
+stop: {{time: {time}}}
+settings: {{engine: impulse, step: {step}}}
+"""
+
+
+BAR = "[[-0.02, -l/2], [0.02, -l/2], [0.02, l/2], [-0.02, l/2]]"
+
+
+def chain(count, *, step=1e-3, time=1.0, ground=-10, gravity=9.81):
+    """Return a chain of bars that hangs from the origin, all turned by the angle a, as text."""
+    bodies, joints = [], []
+    for k in range(count):
+        bodies.append(
+            f"  bar{k}: {{mass: 1, inertia: l**2/12, shape: {{polygon: {BAR}}}, "
+            f"start: {{x: {k + 0.5}*l*sin(a), y: -{k + 0.5}*l*cos(a), angle: a, "
+            f"dx: {k + 0.5}*l*w*cos(a), dy: {k + 0.5}*l*w*sin(a), dangle: w}}}}"
+        )
+        to = "[0, 0]" if k == 0 else f"{{body: bar{k - 1}, at: [0, -l/2]}}"
+        joints.append(f"  j{k}: {{point: {{body: bar{k}, at: [0, l/2]}}, to: {to}}}")
+    return CHAIN.format(
+        bodies="\n".join(bodies),
+        joints="\n".join(joints),
+        names=", ".join(f"bar{k}" for k in range(count)),
+        time=time,
+        step=step,
+        ground=ground,
+        gravity=gravity,
+    )
+
+
+def run(text, **values):
+    result = Runner(interpret(read_text(text))).run(values)
+    assert result.trace.outcome is Outcome.HORIZON, result.trace.message
+    return result
+
+
+def test_a_jointed_bar_swings_as_a_pendulum():
+    found = solve_ivp(
+        lambda _, s: (s[1], -1.5 * G / 0.5 * math.sin(s[0])), (0, 1), (1.2, 0), rtol=1e-11,
+        atol=1e-12,
+    )  # fmt: skip
+    angle = found.y[0, -1]
+    errors = []
+    for step in (2e-3, 1e-3, 5e-4):
+        final = run(chain(1, step=step)).trace.final
+        errors.append(abs(final[2] - angle))
+        # Held at the midpoints, its pivot moves by h^2 w^2 l/8 between them.
+        pivot = final[:2] + 0.25 * np.array([-math.sin(final[2]), math.cos(final[2])])
+        assert math.hypot(*pivot) < step**2 * found.y[1, -1] ** 2 * 0.25 + 1e-7
+    # Of the second order, where nothing strikes.
+    assert errors[0] < 2e-4
+    assert errors[2] < 0.3 * errors[1] < 0.09 * errors[0] / 0.25
+
+
+def test_nothing_drifts_and_no_energy_is_gained_in_many_turns():
+    result = run(chain(1, step=2e-3, time=40), a=2.5)
+    sampled = result.observer.sample(result.trace, ["energy"], times=np.linspace(1, 40, 300))
+    energy = sampled.columns["energy"]
+    assert np.ptp(energy) < 0.02 * G
+    assert abs(energy[-50:].mean() - energy[:50].mean()) < 2e-3 * G
+    x, y, angle = result.trace.final[:3]
+    assert math.hypot(x - 0.25 * math.sin(angle), y + 0.25 * math.cos(angle)) < 1e-4
+
+
+def test_a_double_pendulum_moves_as_by_the_equations_of_motion():
+    text = chain(2, step=2.5e-4, time=0.8)
+    found = run(text).trace.final
+    i, j = text.index("collisions:"), text.index("stop:")
+    points = text[:i] + text[j:].replace("engine: impulse, step: 0.00025", "engine: scipy")
+    expected = run(points).trace.final
+    assert found == pytest.approx(expected, abs=2e-3)
+    assert abs(expected[5] - 1.2) > 0.5
+
+
+def test_a_spinning_chain_without_gravity_keeps_its_energy_and_spin():
+    text = chain(2, gravity=0, time=4)
+    result = run(text.replace("  j0: {point: {body: bar0, at: [0, l/2]}, to: [0, 0]}\n", ""), w=5)
+    trace = result.trace
+    n = 6
+    x, v = trace.final[:n].reshape(2, 3), trace.final[n:].reshape(2, 3)
+    begin, first = trace.initial[:n].reshape(2, 3), trace.initial[n:].reshape(2, 3)
+
+    def moment(at, rates):
+        across = at[:, 0] * rates[:, 1] - at[:, 1] * rates[:, 0]
+        return (across + rates[:, 2] * 0.25 / 12).sum()
+
+    assert v[:, :2].sum(axis=0) == pytest.approx(first[:, :2].sum(axis=0), abs=1e-10)
+    assert moment(x, v) == pytest.approx(moment(begin, first), rel=1e-3)
+    energy = result.observer.sample(trace, ["energy"], times=np.linspace(0, 4, 100))
+    values = energy.columns["energy"]
+    assert values.max() <= values[0] * (1 + 1e-9)
+    assert values.min() >= values[0] * 0.995
+
+
+def test_the_force_of_a_joint_is_what_holds():
+    text = chain(1, time=0.2).replace(
+        "stop:", "outputs: {X: {value: j0.X}, Y: {value: j0.Y}}\nstop:"
+    )
+    outputs = run(text, a=0).outputs
+    assert outputs["Y"] == pytest.approx(G, rel=1e-9)
+    assert outputs["X"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_guide_holds_one_component():
+    text = chain(1, time=0.5).replace("to: [0, 0]", "to: {y: 0}")
+    final = run(text, a=0.3).trace.final
+    # Its centre of mass falls straight down.
+    assert final[0] == pytest.approx(0.25 * math.sin(0.3), abs=1e-12)
+    assert final[1] + 0.25 * math.cos(final[2]) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_driven_joint_takes_its_point_along():
+    text = chain(1, time=0.7).replace(
+        "to: [0, 0]", "to: [0.1*(1 - cos(5*time)), 0.05*sin(4*time)**2]"
+    )
+    x, y, angle = run(text, a=0.1).trace.final[:3]
+    place = [0.1 * (1 - math.cos(3.5)), 0.05 * math.sin(2.8) ** 2]
+    assert [x - 0.25 * math.sin(angle), y + 0.25 * math.cos(angle)] == pytest.approx(
+        place, abs=1e-5
+    )
+
+
+def test_a_closed_loop_on_the_ground_stands():
+    # Two bars lean on each other, pinned at the top; their feet stand by friction, or slip.
+    text = """
+kind: scene
+name: ladder
+parameters: {a: 0.4, mu: 0.5}
+gravity: 9.81
+bodies:
+  one: {mass: 1, inertia: 1/12,
+    shape: {polygon: [[-0.5, -0.01], [0.5, -0.01], [0.5, 0.01], [-0.5, 0.01]]},
+    start: {x: -cos(pi/2 - a)/2, y: sin(pi/2 - a)/2 + 0.01*sin(a), angle: pi/2 - a}}
+  two: {mass: 1, inertia: 1/12,
+    shape: {polygon: [[-0.5, -0.01], [0.5, -0.01], [0.5, 0.01], [-0.5, 0.01]]},
+    start: {x: cos(pi/2 - a)/2, y: sin(pi/2 - a)/2 + 0.01*sin(a), angle: a - pi/2}}
+surfaces: {ground: {height: 0}}
+joints: {top: {point: {body: one, at: [0.5, 0]}, to: {body: two, at: [-0.5, 0]}}}
+collisions: {all: {bodies: [one, two], surfaces: [ground], friction: mu, restitution: 0}}
+stop: {time: 1}
+settings: {engine: impulse, step: 1e-3}
+"""
+    # A foot bears m g, and m g tan(a)/2 along the ground.
+    stands = run(text, mu=0.5 * math.tan(0.4) * 1.08).trace
+    assert np.abs(stands.final - stands.initial).max() < 1e-4
+    slips = run(text, mu=0.5 * math.tan(0.4) * 0.9).trace
+    assert slips.final[1] < 0.3
+
+
+@pytest.mark.parametrize("change", [mirrored, rescaled])
+def test_transformed_chains_move_alike(change):
+    declared = interpret(read_text(chain(3, time=0.9, ground=-1.2)))
+    changed, reading = change(declared)
+    one, other = (Runner(model).run().trace for model in (declared, changed))
+    assert any(jump.cause == "touchdown" for jump in one.jumps)
+    assert other.final * reading.factors == pytest.approx(one.final, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("to: [0, 0]", "to: [0, 0.1]", "joint 'j0' is open at the start: its point is at"),
+        ("dangle: w", "dangle: 1", "joint 'j0' does not hold at the start: its ends move apart"),
+        ("to: [0, 0]", "to: {body: bar7}", "no body 'bar7'"),
+    ],
+)
+def test_wrong_joints_are_refused(old, new, words):
+    with pytest.raises(DeclarationError, match=words):
+        Runner(interpret(read_text(chain(1).replace(old, new)))).run()
