@@ -32,7 +32,7 @@ from statechart.automaton.trace import Clock, Jump, Key, Roles
 from statechart.engines.whole_flow import KINDS, Watch
 from statechart.execution.ahead import Loop
 from statechart.formulas.tape import Tape
-from statechart.kernels.jit import is_cached
+from statechart.kernels.jit import is_ready
 
 
 class SceneInstants:
@@ -74,8 +74,8 @@ class SceneInstants:
         self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
     def compiled(self) -> bool:
-        """Whether the loop lies compiled on disk."""
-        return is_cached(run_on)
+        """Whether the loop lies compiled on disk, and it costs nothing to have it."""
+        return is_ready(run_on)
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
         """Return the states of the contacts, and of which conditions the margins are.

@@ -9,7 +9,7 @@ import numpy as np
 from contacts.solvers.mode_solver import dot
 from contacts.solvers.saddle_point import INEXACT, SOLVED, saddle
 from statechart.arrays import Array
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, seldom
 
 ENDED, WEDGED, ENDLESS, POWERLESS, UNTRUSTED = range(5)
 """How a path ends: as it should, wedged and led on, not, nowhere, in what cannot be solved."""
@@ -102,7 +102,7 @@ def _energetic(rate: float, normal: float, u_n: float, left: float) -> float:
     return 2.0 * left / (b + root) if b + root > 0.0 else math.inf
 
 
-@kernel
+@seldom
 def strike(
     mass: Array,
     jacobian: Array,
@@ -172,7 +172,7 @@ def strike(
             left = (1.0 + restitution) * compressed - normal
             to_end = left / pn if pn > 0.0 else 0.0
         else:
-            to_end = _energetic(un, pn, u_n, restitution**2 * stored - work)
+            to_end = _energetic(un, pn, u_n, restitution * restitution * stored - work)
         length = min(to_stop, to_end)
         if not length < math.inf:
             break

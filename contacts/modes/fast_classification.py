@@ -18,7 +18,7 @@ from contacts.solvers.mode_solver import solve_modes
 from contacts.states import CODES, FREE, OFF, OFF_CODE, OPEN, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.trace import Key
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, seldom
 from statechart.kernels.tapes import tape_values
 
 _NAMES = {code: name for name, code in CODES.items() if name != OFF}
@@ -95,7 +95,7 @@ ENDLESS = 1e13
 _MOST = 64
 
 
-@kernel
+@seldom
 def usual(
     code: Ints32,
     constants: Array,

@@ -18,7 +18,7 @@ from contacts.solvers.saddle_point import (
 from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put, put_rows
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, seldom
 
 INTO, PULLS, OUTSIDE, AGAINST = range(4)
 # Constraints that others imply are contradicted when the accelerations miss them by this.
@@ -67,7 +67,7 @@ def _judge(
             _worse(verdict, -along / scale, c, AGAINST, along)
 
 
-@kernel
+@seldom
 def judge_forces(verdict: Array, forces: Array, cones: Array, code: Ints, scale: float) -> None:
     """Judge the forces of a combination; see `solve_modes`."""
     for c in range(len(code)):
@@ -108,7 +108,7 @@ def _misses(row: Array, constant: float, accelerations: Array, scale: float) -> 
     return abs(missed) > _CONTRADICTED * terms
 
 
-@kernel
+@seldom
 def solve_modes(
     mass: Array,
     right: Array,

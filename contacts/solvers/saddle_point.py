@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel, part, seldom
 
 SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY, UNDETERMINED = range(6)
 
@@ -177,7 +177,7 @@ def solve_refined(scaled: Array, b: Array, x: Array) -> int:
     return SOLVED
 
 
-@kernel
+@seldom
 def saddle(
     mass: Array, right: Array, rows: Array, columns: Array, constants: Array
 ) -> tuple[int, Array]:

@@ -12,7 +12,7 @@ import numpy as np
 from contacts.solvers.dependence import independent
 from contacts.solvers.saddle_point import SOLVED, solve_refined
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, seldom
 
 INSIDE, UPPER, LOWER, APEX = range(4)
 """Where ``w = J y`` is: inside the cone; off it, nearest to its edge with H > 0, with H < 0; off
@@ -112,7 +112,7 @@ def _height(
     height = 0.0
     for g in range(len(reach)):
         _force(_zone(w[g], cones[g], sliding[g]), w[g], cones[g], forces[g])
-        height += 0.5 * (forces[g, 0] ** 2 + forces[g, 1] ** 2)
+        height += 0.5 * (forces[g, 0] * forces[g, 0] + forces[g, 1] * forces[g, 1])
     for i in range(len(y)):
         height -= load[i] * y[i]
     return height
@@ -139,7 +139,7 @@ def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
     return worst
 
 
-@kernel
+@seldom
 def springs(
     cones: Array, sliding: Array, reach: Array, load: Array, inward: float
 ) -> tuple[bool, Array, Ints, float]:

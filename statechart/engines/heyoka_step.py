@@ -13,6 +13,7 @@ import re
 from functools import cache
 from typing import Any
 
+from statechart.arrays import Array
 from statechart.kernels.jit import native
 
 # What a call by address relies on: heyoka documents the module, not the function.
@@ -78,7 +79,14 @@ def _linker() -> Any:
     return llvm.create_lljit_compiler(machine)
 
 
-@native
+_FUNCTION = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)
+
+
+def _called(address: int, *arrays: Array) -> None:
+    _FUNCTION(int(address))(*(array.ctypes.data for array in arrays))
+
+
+@native(_called)
 def call_step(
     typing: Any, address: Any, state: Any, parameters: Any, time: Any, h: Any, series: Any
 ) -> Any:

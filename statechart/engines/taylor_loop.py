@@ -11,7 +11,7 @@ from statechart.arrays import Array, Ints32
 from statechart.engines.heyoka_step import call_step
 from statechart.kernels.constraints import off_by
 from statechart.kernels.copies import put
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, seldom
 from statechart.kernels.lift import Program, lift_any
 from statechart.kernels.polynomials import horner
 from statechart.kernels.search import NONE, search
@@ -161,7 +161,7 @@ def _taylor_steps(
             left -= h
 
 
-@kernel
+@seldom
 def taylor_flow(
     moved: bool,
     initial: Array,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import seldom
 
 # Intervals that must shrink by one ratio before their sum is taken as geometric; half as many
 # where they have shrunk to less than this part.
@@ -31,7 +31,7 @@ turn time could not tell apart, how many intervals are kept, and these, the olde
 number as `HIGH`: there was no jump."""
 
 
-@kernel
+@seldom
 def follow(series: Array, high: float, low: float, flowed: bool, short: float) -> float:
     """Add a jump to a series (`WIDTH`,); return the time from there to the accumulation.
 
@@ -87,7 +87,7 @@ def follow(series: Array, high: float, low: float, flowed: bool, short: float) -
     ratio = math.exp(logs / (n - 1))
     if ratio >= 1.0 or most - least > _SPREAD * ratio:
         return -1.0
-    if always and rise > _RISE * (n - 2) * (1.0 - ratio) ** 2:
+    if always and rise > _RISE * (n - 2) * ((1.0 - ratio) * (1.0 - ratio)):
         return -1.0
     rest = intervals[n - 1] * ratio / (1.0 - ratio)
     return rest if rest < short * series[LONGEST] else -1.0

@@ -7,7 +7,7 @@ import numpy as np
 from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import Along, prepare
 from statechart.kernels.intervals import INF
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, seldom
 from statechart.kernels.polynomials import reaches
 from statechart.kernels.resolution import NARROW, PLACES, at, look, look_closer, ready
 from statechart.kernels.tapes import filled
@@ -28,7 +28,7 @@ def _rough(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Arr
     return rough
 
 
-@kernel
+@seldom
 def unseen(
     code: Ints32,
     constants: Array,

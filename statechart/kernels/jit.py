@@ -1,16 +1,34 @@
-"""Functions that are compiled when they are first called.
+"""Functions that are compiled when they are called, or when that pays.
 
 Nothing of numba is imported before: what calls no kernel, as drawing a statechart, starts in half
-the time.
+the time. A kernel that most runs call a few times only is `seldom` worth its compilation, which
+takes some seconds: Python runs it as it is written, to the same bits, until it took `BRIEF` in all.
 """
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable
+from dis import get_instructions
 from functools import cached_property, update_wrapper
+from time import thread_time
+from types import FunctionType, SimpleNamespace
 from typing import Any, TypeVar, cast
 
+import numpy as np
+
 F = TypeVar("F", bound=Callable[..., Any])
+
+LOADING = 0.15
+"""Seconds that Python may take for kernels before numba is imported, which takes as long; then what
+lies on disk is used."""
+
+BRIEF = 0.25
+"""Seconds that Python may take for a kernel that does not: to compile it takes one to ten."""
+
+# Python's own is rounded better than that of the C library, which compiled code calls.
+_MATH = SimpleNamespace(**{**vars(math), "hypot": lambda x, y: float(np.hypot(x, y))})
 
 
 class Compiled:
@@ -52,9 +70,92 @@ class Compiled:
 class Kernel(Compiled):
     """A kernel, or a part of kernels."""
 
+    @cached_property
+    def as_written(self) -> Callable[..., Any]:
+        """The function as Python runs it, with all that it calls, until `_Deadline.at`."""
+        names = self.py_func.__globals__
+        loaded = (i for i in get_instructions(self.py_func) if i.opname == "LOAD_GLOBAL")
+        called = {i.argval: names.get(i.argval) for i in loaded}
+        below = {name: v.as_written for name, v in called.items() if isinstance(v, Kernel | Native)}
+        function = FunctionType(
+            self.py_func.__code__,
+            {**names, **below, "math": _MATH},
+            argdefs=self.py_func.__defaults__,
+        )
+
+        def run(*arguments: Any) -> Any:
+            if thread_time() > _Deadline.at:
+                raise TimeoutError
+            return function(*arguments)
+
+        return run
+
+
+class _Deadline:
+    """How long Python has run kernels, and when what it runs is to be given up."""
+
+    spent, at = 0.0, math.inf
+
+
+class Seldom(Kernel):
+    """A kernel that Python runs until it has taken some time.
+
+    Arrays that it writes to are arguments of their own.
+    """
+
+    _spent = 0.0
+
+    @cached_property
+    def _on_disk(self) -> bool:
+        return is_cached(self)
+
+    def _left(self) -> float:
+        """Return how long Python may go on with it."""
+        # Importing numba, to look what lies on disk, takes as long as that.
+        if _Deadline.spent >= LOADING and self._on_disk:
+            return 0.0
+        return BRIEF - self._spent
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the function, compiled or as it is written."""
+        left = self._left()
+        if left <= 0.0:
+            return self.made(*arguments)
+        given = {id(a): a for a in arguments if isinstance(a, np.ndarray)}
+        copies = {key: array.copy() for key, array in given.items()}
+        began = thread_time()
+        _Deadline.at = began + left
+        try:
+            with np.errstate(all="ignore"):
+                result = self.as_written(*(copies.get(id(a), a) for a in arguments))
+        except Exception:
+            # It took too long, or it is an infinity or no number to compiled code alone.
+            self._spent = math.inf
+            return self.made(*arguments)
+        finally:
+            took = thread_time() - began
+            self._spent += took
+            _Deadline.spent += took
+        for key, array in given.items():
+            if array.flags.writeable:
+                array[...] = copies[key]
+        return _plain(result)
+
 
 class Native(Compiled):
-    """A function of kernels that writes its own code."""
+    """A function of kernels that writes its own code.
+
+    Parameters
+    ----------
+    function : callable
+        Writes it.
+    as_written : callable
+        Does the same in Python.
+    """
+
+    def __init__(self, function: Callable[..., Any], as_written: Callable[..., Any]) -> None:
+        super().__init__(function, "native")
+        self.as_written = as_written
 
 
 def kernel(function: F) -> F:
@@ -62,14 +163,34 @@ def kernel(function: F) -> F:
     return cast(F, Kernel(function, "kernel"))
 
 
+def seldom(function: F) -> F:
+    """Compile a function as `kernel` does, when that pays.
+
+    It must give the same bits as it is written: so no sums and products of whole arrays, which
+    numpy takes in another order, no powers but those of floats, and no complex numbers.
+    """
+    return cast(F, Seldom(function, "kernel"))
+
+
 def part(function: F) -> F:
     """Compile a function that only kernels call, into each of them."""
     return cast(F, Kernel(function, "part"))
 
 
-def native(function: Callable[..., Any]) -> Any:
-    """Let a function write the code of kernels that call it, as `numba.extending.intrinsic`."""
-    return Native(function, "native")
+def native(as_written: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
+    """Let a function write the code of kernels that call it, as `numba.extending.intrinsic`.
+
+    Parameters
+    ----------
+    as_written : callable
+        Does the same in Python.
+    """
+    return lambda function: Native(function, as_written)
+
+
+def is_ready(compiled: Any) -> bool:
+    """Whether a kernel lies compiled on disk, in a process that has had to import numba."""
+    return "statechart.kernels.machine_code" in sys.modules and is_cached(compiled)
 
 
 def is_cached(compiled: Any) -> bool:
@@ -77,3 +198,10 @@ def is_cached(compiled: Any) -> bool:
     from statechart.kernels import machine_code
 
     return machine_code.is_cached(compiled.made)
+
+
+def _plain(result: Any) -> Any:
+    """Return what compiled code returns: Python's numbers in the place of numpy's."""
+    if isinstance(result, tuple):
+        return tuple(_plain(item) for item in result)
+    return result.item() if isinstance(result, np.generic) else result

@@ -6,7 +6,7 @@ import numpy as np
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.copies import put
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, seldom
 from statechart.kernels.tapes import tape_values
 
 Program = tuple[Ints32, Array, Ints32, Ints32, Array]
@@ -14,7 +14,7 @@ Program = tuple[Ints32, Array, Ints32, Ints32, Array]
 of the flow, which the tape reads behind the state."""
 
 
-@kernel
+@seldom
 def lift(program: Program, state: Array, parameters: Array, time: float) -> None:
     """Write what follows from the rest of `state` into it."""
     code, constants, outputs, places, anchors = program

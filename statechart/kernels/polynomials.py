@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, seldom
 
 
 @part
@@ -29,7 +29,7 @@ def reaches(coeffs: Array, step: int, floors: Array, sizes: Array) -> None:
         sizes[v] = max(reach, floors[v])
 
 
-@kernel
+@seldom
 def local_time(times: Array, step: int, s: float) -> float:
     """Local time of the place s in a step; exact at both ends."""
     if s >= 1.0:
@@ -37,7 +37,7 @@ def local_time(times: Array, step: int, s: float) -> float:
     return times[step] + s * (times[step + 1] - times[step])
 
 
-@kernel
+@seldom
 def append_steps(
     durations: Array, taken: int, first: int, times: Array, coeffs: Array, end: Array
 ) -> int:
@@ -68,7 +68,7 @@ def append_steps(
     return finite
 
 
-@kernel
+@seldom
 def cut_steps(times: Array, coeffs: Array, count: int, end: float, state: Array) -> int:
     """End an arc of `count` steps at local time `end`, in place, and write the state there.
 
@@ -89,7 +89,7 @@ def cut_steps(times: Array, coeffs: Array, count: int, end: float, state: Array)
     return count
 
 
-@kernel
+@seldom
 def sample_states(coeffs: Array, times: Array, tau: Array) -> Array:
     """States at local times; shape (m, n)."""
     last = coeffs.shape[0] - 1
@@ -110,7 +110,7 @@ def sample_states(coeffs: Array, times: Array, tau: Array) -> Array:
     return result
 
 
-@kernel
+@seldom
 def summands(times: Array, coeffs: Array) -> Array:
     """Return what each variable was summed from as an arc ended, its rounded time among them."""
     last, n, terms = len(coeffs) - 1, coeffs.shape[1], coeffs.shape[2]

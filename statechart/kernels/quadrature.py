@@ -6,7 +6,7 @@ import numpy as np
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import prepare
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import seldom
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.resolution import NARROW, PLACES, at, look, ready
 from statechart.kernels.tapes import filled
@@ -23,7 +23,7 @@ _NODES = (_NODES + 1.0) / 2.0
 _WEIGHTS = _WEIGHTS / 2.0
 
 
-@kernel
+@seldom
 def integrate_outputs(
     code: Ints32,
     constants: Array,

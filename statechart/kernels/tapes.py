@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, seldom
 
 ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
 NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21)
@@ -122,7 +122,7 @@ def filled(
     return base, regs
 
 
-@kernel
+@seldom
 def tape_values(
     code: Ints32,
     constants: Array,
@@ -146,7 +146,7 @@ def tape_values(
         result[i] = regs[outputs[i], 0]
 
 
-@kernel
+@seldom
 def tape_table(
     code: Ints32,
     constants: Array,

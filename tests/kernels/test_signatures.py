@@ -14,7 +14,9 @@ RUNS = """
 import json, pkgutil, sys, importlib
 from statechart.kernels.jit import Kernel
 from statechart import Runner
+from statechart.kernels import jit
 
+jit.LOADING = jit.BRIEF = -1.0
 Runner("toppling_stick").run(until=3.0)
 Runner("compass_walker").run(until=0.5)
 Runner("toppling_stick", engine="scipy").run(until=0.5)

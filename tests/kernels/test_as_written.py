@@ -1,0 +1,140 @@
+"""Kernels that Python runs as they are written: the same bits, and nothing imported to compile."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from contacts.event_driven import ordinary
+from statechart import Runner
+from statechart.kernels import jit
+from statechart.kernels.jit import part, seldom
+from statechart.kernels.tapes import HYPOT, POW, SQRT, tape_values
+
+
+@part
+def _inner(x):
+    return math.sqrt(x)
+
+
+@seldom
+def _roots(values, result):
+    for i in range(len(values)):
+        result[i] = _inner(values[i])
+    return result[0], len(values)
+
+
+@pytest.fixture
+def written(monkeypatch):
+    """Let Python run all kernels that it may, and fail where one is compiled."""
+
+    call = jit.Seldom.__call__
+
+    def checked(kernel, *arguments):
+        kernel._spent = 0.0
+        result = call(kernel, *arguments)
+        assert math.isfinite(kernel._spent), f"{kernel.__name__} was compiled"
+        return result
+
+    for name in ("LOADING", "BRIEF"):
+        monkeypatch.setattr(jit, name, math.inf)
+    monkeypatch.setattr(jit.Seldom, "__call__", checked)
+    monkeypatch.setattr(ordinary, "is_ready", lambda loop: False)
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """Let Python run no kernel."""
+    for name in ("LOADING", "BRIEF"):
+        monkeypatch.setattr(jit, name, -1.0)
+
+
+def told(model, until, certify):
+    """Return all that a run tells, but for what it took."""
+    result = Runner(model, once=True).run(until=until, certify=certify, throw=False)
+    found = result.to_dict(explain=True)
+    for name in ("timings", "counts"):
+        found.pop(name, None)
+    return found, result.trace.motion, result.trace.final.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("model", "until", "certify"),
+    [
+        ("toppling_stick", 10.0, False),
+        ("toppling_stick", 1.0, True),
+        ("bouncing_ball", 0.6, True),
+        ("four_legged_table", 0.1, False),
+        ("sliding_ladder", 0.3, False),
+        ("raibert_hopper", 0.3, False),
+        ("simplest_walker", 1.0, False),
+    ],
+)
+def test_python_runs_kernels_to_the_same_bits(model, until, certify, request):
+    request.getfixturevalue("written")
+    by_python = told(model, until, certify)
+    request.getfixturevalue("monkeypatch").undo()
+    request.getfixturevalue("compiled")
+    assert by_python == told(model, until, certify)
+
+
+@pytest.mark.parametrize("op", [SQRT, HYPOT, POW])
+def test_operations_give_the_same_bits(op, written, request):
+    rng = np.random.default_rng(0)
+    code, outputs = np.array([[op, 0, 1]], np.int32), np.array([3], np.int32)
+    states = 10.0 ** rng.uniform(-5.0, 5.0, (200, 2))
+    by_python, by_machine = np.empty((200, 1)), np.empty((200, 1))
+    for state, result in zip(states, by_python, strict=True):
+        tape_values(code, np.empty(0), outputs, state, np.empty(0), 0.0, result)
+    request.getfixturevalue("monkeypatch").undo()
+    request.getfixturevalue("compiled")
+    for state, result in zip(states, by_machine, strict=True):
+        tape_values(code, np.empty(0), outputs, state, np.empty(0), 0.0, result)
+    assert by_python.tobytes() == by_machine.tobytes()
+
+
+def test_results_are_pythons_numbers_and_arrays_are_filled(written):
+    result = np.zeros(2)
+    root, count = _roots(np.array([4.0, 9.0]), result)
+    assert (type(root), type(count)) == (float, int)
+    assert result.tolist() == [2.0, 3.0]
+
+
+def test_what_is_no_number_to_compiled_code_alone_is_left_to_it(monkeypatch):
+    monkeypatch.setattr(_roots, "_spent", 0.0, raising=False)
+    result = np.zeros(2)
+    _roots(np.array([4.0, -1.0]), result)
+    assert result[0] == 2.0
+    assert math.isnan(result[1])
+
+
+def test_what_takes_long_is_compiled(monkeypatch):
+    monkeypatch.setattr(_roots, "_spent", 0.0, raising=False)
+    monkeypatch.setattr(jit, "LOADING", math.inf)
+    monkeypatch.setattr(jit, "BRIEF", 1e-9)
+    result = np.zeros(1)
+    assert _roots(np.array([16.0]), result) == (4.0, 1)
+    assert result.tolist() == [4.0]
+    assert _roots._spent == math.inf
+
+
+@pytest.mark.parametrize("verb", ["validate", "draw -o {}/chart.svg", "run"])
+def test_what_runs_briefly_imports_no_compiler(verb, tmp_path):
+    name, *options = verb.format(tmp_path).split()
+    script = (
+        "import sys; from statechart.cli.main import main; code = main(sys.argv[1:]); "
+        "print([n for n in ('numba', 'scipy', 'heyoka') if n in sys.modules], file=sys.stderr); "
+        "sys.exit(code)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, name, "toppling_stick", *options],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    expected = ["heyoka"] if name == "run" else []
+    assert done.stderr.splitlines()[-1] == str(expected)
