@@ -16,7 +16,7 @@ from contacts.dynamics.snapshot import Snapshot
 from contacts.states import OFF
 from statechart.arrays import Array, Ints32
 from statechart.automaton.trace import Key
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import seldom
 from statechart.kernels.tapes import tape_values
 
 # A condition as near zero as this, of what the state's own sizes change it by, is on the edge.
@@ -141,7 +141,7 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
     return snapshot._replace(contacts=contacts)
 
 
-@kernel
+@seldom
 def edges(
     code: Ints32,
     constants: Array,

@@ -13,7 +13,7 @@ from contacts.dynamics.mechanics import Mechanics
 from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import seldom
 
 _EPS = float(np.finfo(float).eps)
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
@@ -152,7 +152,7 @@ class ScaleTape:
             check_range(number, "", ("gravity",))
 
 
-@kernel
+@seldom
 def measure(
     numbers: Array, begins: Ints, places: int, gravity: int, scales: Array, sizes: Array
 ) -> bool:

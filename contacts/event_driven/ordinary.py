@@ -32,7 +32,7 @@ from statechart.automaton.trace import Clock, Jump, Key, Roles
 from statechart.engines.whole_flow import KINDS, Watch
 from statechart.execution.ahead import Loop
 from statechart.formulas.tape import Tape
-from statechart.kernels.jit import is_ready
+from statechart.kernels.jit import is_cached, is_ready
 
 
 class SceneInstants:
