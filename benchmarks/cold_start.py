@@ -5,12 +5,13 @@ time. Cold: numba and heyoka begin with empty caches for every line. In turn: th
 the other from one empty cache, as after an installation; what they have in common is compiled by
 the first that needs it. Warm: the same once more, the median of repeats.
 
-    python benchmarks/cold_start.py [--verbs run ...] [--models toppling_stick ...] [--repeats 5]
+    python benchmarks/cold_start.py [--verbs run ...] [--models toppling_stick ...] [--in-turn]
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import resource
 import statistics
@@ -29,6 +30,8 @@ VERBS = {
     "draw": ("draw", "-o", "{folder}/chart.svg"),
 }
 
+_NO_BYTECODE = "PYTHONDONTWRITEBYTECODE"
+
 
 def seconds(verb: str, model: str, folder: str) -> float:
     """Return the CPU seconds of a process whose caches are in a folder."""
@@ -38,8 +41,9 @@ def seconds(verb: str, model: str, folder: str) -> float:
     # That a run ends before its time, or cannot be certified, is no failure here.
     subprocess.run(
         [*command, *(option.format(folder=folder) for option in options)],
+        # As after an installation: Python keeps what it compiled of the sources, too.
         env={
-            **os.environ,
+            **{name: value for name, value in os.environ.items() if name != _NO_BYTECODE},
             "NUMBA_CACHE_DIR": f"{folder}/numba",
             "HEYOKA_CACHE_DIR": f"{folder}/heyoka",
         },
@@ -51,15 +55,15 @@ def seconds(verb: str, model: str, folder: str) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def table(verbs: Sequence[str], models: Sequence[str], repeats: int) -> None:
+def table(verbs: Sequence[str], models: Sequence[str], repeats: int, alone: bool) -> None:
     """Print a line for each model and verb, and the sums."""
     print(f"{'':24}{'':10}{'cold':>8}{'in turn':>9}{'warm':>8}")
     sums = [0.0, 0.0, 0.0]
     with tempfile.TemporaryDirectory() as together:
         for model in models:
             for verb in verbs:
-                with tempfile.TemporaryDirectory() as alone:
-                    cold = seconds(verb, model, alone)
+                with tempfile.TemporaryDirectory() as empty:
+                    cold = seconds(verb, model, empty) if alone else math.nan
                 turn = seconds(verb, model, together)
                 warm = statistics.median(seconds(verb, model, together) for _ in range(repeats))
                 print(f"{model:24}{verb:10}{cold:8.1f}{turn:9.1f}{warm:8.2f}", flush=True)
@@ -73,8 +77,9 @@ def main() -> None:
     parser.add_argument("--verbs", nargs="+", choices=VERBS, default=["run"])
     parser.add_argument("--models", nargs="+", choices=MODELS, default=MODELS)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--in-turn", action="store_true", help="no line with empty caches alone")
     chosen = parser.parse_args()
-    table(chosen.verbs, chosen.models, chosen.repeats)
+    table(chosen.verbs, chosen.models, chosen.repeats, not chosen.in_turn)
 
 
 if __name__ == "__main__":
