@@ -1,4 +1,4 @@
-"""Writes docs/paper.md and its pictures: the paper's systems, and its figures 4, 8, 9 and 10.
+"""Draws the pictures of docs/paper.md: the paper's figures 4, 8, 9 and 10.
 
     python benchmarks/paper_figures.py
 
@@ -31,54 +31,6 @@ INERTIAS = (0.0, 0.01, 0.05, 0.1, 1 / 3, 1.0)
 FRICTIONS = np.geomspace(0.05, 100.0, 134)
 GRID = (np.geomspace(0.03, 100.0, 84), np.geomspace(1e-4, 1.0, 60))
 NONE, BACKWARD, FORWARD = range(3)
-
-PAGE = """\
-# The paper's systems and figures
-
-Written by `python benchmarks/paper_figures.py`. Every point is a run of a shipped model.
-
-| in the paper | here |
-|---|---|
-| a ball, bounces that accumulate (equations 1 to 5) | `bouncing_ball`, `bouncing_ball_chart` |
-| a ball on hilly terrain (section 2.2, figure 1) | `bouncing_ball_hills` |
-| a stick dragged at constant velocity (section 3.2, figures 3 and 4) | `dragged_stick` |
-| no slip is not infinite friction (section 3.1) | `no_slip_pencil` |
-| a contact's state machine, two contacts (section 3.3) | every scene; `double_contact_bar` |
-| a toppling pencil; a point mass at infinite friction (section 4) | `toppling_stick` |
-| the rod that slides into its contact (section 4.1) | `painleve_rod` |
-| the impulse-based dice (section 1.2) | `dice` |
-
-## Figure 4: forces on a dragged stick
-
-![Forces on a dragged stick against friction](images/paper_figure_4.png)
-
-Horizontal force H and normal force N of `dragged_stick` at four angles from the horizontal. As
-friction grows, H tends to the limit of equation 7 (dashed), and N to zero. Solid: the stick pulled
-at the height of its centre of mass, which is where equation 6 holds as printed.
-
-## Figure 8: how far the stick slips
-
-![Slip against friction](images/paper_figure_8.png)
-
-Slip of the tip of `toppling_stick` before it lies flat, forward (positive) and backward
-(negative), in half lengths; the moment of inertia I_G in units of M L^2.
-
-## Figure 9: the angle at which it first slips
-
-![Critical angle against friction](images/paper_figure_9.png)
-
-Left pieces: it slips backward first; right pieces: forward. Where a curve ends, it does not slip.
-Dashed: {limit:.2f} degrees, at which a ball rolls off
-a sphere; the point mass (I_G = 0) tends to it, at mu = inf it slips at {point:.6f} degrees.
-
-## Figure 10: which way it slips first
-
-![Direction of the first slip](images/paper_figure_10.png)
-
-The paper's caption says that for mu < 1 the stick always slips backwards first. That holds for
-I_G < 0.0024 M L^2 only: a uniform stick (I_G = 1/3) slips forwards first from
-mu = {crossing:.3f} on.
-"""
 
 
 class Runs:
@@ -152,27 +104,13 @@ def figure_10(run: Runs) -> Figure:
     return figure
 
 
-def crossing(run: Runs) -> float:
-    """Return from which friction on a uniform stick slips forwards first."""
-    low, high = 0.1, 1.0
-    while high - low > 1e-6:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if run(mu=middle)["first"] == BACKWARD else (low, middle)
-    return high
-
-
 def main() -> int:
-    """Write the page and its pictures."""
+    """Write the pictures."""
     run = Runs("toppling_stick")
     eighth, ninth = figures_8_and_9(run)
     pictures = {4: figure_4(), 8: eighth, 9: ninth, 10: figure_10(run)}
     for number, picture in pictures.items():
         picture.savefig(DOCS / "images" / f"paper_figure_{number}.png", dpi=110)
-    point = run(mu=math.inf, I_G=0.0)["critical_angle"]
-    page = PAGE.format(
-        limit=math.degrees(math.acos(2 / 3)), point=math.degrees(point), crossing=crossing(run)
-    )
-    (DOCS / "paper.md").write_text(page, encoding="utf-8")
     return 0
 
 

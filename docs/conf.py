@@ -28,7 +28,6 @@ extensions = [
 exclude_patterns = ["schema", "making"]
 
 # Pages are Markdown that reads on its own, too; notebooks are pages with cells.
-myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True

@@ -5,9 +5,13 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
+from ruamel import yaml
+
+import statechart
 
 ROOT = Path(__file__).parents[1]
 PAGES = ("docs/glossary.md", "docs/architecture.md", "CONTRIBUTING.md")
@@ -32,3 +36,10 @@ def test_every_folder_says_what_it_is_for_in_under_fifteen_lines() -> None:
             rooms = {path.stem for path in page.parent.glob("*.py")} - {"__init__"}
             if page.parent.name not in ("statechart", "contacts", "scipy"):
                 assert all(f"`{room}`" in doc for room in rooms), (page, rooms)
+
+
+def test_versions_agree() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = yaml.YAML().load(ROOT / "CITATION.cff")
+    assert citation["version"] == project["version"] == statechart.__version__
+    assert (citation["title"], citation["license"]) == (project["name"], project["license"])

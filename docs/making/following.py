@@ -14,14 +14,14 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 # What a command of a page may take, in seconds; the first one on a machine compiles.
 _PATIENCE = 900
 
-_FENCE = re.compile(r"^```(\S*)\n(.*?)^```$", re.M | re.S)
+_FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```$", re.M | re.S)
 _TYPED = re.compile(r"(into|to the end of) `([\w./-]+)`:$")
 
 
@@ -67,8 +67,17 @@ def followed(page: Path) -> bool:
     return any(block.typed or block.language == "console" for block in blocks(page))
 
 
-def follow(page: Path, folder: Path) -> None:
+def follow(page: Path, folder: Path, change: Callable[[str], str] = str) -> None:
     """Do in a folder what a page says.
+
+    Parameters
+    ----------
+    page : Path
+        What to follow.
+    folder : Path
+        Where its files go and its commands run.
+    change : callable
+        Makes of a command the one that is run, such as a shorter one of the same kind.
 
     Raises
     ------
@@ -82,7 +91,7 @@ def follow(page: Path, folder: Path) -> None:
                 file.write(block.text)
         elif block.language == "console":
             for command, expected in _commands(block.text):
-                _do(command, expected, folder, f"{page.name}:{block.line}")
+                _do(change(command), expected, folder, f"{page.name}:{block.line}")
 
 
 def _commands(text: str) -> Iterator[tuple[str, str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -65,6 +66,8 @@ def _page(folder: Path, name: str) -> str:
     result.report(files / "runs" / f"{name}.html")
     result.plot(place / f"{name}_run.png")
     write_diagram(drawn(runner)[0], place / f"{name}_modes.svg")
+    if kind(model.kind).stage is None:
+        shutil.copy(place / f"{name}_modes.svg", files / "films" / f"{name}.svg")
     page = f"../../runs/{name}.html"
     lines += [
         f'<p><a href="{page}">The page of this run</a>: play it, and ask each event why.</p>',
@@ -102,11 +105,12 @@ def _short(value: object) -> str:
 
 
 def _thumbnails(folder: Path) -> Iterator[str]:
-    """Return what leads to every model: its film, or its curves where it has no bodies."""
+    """Return what leads to every model: its film, or its statechart where it has no bodies."""
     yield '<div class="gallery">'
     for name in models.names():
+        # What has no bodies is seen by its statechart.
         film = f"films/{name}.gif"
-        seen = (folder / "files" / film).is_file()
-        shown = f'<img src="{film}" alt="" loading="lazy">' if seen else "<span>a chart</span>"
-        yield f'<a href="made/gallery/{name}.html">{shown}<b>{name}</b></a>'
+        shown = film if (folder / "files" / film).is_file() else f"films/{name}.svg"
+        seen = f'<img src="{shown}" alt="" loading="lazy">'
+        yield f'<a href="made/gallery/{name}.html">{seen}<b>{name}</b></a>'
     yield "</div>"

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from making.texts import in_cell, write
-from statechart.cli.main import _parser
+from statechart.cli.grammar import parser
 
 
 def make(folder: Path) -> None:
     """Write the page of all verbs."""
-    grammar = _parser()
+    grammar = parser()
     verbs = next(a for a in grammar._actions if isinstance(a, argparse._SubParsersAction))
     lines = ["# Command line", "", f"{grammar.description}", ""]
     lines += [*(f"{line}  " for line in (grammar.epilog or "").strip().splitlines()), ""]
