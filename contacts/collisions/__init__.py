@@ -1,8 +1,10 @@
 """Moreau's and Jean's time stepping, for bodies with shapes.
 
-`bodies` is the automaton of a scene with collisions and what steps it, `outlines` its bodies as
-numbers, `declared_surfaces` what they stand on, `inside` what they start in. In a `body_step` the
-`broad_phase` finds who is near whom, `touching` who takes part, for which `detection` finds where
-convex bodies touch, `surfaces` where they touch what is no body and `meeting` when fast ones do;
-`islands` are solved one by one.
+`bodies` is the automaton of a scene with collisions and what steps it, `mechanics` what its
+formulas are over, `outlines` and `body_numbers` its bodies as numbers, `declared_surfaces` what
+they stand on, `declared_joints` what holds them, `inside` what they start in. `surroundings` are
+known ahead of the steps: `paths` of surfaces, what controllers `recall`, and forces, all `applied`
+from outside. In a `body_step` the `broad_phase` finds who is near whom, `touching` who takes part,
+for which `detection` finds where convex bodies touch, `surfaces` where they touch what is no body
+and `meeting` when fast ones do; `joints` are rows beside these; `islands` are solved one by one.
 """
