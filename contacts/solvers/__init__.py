@@ -4,7 +4,7 @@
 `contact_lcp` states friction contacts as a complementarity problem, which `lcp` solves by `lemke`
 and verifies, `contact_lcp_kernels` within a step; `step_impulses` are what a step makes of it.
 Islands of bodies are solved by `island_impulses`, in `contact_rows` by sweeps (Gauss-Seidel) and by
-who sticks and slides (`status_newton`).
+who sticks and slides (`status_newton`, of many with `sparse_blocks`).
 `dependence` says which rows depend on each other; `smallest_forces` and `redundancy` choose among
 forces that move the bodies alike.
 """

@@ -29,8 +29,11 @@ from statechart.kernels.jit import kernel, part
 # Impulses of the step before are taken as they are where they miss by no more than this: what
 # rests does not creep.
 _VERIFIED = 1e-10
-# So many contacts are solved by their status at once; so many at all; and by Lemke's algorithm.
-_FEW, _DENSE, _LEMKE = 24, 200, 48
+# So many contacts are solved by their status at once, and densely; so many at all; and by Lemke's
+# algorithm.
+_FEW, _MANY, _LEMKE = 24, 1000, 48
+# Rates that a contact of bodies moves; those of a dense problem move all.
+_OF_BODIES = 6
 # Sweeps of the trials, of which this one starts from nothing.
 _SWEEPS, _ANEW = (64, 64, 256, 1024), 1
 
@@ -66,9 +69,9 @@ def solve_rows(
     left = residual(contacts, least, impulses, rates)
     if left <= _VERIFIED:
         return left, 0
-    done = 0
-    if count <= _FEW or (rests and count <= _DENSE):
-        left, done = by_status(contacts, least, impulses, _VERIFIED)
+    done, sparse = 0, count > _FEW and contacts.places.shape[1] == _OF_BODIES
+    if count <= _FEW or (rests and count <= _MANY):
+        left, done = by_status(contacts, least, impulses, _VERIFIED, sparse)
     other = impulses.copy()
     for trial in range(len(_SWEEPS)):
         if left <= allowed:
@@ -79,8 +82,8 @@ def solve_rows(
         else:
             put_rows(impulses, other)
         missed, done = swept(contacts, least, other, allowed, _SWEEPS[trial], done)
-        if missed > allowed and count <= _DENSE:
-            missed, steps = by_status(contacts, least, other, allowed)
+        if missed > allowed and count <= _MANY:
+            missed, steps = by_status(contacts, least, other, allowed, sparse)
             done += steps
         if missed > allowed and trial == _ANEW and count <= _LEMKE and not joined:
             put_rows(_by_lemke(contacts, least, rates), other)
@@ -199,8 +202,9 @@ def island_impulses(
     rests = fastest <= slowest
     plastic = impulses.copy()
     left, done = solve_rows(contacts, least, impulses, allowed, rests)
-    softened = False
-    if rebounds.any():
+    softened, changes = False, _velocities(contacts, impulses)
+    gains = left > allowed or part_within(impulses, before, free, changes, 0.0) < 1.0
+    if gains and rebounds.any():
         # Without it nobody knows how much energy restitution may give back.
         calm, further = solve_rows(contacts, soft, plastic, allowed, False)
         done += further

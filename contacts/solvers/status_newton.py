@@ -24,12 +24,13 @@ from contacts.solvers.contact_rows import (
     slope,
 )
 from contacts.solvers.saddle_point import eliminated, substitute
+from contacts.solvers.sparse_blocks import Pattern, factored, no_pattern, pattern_of, solved
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import part
 
-# So many steps, and for each contact.
-_STEPS, _STEPS_EACH = 12, 4
+# So many steps, and for each contact; and at most.
+_STEPS, _STEPS_EACH, _MOST = 12, 4, 48
 # Added to the diagonal of a compliance whose own entries are 1.
 _PROXIMAL, _CORRECTIONS = 1e-10, 4
 # Velocities below this part of the approaches are rounding.
@@ -157,6 +158,73 @@ def _solve(
 
 
 @part
+def _solve_sparse(
+    contacts: ContactRows, pattern: Pattern, least: Array, impulses: Array, rates: Array,
+    status: Ints, edges: Array,
+) -> bool:  # fmt: skip
+    """Solve the equations that a status makes, as `_solve` does, by a sparse elimination.
+
+    What a contact has no unknown for is an unknown of its own, zero.
+    """
+    count = len(impulses)
+    diagonal, after, before = pattern.diagonal.copy(), pattern.after.copy(), pattern.before.copy()
+    scales = np.empty((count, 2))
+    for i in range(count):
+        scales[i, 0] = 1.0 / np.sqrt(max(contacts.own[i, 0], 1e-300))
+        scales[i, 1] = 1.0 / np.sqrt(max(contacts.own[i, 1], 1e-300))
+        if status[i] == _OPEN:
+            impulses[i, 0] = impulses[i, 1] = 0.0
+        elif status[i] == _SLIDES:
+            impulses[i, 1] = edges[i] * impulses[i, 0]
+    moved(contacts, impulses, rates)
+    for p in range(count):
+        i = pattern.order[p]
+        _as_status(diagonal[p], i, i, status, edges, scales)
+        for k in range(2):
+            diagonal[p, 3 * k] += _PROXIMAL if _has(status, i, k) else 1.0
+        for at in range(pattern.begins[p], pattern.begins[p + 1]):
+            j = pattern.others[at]
+            _as_status(after[at], i, j, status, edges, scales)
+            _as_status(before[at], j, i, status, edges, scales)
+    if not factored(pattern, diagonal, after, before, np.empty(count, np.int64)):
+        return False
+    right = np.empty((count, 2))
+    for _ in range(_CORRECTIONS):
+        for i in range(count):
+            normal, slip = seen(contacts, i, least, rates)
+            right[i, 0] = -scales[i, 0] * normal if _has(status, i, 0) else 0.0
+            right[i, 1] = -scales[i, 1] * slip if _has(status, i, 1) else 0.0
+        solved(pattern, diagonal, after, before, right)
+        for i in range(count):
+            if _has(status, i, 0):
+                impulses[i, 0] += scales[i, 0] * right[i, 0]
+            if _has(status, i, 1):
+                impulses[i, 1] += scales[i, 1] * right[i, 1]
+            elif status[i] == _SLIDES:
+                impulses[i, 1] = edges[i] * impulses[i, 0]
+        moved(contacts, impulses, rates)
+    return True
+
+
+@part
+def _has(status: Ints, i: int, k: int) -> bool:
+    """Whether a contact has an unknown along its normal (0) or its tangent (1)."""
+    return status[i] == _STICKS or (k == 0 and status[i] == _SLIDES)
+
+
+@part
+def _as_status(block: Array, i: int, j: int, status: Ints, edges: Array, scales: Array) -> None:
+    """Make velocities of contact i per unit impulses of j those of their unknowns, scaled."""
+    if status[j] == _SLIDES:
+        block[0] += edges[j] * block[1]
+        block[2] += edges[j] * block[3]
+    for a in range(2):
+        for b in range(2):
+            have = _has(status, i, a) and _has(status, j, b)
+            block[2 * a + b] = scales[i, a] * block[2 * a + b] * scales[j, b] if have else 0.0
+
+
+@part
 def _blocked(contacts: ContactRows, begin: Array, end: Array, status: Ints, edges: Array) -> bool:
     """Shorten a step, in place, to where the first contact leaves its cone; False if none does.
 
@@ -191,7 +259,7 @@ def _blocked(contacts: ContactRows, begin: Array, end: Array, status: Ints, edge
 
 @part
 def by_status(
-    contacts: ContactRows, least: Array, impulses: Array, allowed: float
+    contacts: ContactRows, least: Array, impulses: Array, allowed: float, sparse: bool
 ) -> tuple[float, int]:
     """Improve impulses by Newton's method; return the residual of the best ones, and the steps.
 
@@ -202,6 +270,8 @@ def by_status(
         See `contacts.solvers.contact_rows.swept`.
     allowed : float
         What is as near as this is taken, if its status is its own or not.
+    sparse : bool
+        Whether they are contacts of bodies, and many.
     """
     rates = np.zeros(contacts.places.max() + 1)
     moved(contacts, impulses, rates)
@@ -214,10 +284,15 @@ def by_status(
         held = slope(contacts.cones[i]) < 0.0
         size = max(size, abs(least[i, 0]) if held else -least[i, 0])
     begin = now.copy()
-    most = _STEPS + _STEPS_EACH * len(now)
+    most = min(_STEPS + _STEPS_EACH * len(now), _MOST)
+    pattern = pattern_of(contacts) if sparse else no_pattern()
     for step in range(most):
         put_rows(now, begin)
-        if not _solve(contacts, least, now, rates, status, edges):
+        if sparse:
+            good = _solve_sparse(contacts, pattern, least, now, rates, status, edges)
+        else:
+            good = _solve(contacts, least, now, rates, status, edges)
+        if not good:
             return lowest, step + 1
         if _blocked(contacts, begin, now, status, edges):
             moved(contacts, now, rates)
