@@ -29,10 +29,9 @@ import heyoka as hy
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from contacts.dynamics.setup import SceneNumbers
 from statechart.engines.taylor import Taylor
-from statechart.execution import execution
-from statechart.execution.ahead import Ahead
+from statechart.execution import simulator as made_by
+from statechart.execution.rows import RowRunner
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
@@ -208,14 +207,11 @@ def ratio(times: Sequence[float], others: Sequence[float]) -> float:
     return statistics.median(a / b for a, b in zip(times, others, strict=True))
 
 
-def shares(simulator: Simulator, trace: Callable[[], object]) -> dict[str, float]:
+def shares(trace: Callable[[], object]) -> dict[str, float]:
     """Return what a run spends where, in microseconds; medians, the timers' own time included."""
-    laws = simulator.automaton.laws
     places: list[tuple[str, Any, str]] = [
-        ("numbers of the run (parameters, scales, tolerances)", SceneNumbers, "at"),
-        ("first mode", laws, "begin"),
-        ("flows and jumps: compiled", Ahead, "_advance"),
-        ("the trace", execution, "trace_of"),
+        ("numbers, first mode, flows and jumps: compiled", RowRunner, "alone"),
+        ("the trace", made_by, "trace_of_row"),
     ]
     spent = {what: 0.0 for what, _, _ in places}
 
@@ -293,7 +289,7 @@ def main() -> None:
         us = statistics.median(times)
         print(f"{name:42} {us:10.1f} {to_first:>10} {ratio(times, second):10.2f} {shown:>9}")
     print("\nwhere a run with its trace spends its time")
-    for what, us in shares(simulator, trace).items():
+    for what, us in shares(trace).items():
         print(f"  {what:54} {us:8.1f} us")
 
 

@@ -20,8 +20,8 @@ from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
+from statechart.automaton.deferred import Deferred
 from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
-from statechart.automaton.recording import Deferred
 from statechart.automaton.trace import Jump, Key, Roles
 
 

@@ -33,6 +33,7 @@ from contacts.modes.fast_classification import fast_mode
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.constraints import Constraints
+from statechart.automaton.deferred import Deferred
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import (
     UNBOUNDED,
@@ -44,7 +45,6 @@ from statechart.automaton.laws import (
     roles_in,
     uncaptured,
 )
-from statechart.automaton.recording import Deferred
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Clock, Jump, Key, Role, Roles
 from statechart.errors import NoConsistentMode, SingularMode

@@ -26,11 +26,12 @@ from contacts.impacts.impulses import STATES as IMPULSE_STATES
 from contacts.modes.fast_classification import allowed
 from contacts.states import CODES, OFF, OFF_CODE
 from statechart.arrays import Array
+from statechart.automaton.deferred import Deferred
 from statechart.automaton.laws import Flow, Instant, Setup, roles_in
-from statechart.automaton.recording import Deferred, Event
+from statechart.automaton.recording import Event
 from statechart.automaton.trace import Clock, Jump, Key, Roles
 from statechart.engines.whole_flow import KINDS, Watch
-from statechart.execution.ahead import Loop
+from statechart.execution.loops import Loop
 from statechart.formulas.tape import Tape
 from statechart.kernels.jit import is_cached, is_ready
 
@@ -62,6 +63,7 @@ class SceneInstants:
     ) -> None:
         self._names, self._projection, self._ask = names, projection, ask
         self._numbers, conditions = numbers, numbers.conditions
+        self.setup = numbers.at
         self._rules, limits = rules(numbers), numbers.limits
         self.tapes: tuple[Tape, ...] = snapshots.tape, projection.tape, conditions.tape
         if limits is not None:
@@ -159,9 +161,8 @@ class SceneInstants:
             return self._names[event.struck], "touchdown"
         return cause(self._names, event.source, event.target, False)
 
-    def jump(self, setup: Setup, event: Event, fired: str) -> Jump:
+    def jump(self, setup: Callable[[], Setup], event: Event, fired: str) -> Jump:
         """Return the jump of an event that the loop has made."""
-        assert isinstance(setup, SceneSetup)
         region, how = self.about(event)
         impulse: Mapping[str, tuple[float, float]] = {}
         path: tuple[str, ...] = ()
@@ -189,10 +190,14 @@ class SceneInstants:
             (event.energy_before, event.energy_after),
         )
 
-    def _told(self, what: str, setup: SceneSetup, event: Event, fired: str) -> Mapping[str, Any]:
+    def _told(
+        self, what: str, setup: Callable[[], Setup], event: Event, fired: str
+    ) -> Mapping[str, Any]:
         """Return what few will read of a jump: the laws themselves are asked again."""
-        flow, clock = flow_in(setup, event.source), Clock(event.t)
-        at = Instant(setup, clock, event.j, flow, event.before, (fired,) if fired else ())
+        numbers = setup()
+        assert isinstance(numbers, SceneSetup)
+        flow, clock = flow_in(numbers, event.source), Clock(event.t)
+        at = Instant(numbers, clock, event.j, flow, event.before, (fired,) if fired else ())
         made = self._ask(at)
         assert made is not None
         assert made[0] is not None

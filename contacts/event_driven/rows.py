@@ -20,7 +20,7 @@ from contacts.states import CODES, OFF, OFF_CODE, superstates_of
 from statechart.arrays import Array, Bools
 from statechart.automaton.recording import Block
 from statechart.engines.whole_flow import KINDS, Watch
-from statechart.execution.ahead import Loop
+from statechart.execution.loops import Loop
 from statechart.execution.rows import Found, Rows
 from statechart.kernels.accumulation import WIDTH
 
@@ -42,6 +42,12 @@ class RowCall:
         The parameters.
     relative : float
         Tolerance of the integration.
+
+    Attributes
+    ----------
+    loop : Loop
+    series : (s, ..) array
+        Of the jumps of the last row.
     """
 
     def __init__(
@@ -55,7 +61,8 @@ class RowCall:
         self.loop = loop
         tape, inputs = numbers.parameters.program(frozenset(names))
         literals = numbers.parameters.literals
-        self._columns = [names.index(name) if name in names else -1 for name in inputs]
+        given = [(place, names.index(name)) for place, name in enumerate(inputs) if name in names]
+        self._places, self._columns = np.array(given, np.intp).reshape(-1, 2).T
         self._fixed = np.array([*(literals.get(name, math.nan) for name in inputs), math.inf])
         variables, parameters = len(loop.memory.state), len(loop.memory.pars) - 1
         # What contacts may do is the same whatever the values.
@@ -112,16 +119,15 @@ class RowCall:
             means,
             *[0.0] * 9,
         )
-        series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
+        self.series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
         self._call = partial(run_rows, loop.program, loop.pace, loop.memory, scene, *tape.program)
-        self._memory = made, watch, instants, series
+        self._memory = made, watch, instants, self.series
 
     def inputs(self, table: Array) -> Array:
         """Return what the numbers of runs are computed from (m, i), of rows (m, p) of values."""
-        found = np.tile(self._fixed, (len(table), 1))
-        for place, column in enumerate(self._columns):
-            if column >= 0:
-                found[:, place] = table[:, column]
+        found = np.empty((len(table), len(self._fixed)))
+        found[:] = self._fixed
+        found[:, self._places] = table[:, self._columns]
         return found
 
     def run(self, rows: Rows, block: Block, found: Found) -> int:

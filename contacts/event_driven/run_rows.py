@@ -31,19 +31,32 @@ from statechart.engines.whole_flow import (
 from statechart.execution.ahead import (
     FELL,
     FULL,
-    N_BOXES,
-    N_JUMPS,
     N_MODE,
-    N_STEPS,
+    N_MOST,
     OVER,
     PAUSED,
+    T_END,
     T_HIGH,
-    T_LOW,
+    T_HORIZON,
+    T_REST,
 )
 from statechart.execution.execution import FARTHEST
 from statechart.execution.finding import AT_END
 from statechart.execution.flow import LEAST
-from statechart.execution.rows import CLOSING, ENDED, OTHER, STOPPED, UNUSUAL, Found, Rows
+from statechart.execution.rows import (
+    CLOSING,
+    ENDED,
+    FIRST_MODE,
+    HANDED,
+    HOW,
+    MARGIN,
+    OTHER,
+    REASON,
+    STOPPED,
+    UNUSUAL,
+    Found,
+    Rows,
+)
 from statechart.kernels.accumulation import HIGH, WIDTH
 from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel, part
@@ -200,6 +213,13 @@ def _end(
 
 
 @part
+def put_ints(source: Ints, target: Ints) -> None:
+    """Copy whole numbers (n,)."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@part
 def _other(values: Array, zeros: Bools) -> bool:
     """Whether other parameters are zero than these."""
     other = False
@@ -243,69 +263,56 @@ def run_rows(
         To be filled, a row for each; a row that ends as `UNUSUAL` or `OTHER` leaves nothing else.
     """
     used = block.used
-    now, place = np.empty(5), np.empty(6, np.int64)
     state, taken = np.empty(numbers.initial.shape[0]), np.empty(scene.places.shape[0], np.int64)
     before = np.empty(4, np.int64)
     for row in range(rows.inputs.shape[0]):
-        ends = found.ends[row]
-        ends[0] = UNUSUAL
-        for k in range(4):
-            before[k] = used[k]
+        ends, now, place = found.ends[row], found.now[row], found.place[row]
+        ends[HOW] = UNUSUAL
+        put_ints(used, before)
         if not rows.until[row] >= 0.0 or not run_numbers(
             program, scene.tapes[INSTANTS:], scene.tapes[2], scene.rules, code, constants,
             outputs, rows.inputs[row], numbers,
         ):  # fmt: skip
             continue
         if _other(numbers.values, rows.zeros):
-            ends[0] = OTHER
+            ends[HOW] = OTHER
             continue
         watch, instants = _watches(scene, numbers, rows.floor, first_watch, first_instants)
         put(numbers.initial, state)
         mode = _start(program, scene, watch, instants, state, taken)
         if mode < 0:
             continue
-        length, speed = numbers.scales[0], numbers.scales[1]
-        now[0] = now[1] = now[4] = 0.0
-        now[2], now[3] = rows.until[row], min(scene.ahead * length / speed, FARTHEST)
+        now[:] = 0.0
         place[:] = 0
-        place[0], place[2] = mode, rows.most_jumps
+        now[T_END] = rows.until[row]
+        now[T_HORIZON] = min(scene.ahead * numbers.scales[0] / numbers.scales[1], FARTHEST)
+        place[N_MODE], place[N_MOST] = mode, rows.most_jumps
         for i in range(series.shape[0]):
             for k in range(WIDTH):
                 series[i, k] = 0.0
             series[i, HIGH] = math.nan
         pauses = 0
         while True:
-            reason, margin, _ = run_on(
+            reason, margin, now[T_REST] = run_on(
                 program, pace, watch, memory, instants, block, now, place, state, series,
                 found.entered[row],
             )  # fmt: skip
             pauses += 1
-            if reason != PAUSED or pauses == _PAUSES:
+            if reason != PAUSED or pauses == _PAUSES or rows.alone:
                 break
-        if reason == FULL:
-            for k in range(4):
-                used[k] = before[k]
-            if row > 0:
-                return row
+        if reason == FULL and row > 0:
+            put_ints(before, used)
+            return row
+        how = _end(program, reason, margin, place, found.entered[row], watch, state, now[T_HIGH])
+        if rows.alone and how in (UNUSUAL, CLOSING):
+            how = HANDED
+        if how == UNUSUAL:
+            put_ints(before, used)
             continue
-        ends[0] = _end(
-            program, reason, margin, place, found.entered[row], watch, state, now[T_HIGH]
-        )
-        if ends[0] == UNUSUAL:
-            for k in range(4):
-                used[k] = before[k]
-            continue
-        ends[1], ends[2], ends[3] = margin, mode, place[N_MODE]
+        ends[HOW], ends[REASON], ends[MARGIN], ends[FIRST_MODE] = how, reason, margin, mode
         spans = found.spans[row]
-        spans[0], spans[1], spans[2], spans[3] = (
-            before[ARCS],
-            used[ARCS],
-            before[EVENTS],
-            used[EVENTS],
-        )
-        counts = found.counts[row]
-        counts[0], counts[1], counts[2] = place[N_JUMPS], place[N_STEPS], place[N_BOXES]
-        found.clock[row, 0], found.clock[row, 1] = now[T_HIGH], now[T_LOW]
+        spans[0], spans[1] = before[ARCS], used[ARCS]
+        spans[2], spans[3] = before[EVENTS], used[EVENTS]
         put(numbers.values, found.values[row])
         put(numbers.initial, found.initial[row])
         put(state, found.final[row])

@@ -30,7 +30,7 @@ from contacts.modes.candidates import (
 from contacts.modes.load_sharing import Share
 from contacts.scene.modes import OWN
 from contacts.states import OFF, OPEN, SLIDING, declared_state
-from statechart.automaton.recording import Deferred
+from statechart.automaton.deferred import Deferred
 from statechart.errors import AmbiguousMode, NoConsistentMode
 
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.

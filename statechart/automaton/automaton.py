@@ -127,6 +127,11 @@ class Automaton:
         return total
 
     @cached_property
+    def region_names(self) -> tuple[str, ...]:
+        """Names of the regions, in the order of the keys."""
+        return tuple(region.name for region in self.regions)
+
+    @cached_property
     def invariants(self) -> tuple[Margin, ...]:
         """What the declaration asserts of all of a run; no run looks at them."""
         return tuple(

@@ -262,6 +262,11 @@ class Ordinary(Protocol):
         """Regions and causes of the jumps that it makes (see `statechart.execution.zeno`)."""
         ...
 
+    @property
+    def setup(self) -> Callable[[Mapping[str, float], float], Setup]:
+        """What gives the numbers of a run that `rows` make many of."""
+        ...
+
     def compiled(self) -> bool:
         """Whether it lies compiled on disk; if not, that takes a while."""
         ...
@@ -295,7 +300,7 @@ class Ordinary(Protocol):
     def rows(self, loop: Any, names: Sequence[str], relative: float) -> Any | None:
         """Return the call for runs with values of some parameters; None where there is none.
 
-        See `statechart.execution.rows`.
+        See `statechart.execution.loops.RowCall`.
         """
         ...
 
@@ -303,8 +308,8 @@ class Ordinary(Protocol):
         """Return the region that an event is about, and its cause, as in its jump."""
         ...
 
-    def jump(self, setup: Setup, event: Event, fired: str) -> Jump:
-        """Return the jump of an event that it made."""
+    def jump(self, setup: Callable[[], Setup], event: Event, fired: str) -> Jump:
+        """Return the jump of an event that it made; `setup` gives the numbers of its run."""
         ...
 
 

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import tempfile
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
-from typing import Any, Generic, NamedTuple, TypeVar, overload
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array
+from statechart.automaton.deferred import Recorded
 from statechart.automaton.trace import Arc, Clock, Jump, Key, Roles
 from statechart.errors import TooLong
 
-T = TypeVar("T")
 Kind = tuple[Key, Roles]
 """The mode that a flow shows, and whose equations apply."""
 
@@ -32,8 +32,6 @@ IN_MEMORY = 2**26
 
 # What a pad holds: so many arcs and events, times, coefficients.
 _ARCS, _TIMES, _TERMS = 1 << 13, 1 << 14, 1 << 19
-# Of a sequence, the first so many are kept once they have been made.
-_SHORT = 1 << 12
 
 
 class Block(NamedTuple):
@@ -123,6 +121,12 @@ def event_of(block: Block, row: int, j: int, kinds: Sequence[Kind]) -> Event:
     return Event(j, kinds[source][0], kinds[target][0], *codes, *numbers, *states)
 
 
+@lru_cache(maxsize=64)
+def _nothing(variables: int) -> Block:
+    """Return memory on which nothing is written."""
+    return _empty((0, 0, 0, 0), variables)
+
+
 def _empty(room: tuple[int, int, int, int], variables: int) -> Block:
     arcs, times, terms, events = room
     return Block(
@@ -151,6 +155,8 @@ class Recording:
         To be written on.
     jump : callable, optional
         Makes the jump of an event that a loop has written; asked when one is looked at.
+    begun : bool
+        Whether a run stands in the memory already, as far as it has come.
 
     Attributes
     ----------
@@ -164,31 +170,38 @@ class Recording:
         kinds: list[Kind],
         memory: Block,
         jump: Callable[[Event], Jump] | None = None,
+        *,
+        begun: bool = False,
     ) -> None:
         self.memory, self.variables = memory, variables
         self._kinds, self._jump = kinds, jump
-        self._places = {kind: place for place, kind in enumerate(kinds)}
+        self._places: dict[Kind, int] = {}
         self.made: dict[int, Jump] = {}
         self._blocks: list[Block] = []
         # How many arcs and events stand in the blocks before each.
         self._arcs, self._events = [0], [0]
         self._bytes = 0
-        memory.used[:] = 0
-        self.arcs, self.jumps = self._sequences()
+        if not begun:
+            memory.used[:] = 0
 
-    def _sequences(self) -> tuple[Recorded[Arc], Recorded[Jump]]:
-        return (
-            Recorded(self._arc, lambda: self._arcs[-1] + int(self.memory.used[ARCS])),
-            Recorded(self._event, lambda: self._events[-1] + int(self.memory.used[EVENTS])),
-        )
+    @cached_property
+    def arcs(self) -> Recorded[Arc]:
+        """The arcs so far."""
+        return Recorded(self._arc, lambda: self._arcs[-1] + int(self.memory.used[ARCS]))
+
+    @cached_property
+    def jumps(self) -> Recorded[Jump]:
+        """The jumps so far."""
+        return Recorded(self._event, lambda: self._events[-1] + int(self.memory.used[EVENTS]))
 
     def close(self) -> tuple[Recorded[Arc], Recorded[Jump]]:
         """Leave the pad to others; return the arcs and the jumps of the run, which has ended."""
         self.seal()
-        self.memory = _empty((0, 0, 0, 0), self.variables)
+        self.memory = _nothing(self.variables)
+        found = self.arcs, self.jumps
         # A trace that nobody has any more is to go at once: nothing here may point back at it.
         del self.arcs, self.jumps
-        return self._sequences()
+        return found
 
     def kind(self, mode: Key, roles: Roles) -> int:
         """Return the place of a kind, a new one where it was none."""
@@ -308,87 +321,6 @@ class Recording:
         block = bisect_right(begins, place) - 1
         row = place - begins[block]
         return (self.memory if block == len(self._blocks) else self._blocks[block]), row
-
-
-class Deferred(Mapping[str, T], Generic[T]):
-    """What is made when it is first read: every mode considered, and why it was taken or not.
-
-    Parameters
-    ----------
-    make : callable
-        Returns it.
-    """
-
-    def __init__(self, make: Callable[[], Mapping[str, T]]) -> None:
-        self._make = make
-
-    @cached_property
-    def _made(self) -> Mapping[str, T]:
-        made = self._make()
-        del self._make  # and what it holds
-        return made
-
-    def __getitem__(self, label: str) -> T:
-        return self._made[label]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._made)
-
-    def __len__(self) -> int:
-        return len(self._made)
-
-    def __reduce__(self) -> tuple[type, tuple[dict[str, T]]]:
-        return dict, (dict(self),)
-
-
-class Recorded(Sequence[T], Generic[T]):
-    """What is made when it is looked at, in order.
-
-    Parameters
-    ----------
-    make : callable
-        Makes what stands at a place.
-    count : callable
-        How many there are.
-    """
-
-    def __init__(self, make: Callable[[int], T], count: Callable[[], int]) -> None:
-        self._make, self._count = make, count
-        self._seen: dict[int, T] = {}
-
-    def __len__(self) -> int:
-        return self._count()
-
-    @overload
-    def __getitem__(self, place: int) -> T: ...
-    @overload
-    def __getitem__(self, place: slice) -> tuple[T, ...]: ...
-    def __getitem__(self, place: int | slice) -> T | tuple[T, ...]:
-        if isinstance(place, slice):
-            return tuple([self._at(i) for i in range(*place.indices(len(self)))])
-        count = len(self)
-        if not -count <= place < count:
-            raise IndexError(f"there are {count} of them, and none at {place}")
-        return self._at(place % count)
-
-    def __iter__(self) -> Iterator[T]:
-        return map(self._at, range(len(self)))
-
-    def forget(self, place: int) -> None:
-        """Make what stands at a place anew when it is looked at again."""
-        self._seen.pop(place, None)
-
-    def _at(self, place: int) -> T:
-        found = self._seen.get(place)
-        if found is None:
-            found = self._make(place)
-            if place < _SHORT:
-                self._seen[place] = found
-        return found
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Travel as what is seen here."""
-        return tuple, (tuple(self),)
 
 
 def _width(terms: Array) -> int:

@@ -161,6 +161,11 @@ class Engine(ABC):
     floor: Array | float = 0.0
     allowed: float
 
+    @property
+    def title(self) -> str:
+        """Engine and method, in words."""
+        return self.name if self.method == self.name else f"{self.name} {self.method}"
+
     @abstractmethod
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> object:
         """Return what `steps` needs to integrate `mode`, whose rates are also on a tape."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from statechart import interrupts
+from statechart.arrays import Array
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
 from statechart.automaton.recording import Recording
 from statechart.automaton.trace import (
@@ -22,7 +23,7 @@ from statechart.automaton.trace import (
 from statechart.engines.engine import FlowWatch
 from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
-from statechart.execution.ahead import AHEAD, Ahead
+from statechart.execution.ahead import AHEAD, Ahead, Begun
 from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.finding import closing
@@ -67,6 +68,8 @@ class Execution:
         Takes the run through usual instants in compiled code, where that can be.
     certificate : Certificate or None
         Takes all flows and jumps, where the run is made again to prove its motion.
+    begun : Begun or None
+        How far a loop has taken the run from its start.
     """
 
     modes: CompiledModes
@@ -79,6 +82,7 @@ class Execution:
     progress: bool
     ahead: Ahead | None = None
     certificate: Certificate | None = None
+    begun: Begun | None = None
     clock: Clock = field(default_factory=Clock)
     outcome: Outcome = Outcome.HORIZON
     message: str = ""
@@ -94,14 +98,15 @@ class Execution:
     def __post_init__(self) -> None:
         self.automaton, self.engine = self.modes.automaton, self.modes.engine
         self.flow: Flow | None = None
-        self.state = self.setup.initial
+        self.state = self.started_state = self.setup.initial
         self.started_mode: Key | None = None
-        self.started_state = self.setup.initial
         self.horizon = min(self.setup.horizon, FARTHEST)
         self.evaluations = self.engine.evaluations
         self._progress = Progress(self.until)
-        ordinary = None if self.ahead is None else self.automaton.laws_of_events.ordinary
-        self.accumulation = Accumulation(() if ordinary is None else ordinary.series)
+        ordinary = self.ahead and self.automaton.laws_of_events.ordinary
+        self.accumulation = Accumulation(ordinary.series if ordinary else ())
+        if self.begun is not None:
+            self.accumulation.series = self.begun.series
         self._livelock = Livelock()
 
     def run(self) -> Trace:
@@ -123,16 +128,15 @@ class Execution:
         self.outcome, self.message = outcome, message
 
     def _loop(self) -> None:
-        laws = self.automaton.laws_of_events
-        self.flow, self.state = laws.begin(self.setup)
+        self.flow, self.state = self._first()
         self.started_mode, self.started_state = self.flow.mode, self.state
         self._warn()
-        fired: tuple[str, ...] = ()
-        if not self.flow.settled and self.settle(fired):
+        if not self.flow.settled and self.settle():
             return
+        made = None if self.begun is None else self.begun.made
         while True:
-            ahead = None if self.ahead is None else self.ahead.go(self)
-            fired = self._flow() if ahead is None else ahead
+            ahead = None if self.ahead is None else self.ahead.go(self, made)
+            fired, made = self._flow() if ahead is None else ahead, None
             if self.outcome is not Outcome.HORIZON:
                 return
             if not fired:
@@ -141,6 +145,12 @@ class Execution:
                 return
             if self.settle(fired):
                 return
+
+    def _first(self) -> tuple[Flow, Array]:
+        """Return the first flow, and the state that it starts from."""
+        if not (self.begun and self.ahead):
+            return self.automaton.laws_of_events.begin(self.setup)
+        return self.ahead.modes.flow(self.setup, self.begun.kind), self.setup.initial
 
     def _flow(self) -> tuple[str, ...]:
         """Flow to the next event; return what fired, or nothing at the end of the run."""

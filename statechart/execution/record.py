@@ -2,21 +2,94 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from statechart.automaton.trace import Outcome, Trace
+from statechart.automaton.deferred import Deferred
+from statechart.automaton.recording import Recording
+from statechart.automaton.trace import Jump, Outcome, Trace
+from statechart.execution.ahead import N_BOXES, N_JUMPS, N_MODE, N_STEPS, T_HIGH
 from statechart.execution.flow import FOLLOWED
+from statechart.execution.rows import FIRST_MODE, MARGIN, Batch
 
 if TYPE_CHECKING:
+    from statechart.automaton.laws import Setup
     from statechart.execution.execution import Execution
+    from statechart.execution.simulator import Simulator
+
+
+def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup]) -> Trace:
+    """Return the trace of a run that a loop has made from its start to its end.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    batch : Batch
+        The run alone.
+    setup : callable
+        Gives its numbers, where somebody asks for what follows from them.
+    """
+    automaton, engine, found = simulator.automaton, simulator.engine, batch.found
+    modes, kinds = batch.modes, batch.kinds
+    jump = partial(modes.jump, setup)
+    record = Recording(len(automaton.variables), modes.kinds, batch.block, jump, begun=True)
+    place, t_end, final = found.place[0].tolist(), found.now.item(T_HIGH), found.final[0]
+    first, last = kinds[found.ends.item(FIRST_MODE)][0], kinds[place[N_MODE]]
+    message = f"reached t = {t_end:.17g}"
+    if batch.stopped[0]:
+        margin = modes.compiled(last).names[found.ends.item(MARGIN)]
+        message = f"{margin} at t = {t_end:.17g}"
+        record.add_jump(
+            Jump(t_end, place[N_JUMPS], "", "stop", last[0], last[0], final, final, (margin,))
+        )
+    arcs, jumps = record.close()
+    return Trace(
+        name=automaton.name,
+        regions=automaton.region_names,
+        variables=automaton.names,
+        parameters=dict(zip(automaton.parameter_names, found.values[0].tolist(), strict=True)),
+        arcs=arcs,
+        jumps=jumps,
+        initial=found.initial[0],
+        final=final,
+        start_mode=first,
+        final_mode=last[0],
+        t_end=t_end,
+        outcome=batch.outcome(0),
+        message=message,
+        certified="guards",
+        evidence=Deferred(partial(_evidence_of_row, batch)),
+        tolerances=Deferred(lambda: dict(setup().tolerances)),
+        engine=engine.title,
+        tolerance=engine.tolerance,
+        warnings=(),
+        counts={
+            "steps": place[N_STEPS],
+            "evaluations": 0,
+            "boxes": place[N_BOXES],
+            "jumps": len(jumps),
+            "modes_built": simulator.modes_built,
+            "python_instants": 0,
+        },
+    )
+
+
+def _evidence_of_row(batch: Batch) -> dict[str, str]:
+    been = zip(batch.kinds, batch.found.entered[0].tolist(), strict=True)
+    return _evidence(batch.modes.compiled(kind).names for kind, entered in been if entered)
+
+
+def _evidence(margins: Iterable[Sequence[str]]) -> dict[str, str]:
+    names = chain.from_iterable(margins)
+    return dict.fromkeys(names, "interval enclosure") | {"motion": FOLLOWED}
 
 
 def trace_of(run: Execution) -> Trace:
     """Return the trace of a run that has ended."""
     automaton, engine = run.automaton, run.engine
-    names = chain.from_iterable(compiled.names for compiled in run.entered.values())
-    evidence = dict.fromkeys(names, "interval enclosure") | {"motion": FOLLOWED} | run.evidence
+    evidence = _evidence(compiled.names for compiled in run.entered.values()) | run.evidence
     motion = None if run.certificate is None else run.certificate.motion()
     if motion is not None:
         evidence["motion"] = str(motion)
@@ -27,7 +100,7 @@ def trace_of(run: Execution) -> Trace:
     start = run.started_mode or tuple(r.states[0] for r in automaton.regions)
     return Trace(
         name=automaton.name,
-        regions=tuple(region.name for region in automaton.regions),
+        regions=automaton.region_names,
         variables=automaton.names,
         parameters=dict(zip(automaton.parameter_names, run.setup.values.tolist(), strict=True)),
         arcs=arcs,
@@ -42,7 +115,7 @@ def trace_of(run: Execution) -> Trace:
         certified=decided and (proved or "guards"),
         evidence=evidence,
         tolerances=dict(run.setup.tolerances),
-        engine=" ".join(dict.fromkeys((engine.name, engine.method))),
+        engine=engine.title,
         tolerance=engine.tolerance,
         warnings=(*run.setup.warnings, *run.warnings),
         counts={

@@ -7,7 +7,7 @@ loop would hand back, is not judged here: that row is left to a run of its own, 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,28 +15,27 @@ from numpy.typing import NDArray
 
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.laws import Flow, Setup
+from statechart.automaton.laws import Setup
 from statechart.automaton.recording import Block, polynomials
 from statechart.automaton.trace import Outcome
+from statechart.execution.ahead import N_JUMPS, N_MODE, T_HIGH, Begun, Made
 from statechart.execution.finding import closing
 from statechart.kernels.polynomials import summands
 
 if TYPE_CHECKING:
     from statechart.automaton.recording import Kind
-    from statechart.execution.ahead import Modes
+    from statechart.execution.loops import Modes
     from statechart.execution.simulator import Simulator
 
-UNUSUAL, OTHER, ENDED, CLOSING, STOPPED = range(5)
+UNUSUAL, OTHER, ENDED, CLOSING, STOPPED, HANDED = range(6)
 """How a row ends: it is left to a run of its own; other parameters of it are zero than those that
 the modes were solved for; at the end of the run; there, where it is to be judged whether something
-just happens; at a stop."""
+just happens; at a stop; where the loop has handed a run back that is made alone."""
 
-HOW, MARGIN, FIRST_MODE, LAST_MODE = range(4)
+HOW, REASON, MARGIN, FIRST_MODE = range(4)
 """Columns of `Found.ends`."""
 ARCS, ARCS_END, EVENTS, EVENTS_END = range(4)
 """Columns of `Found.spans`."""
-JUMPS, STEPS, BOXES = range(3)
-"""Columns of `Found.counts`."""
 
 # Rows of one call: tens of milliseconds, between which a signal is heard.
 _AT_ONCE = 256
@@ -48,13 +47,11 @@ class Found(NamedTuple):
     Attributes
     ----------
     ends : (m, 4) array of int64
-        How it ended, the margin of a stop, the kinds of the first and of the last mode.
+        How it ended, why the loop did, the margin that fell, the kind of the first mode.
     spans : (m, 4) array of int64
         Where its arcs and its events begin and end.
-    counts : (m, 3) array of int64
-        Jumps, steps, boxes.
-    clock : (m, 2) array
-        When it ended.
+    now : (m, 6) array, place : (m, 6) array of int64
+        Where it has come, see `statechart.execution.ahead`.
     values : (m, p), initial, final : (m, n) array
         Its parameters, first and last state.
     entered : (m, k) array of bool
@@ -63,8 +60,8 @@ class Found(NamedTuple):
 
     ends: Ints
     spans: Ints
-    counts: Ints
-    clock: Array
+    now: Array
+    place: Ints
     values: Array
     initial: Array
     final: Array
@@ -85,6 +82,8 @@ class Rows(NamedTuple):
     most_jumps : int
     floor : float
         What is smaller counts as so large.
+    alone : bool
+        Whether a row is handed back as far as it has come.
     """
 
     inputs: Array
@@ -92,6 +91,7 @@ class Rows(NamedTuple):
     zeros: Bools
     most_jumps: int
     floor: float
+    alone: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +111,8 @@ class Batch:
     modes : Modes
     zeros : frozenset of int
         Places of the parameters that are exactly zero.
+    series : (s, ..) array
+        Of the jumps of the last row, see `statechart.execution.zeno`.
     """
 
     rows: NDArray[np.intp]
@@ -119,11 +121,22 @@ class Batch:
     kinds: tuple[Kind, ...]
     modes: Modes
     zeros: frozenset[int]
+    series: Array
 
     @property
     def stopped(self) -> Bools:
         """Which rows (m,) a stop has ended."""
         return np.asarray(self.found.ends[:, HOW] == STOPPED)
+
+    def begun(self) -> Begun:
+        """Return how far a run has come that was made alone."""
+        found = self.found
+        reason, margin, first = found.ends[0, REASON:].tolist()
+        made = Made(
+            self.kinds, reason, margin, found.now[0], found.place[0], found.final[0],
+            found.entered[0],
+        )  # fmt: skip
+        return Begun(self.kinds[first], made, self.series.copy())
 
     def outcome(self, row: int) -> Outcome:
         """Return why a row ended."""
@@ -147,6 +160,7 @@ class RowRunner:
 
     def __init__(self, simulator: Simulator, names: Sequence[str]) -> None:
         self.simulator, self._names = simulator, tuple(names)
+        self._gone: dict[frozenset[int], Bools] = {}
 
     def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
         """Run rows; yield those that have gone through, in batches.
@@ -169,7 +183,9 @@ class RowRunner:
             while done < left.size:
                 interrupts.check()
                 part = left[done : done + _AT_ONCE]
-                batch = self._called(modes, zeros, part, table[part], until[part], max_jumps)
+                batch = self._called(
+                    modes, zeros, part, table[part], until[part], max_jumps, alone=False
+                )
                 if batch is None:
                     others.append(left[done:])
                     break
@@ -179,8 +195,34 @@ class RowRunner:
                 kept = np.flatnonzero(self._judged(batch, table[batch.rows]))
                 if kept.size:
                     found = Found._make([array[kept] for array in batch.found])
-                    yield Batch(batch.rows[kept], found, batch.block, batch.kinds, modes, zeros)
+                    yield replace(batch, rows=batch.rows[kept], found=found)
             left = np.concatenate(others)
+
+    def alone(self, values: Array, until: float, max_jumps: int) -> Batch | None:
+        """Make one run, as far as a loop takes it.
+
+        Parameters
+        ----------
+        values : (p,) array
+            Of the parameters.
+        until : float
+            Its end.
+        max_jumps : int
+
+        Returns
+        -------
+        Batch or None
+            None where it is to be begun otherwise.
+        """
+        row = np.zeros(1, np.intp)
+        for zeros, modes in self.simulator.known():
+            batch = self._called(
+                modes, zeros, row, values[None], np.array([until]), max_jumps, alone=True
+            )
+            how = UNUSUAL if batch is None else batch.found.ends.item(HOW)
+            if how != OTHER:
+                return None if batch is None or how == UNUSUAL else batch
+        return None
 
     def _called(
         self,
@@ -190,6 +232,8 @@ class RowRunner:
         table: Array,
         until: Array,
         max_jumps: int,
+        *,
+        alone: bool,
     ) -> Batch | None:
         """Make as many rows as there is room for; None where none can be made."""
         simulator = self.simulator
@@ -202,21 +246,24 @@ class RowRunner:
         found = Found(
             np.zeros((m, 4), np.int64),
             np.zeros((m, 4), np.int64),
-            np.zeros((m, 3), np.int64),
-            np.zeros((m, 2)),
+            np.zeros((m, 6)),
+            np.zeros((m, 6), np.int64),
             np.empty((m, p)),
             np.empty((m, n)),
             np.empty((m, n)),
             np.zeros((m, len(kinds)), np.bool_),
         )
-        gone = np.zeros(p, np.bool_)
-        gone[list(zeros)] = True
-        asked = Rows(call.inputs(table), until, gone, max_jumps, engine.floor)
+        gone = self._gone.get(zeros)
+        if gone is None:
+            gone = self._gone[zeros] = np.zeros(p, np.bool_)
+            gone[list(zeros)] = True
+        asked = Rows(call.inputs(table), until, gone, max_jumps, engine.floor, alone)
         block = simulator.pad
         block.used[:] = 0
         made = max(call.run(asked, block, found), 1)
-        found = Found._make([array[:made] for array in found])
-        return Batch(rows[:made], found, block, kinds, modes, zeros)
+        if made < m:
+            found = Found._make([array[:made] for array in found])
+        return Batch(rows[:made], found, block, kinds, modes, zeros, call.series)
 
     def _judged(self, batch: Batch, table: Array) -> Bools:
         """Return which rows (m,) have gone through: nothing just happens as they end."""
@@ -230,20 +277,20 @@ class RowRunner:
         """Whether something may just be happening as a row ends (see `closing`)."""
         found, block, simulator = batch.found, batch.block, self.simulator
         setup = self.setup(values)
-        kind = batch.kinds[found.ends[row, LAST_MODE]]
+        kind = batch.kinds[found.place[row, N_MODE]]
         terms = None
         size = len(simulator.automaton.variables)
         arc = int(found.spans[row, ARCS_END]) - 1
-        if arc >= found.spans[row, ARCS] and block.arcs[arc, 1] == found.counts[row, JUMPS]:
+        if arc >= found.spans[row, ARCS] and block.arcs[arc, 1] == found.place[row, N_JUMPS]:
             terms = summands(*polynomials(block, arc, size))
-        flow = Flow(kind[0], kind[1], tolerances=batch.modes.tolerances(setup), terms=terms)
+        flow = batch.modes.flow(setup, kind, terms)
         happens, _ = closing(
             simulator.engine,
             batch.modes.compiled(kind),
             flow,
             setup,
             found.final[row],
-            float(found.clock[row, 0]),
+            float(found.now[row, T_HIGH]),
         )
         return happens
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+
+import numpy as np
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
@@ -12,11 +14,27 @@ from statechart.automaton.recording import Kind, Recording, pad
 from statechart.automaton.trace import Outcome, Roles, Trace
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
-from statechart.execution.ahead import Ahead, Modes
+from statechart.execution.ahead import Ahead
 from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes, SolvedModes
 from statechart.execution.execution import Execution
+from statechart.execution.loops import Modes
 from statechart.execution.outcome import error_of
+from statechart.execution.record import trace_of_row
+from statechart.execution.rows import HANDED, HOW, Batch, RowRunner
+
+
+class _Once:
+    """The numbers of a run, made when they are first asked for."""
+
+    def __init__(self, make: Callable[[], Setup]) -> None:
+        self._make = make
+        self._found: Setup | None = None
+
+    def __call__(self) -> Setup:
+        if self._found is None:
+            self._found = self._make()
+        return self._found
 
 
 class Simulator:
@@ -54,6 +72,7 @@ class Simulator:
         # Their arrays are used again, from flow to flow and from run to run.
         self.path, self.pad = Path(), pad(len(automaton.variables))
         self._loops: dict[frozenset[int], Modes] = {}
+        self._rows: dict[tuple[str, ...], RowRunner] = {}
 
     def run(
         self,
@@ -87,10 +106,22 @@ class Simulator:
         SimulationError
             With the trace so far, where the run cannot go on and `throw` is set.
         """
-        trace = self._execution(parameters or {}, until, max_jumps).run()
+        trace = self._run(parameters or {}, until, max_jumps)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         return trace
+
+    def _run(self, parameters: Mapping[str, float], until: float, max_jumps: int) -> Trace:
+        """Let a loop make the run from its start, where it can; as for the rest, an execution."""
+        names = tuple(parameters)
+        rows = self._rows.get(names)
+        if rows is None:
+            rows = self._rows[names] = RowRunner(self, names)
+        values = np.fromiter(parameters.values(), float, len(names))
+        batch = rows.alone(values, until, max_jumps)
+        if batch is None or batch.found.ends.item(HOW) == HANDED:
+            return self._execution(parameters, until, max_jumps, batch).run()
+        return trace_of_row(self, batch, _Once(partial(self._setup, dict(parameters))))
 
     def certified(
         self,
@@ -120,25 +151,37 @@ class Simulator:
         made.certificate = Certificate(trace, made.setup, laws, self.engine)
         return made.run()
 
-    def _execution(
-        self, parameters: Mapping[str, float], until: float, max_jumps: int
-    ) -> Execution:
+    def _setup(self, parameters: Mapping[str, float]) -> Setup:
+        """Return the numbers of a run."""
         setup = self.automaton.setup(parameters, self.engine.tolerance)
+        return replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
+
+    def _execution(
+        self,
+        parameters: Mapping[str, float],
+        until: float,
+        max_jumps: int,
+        batch: Batch | None = None,
+    ) -> Execution:
+        setup = self._setup(parameters)
         zeros = setup.zeros
-        setup = replace(setup, modes=partial(self.modes.mode, zeros=zeros))
         self.engine.sizes = setup.sizes
         kinds: list[Kind] = []
         ahead, jump = self._ahead(setup, zeros), None
         if ahead is not None:
-            kinds, jump = ahead.modes.kinds, partial(ahead.modes.jump, setup)
-        record = Recording(len(self.automaton.variables), kinds, self.pad, jump)
+            kinds, jump = ahead.modes.kinds, partial(ahead.modes.jump, lambda: setup)
+        begun = None if batch is None else batch.begun()
+        variables = len(self.automaton.variables)
+        record = Recording(variables, kinds, self.pad, jump, begun=begun is not None)
         return Execution(
-            self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, ahead
-        )
+            self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, ahead,
+            begun=begun,
+        )  # fmt: skip
 
     def known(self) -> list[tuple[frozenset[int], Modes]]:
         """Return the modes that compiled loops know, by the parameters that are zero in them."""
-        return list(self._loops.items())
+        setup = self.automaton.setup
+        return [(zeros, modes) for zeros, modes in self._loops.items() if modes.follows(setup)]
 
     def _ahead(self, setup: Setup, zeros: frozenset[int]) -> Ahead | None:
         """Return what runs usual instants in compiled code; None where nothing can."""

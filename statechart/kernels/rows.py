@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints, Ints32
+from statechart.kernels.extremes import widen
 from statechart.kernels.jit import kernel
 from statechart.kernels.quadrature import integrate_outputs
 from statechart.kernels.tapes import BLOCK, run_tape
@@ -117,3 +120,46 @@ def integrate_rows(
             )
             for i in range(found.shape[0]):
                 totals[row, columns[arcs[arc, 0], i]] += found[i]
+
+
+@kernel
+def extremes_rows(
+    ints: Ints32,
+    floats: Array,
+    tapes: Ints,
+    arcs: Ints32,
+    places: NDArray[np.int64],
+    starts: Array,
+    times: Array,
+    coefficients: Array,
+    spans: Ints,
+    values: Array,
+    variables: int,
+    extremes: Array,
+) -> None:
+    """Write the least and the greatest value (r, 2) of tapes along the arcs of runs.
+
+    See `integrate_rows`; tapes have one output.
+    """
+    for row in range(spans.shape[0]):
+        extremes[row, 0] = extremes[row, 1] = math.nan
+        for arc in range(spans[row, 0], spans[row, 1]):
+            tape = tapes[arcs[arc, 0]]
+            steps, width = np.int64(arcs[arc, 2]), np.int64(arcs[arc, 3])
+            at, place = places[arc, 0], places[arc, 1]
+            terms = coefficients[place : place + steps * variables * width]
+            terms = terms.reshape((steps, variables, width))
+            widen(
+                ints[tape[0] : tape[0] + 3 * tape[1]].reshape((tape[1], 3)),
+                floats[tape[2] : tape[2] + tape[3]],
+                ints[tape[4] : tape[4] + tape[5]],
+                ints[tape[6] : tape[6] + tape[7]],
+                tape[8],
+                times[at : at + steps + 1],
+                terms,
+                terms,
+                values[row],
+                starts[arc, 0],
+                starts[arc, 1],
+                extremes[row],
+            )

@@ -8,7 +8,6 @@ its simulator, so that the next run finds its programs ready.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -23,9 +22,11 @@ from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
-from statechart.formulas.tape import Tape
+from statechart.formulas.tape import Tape, contiguous
 from statechart.formulas.writer import compile_tape
+from statechart.kernels.extremes import widen
 from statechart.observation.flows import (
+    Active,
     PassedModes,
     Where,
     beside,
@@ -37,19 +38,10 @@ from statechart.observation.flows import (
     start_of,
     wanted,
 )
-from statechart.observation.sampling import Points, Samples, along, at_times, extremes, subdivided
+from statechart.observation.sampling import Points, Samples, along, at_times, subdivided
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 """Text over the observables' names, or an expression in the automaton's own symbols."""
-
-
-@dataclass(frozen=True, eq=False)
-class Active:
-    """What is integrated in one mode: places among the formulas, and whether it is solved for."""
-
-    places: list[int]
-    expressions: tuple[sp.Expr, ...]
-    needed: bool
 
 
 class Observer:
@@ -270,39 +262,39 @@ class Observer:
         expressions = self.expressions(formulas)
         where = wanted(during) if during else ((),) * len(expressions)
         total = np.zeros(len(expressions))
-        for places, found, _ in self._integrated(trace, expressions, where):
+        for arc, places, tape, coefficients, _ in self._pieces(trace, expressions, where):
+            start, end = arc.start.high, arc.duration
+            found, _ = integrals(tape, arc.times, coefficients, trace.values, start, 0.0, end)
             total[places] += found
         return total
 
-    def _integrated(
+    def _pieces(
         self, trace: Trace, expressions: tuple[sp.Expr, ...], where: tuple[Where, ...]
-    ) -> Iterator[tuple[list[int], Array, Array]]:
-        """Yield, an arc each, which expressions count there, their integrals, ends of pieces."""
-        values, modes = trace.values, None
+    ) -> Iterator[tuple[Arc, list[int], Tape, Array, Array]]:
+        """Yield, an arc each, which expressions count there, their tape, what it is over.
+
+        Twice: where a force is not known, in a step with an impact between two others, it adds
+        nothing to an integral, and has no value.
+        """
+        modes = None
         for arc in trace.arcs:
             active = self.active(arc.mode, where, expressions)
             if not active.places:
                 continue
-            mode, tape, coefficients = None, None, arc.coefficients
             if active.needed and arc.solved is not None:
+                known = np.pad(arc.coefficients, ((0, 0), (0, arc.solved.shape[1]), (0, 0)))
+                resolved, variables = known.copy(), len(trace.variables)
+                known[:, variables:, 0] = arc.solved
+                resolved[:, variables:, 0] = np.nan_to_num(arc.solved)
                 tape = self.tape(active.expressions, None, known=True)
-                coefficients = np.pad(coefficients, ((0, 0), (0, arc.solved.shape[1]), (0, 0)))
-                # Where a force is not known, in a step with an impact between two others, it adds
-                # nothing.
-                coefficients[:, len(trace.variables) :, 0] = np.nan_to_num(arc.solved)
-            elif active.needed:
+                yield arc, active.places, tape, resolved, known
+                continue
+            mode = None
+            if active.needed:
                 modes = modes or self._modes(trace)
                 mode = modes(arc.roles)
-            found, ends = integrals(
-                tape or self.tape(seen(active.expressions, mode), mode),
-                arc.times,
-                coefficients,
-                values,
-                arc.start.high,
-                0.0,
-                arc.duration,
-            )
-            yield active.places, found, ends
+            tape = self.tape(seen(active.expressions, mode), mode)
+            yield arc, active.places, tape, arc.coefficients, arc.coefficients
 
     def extremes(self, trace: Trace, formula: FormulaLike) -> tuple[float, float]:
         """Return the least and the greatest value of a formula over all arcs.
@@ -315,11 +307,20 @@ class Observer:
             ends = self.initial(trace, expressions)[0], self.final(trace, expressions)[0]
             return float(min(ends)), float(max(ends))
 
-        def evaluate(arcs: Sequence[Arc], local: Sequence[Array]) -> Array:
-            return self._table(trace, expressions, along(arcs, local))[:, 0]
-
-        pieces = [ends for _, _, ends in self._integrated(trace, expressions, ((),))]
-        return extremes(trace.arcs, pieces, evaluate)
+        found = np.full(2, np.nan)
+        for arc, _, tape, resolved, coefficients in self._pieces(trace, expressions, ((),)):
+            widen(
+                *tape.program,
+                tape.reads,
+                tape.n_fixed,
+                arc.times,
+                contiguous(resolved),
+                contiguous(coefficients),
+                trace.values,
+                *arc.start,
+                found,
+            )
+        return found.item(0), found.item(1)
 
     def expressions(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
         """Return formulas in the automaton's symbols."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,20 +15,19 @@ from statechart.automaton.recording import event_of
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Jump, Key
 from statechart.documents.outputs import Event, Moment
-from statechart.execution.ahead import Packed
+from statechart.execution.ahead import N_JUMPS, N_MODE, T_HIGH
+from statechart.execution.loops import Packed
 from statechart.execution.rows import (
     ARCS,
     EVENTS,
     EVENTS_END,
     FIRST_MODE,
-    JUMPS,
-    LAST_MODE,
     Batch,
     RowRunner,
 )
 from statechart.formulas.tape import Tape, contiguous
-from statechart.kernels.rows import integrate_rows, tape_rows
-from statechart.observation.flows import seen, wanted
+from statechart.kernels.rows import extremes_rows, integrate_rows, tape_rows
+from statechart.observation.flows import Where, seen, wanted
 from statechart.observation.outputs import Outputs
 
 # Columns of the events of a block.
@@ -37,7 +37,7 @@ _TIME, _NORMAL, _TANGENTIAL = 0, 4, 5
 _STOP = -1
 """As the place of an event in its block: a stop, which stands in none."""
 
-_Where = frozenset[int]
+_Zeros = frozenset[int]
 _Integrands = tuple[Ints32, Array, Ints, Ints]
 
 
@@ -86,8 +86,8 @@ class RowOutputs:
         self._outputs, self._runner = outputs, runner
         self._observer, self._simulator = outputs.observer, runner.simulator
         self._regions = self._observer.automaton.regions
-        self._verdicts: dict[tuple[_Where, tuple[int, ...], tuple[Event, ...]], bool | None] = {}
-        self._packed: dict[tuple[_Where, int], _Integrands] = {}
+        self._verdicts: dict[tuple[_Zeros, tuple[int, ...], tuple[Event, ...]], bool | None] = {}
+        self._packed: dict[tuple[Hashable, ...], _Integrands] = {}
 
     def of(self, batch: Batch, table: Array) -> tuple[dict[str, Array], dict[str, list[Array]]]:
         """Return the outputs of rows: numbers (m,), and lists, a row of each.
@@ -123,7 +123,7 @@ class RowOutputs:
             (outputs.start, _Points(rows, found.ends[:, FIRST_MODE], np.zeros(m), found.initial)),
             (
                 outputs.end,
-                _Points(rows, found.ends[:, LAST_MODE], found.clock[:, 0], found.final),
+                _Points(rows, found.place[:, N_MODE], found.now[:, T_HIGH], found.final),
             ),
         ):
             if group:
@@ -131,6 +131,8 @@ class RowOutputs:
                 numbers |= zip(group, columns, strict=True)
         if outputs.integrals:
             numbers |= zip(outputs.integrals, self._integrals(batch).T, strict=True)
+        for name, formula, which in outputs.extremes:
+            numbers[name] = self._extremes(batch, formula)[:, which]
         return numbers, lists
 
     def _values(
@@ -163,23 +165,49 @@ class RowOutputs:
         return self._simulator.compiled(batch.kinds[kind][1], batch.zeros).mode
 
     def _integrals(self, batch: Batch) -> Array:
-        block, found = batch.block, batch.found
-        key = batch.zeros, len(batch.kinds)
-        if key not in self._packed:
-            self._packed[key] = self._tapes(batch)
-        totals = np.zeros((len(found.ends), len(self._outputs.integrals)))
-        integrate_rows(
-            *self._packed[key], block.arcs, block.places, block.starts, block.times,
-            block.coefficients, found.spans[:, ARCS : ARCS + 2].copy(), found.values,
-            found.final.shape[1], totals,
-        )  # fmt: skip
+        """Return the declared integrals (m, f)."""
+        declared = self._outputs.integrals.values()
+        formulas = tuple(output.integral for output in declared)
+        tapes = self._tapes(batch, formulas, wanted([output.during for output in declared]))
+        totals = np.zeros((len(batch.found.ends), len(formulas)))
+        ints, floats, kinds, columns = tapes
+        integrate_rows(ints, floats, kinds, columns, *_Arcs.of(batch), totals)
         return totals
 
-    def _tapes(self, batch: Batch) -> _Integrands:
-        """Return what is integrated in every kind of mode, and where it is added."""
-        observer, declared = self._observer, self._outputs.integrals.values()
-        expressions = observer.expressions([output.integral for output in declared])
-        where = wanted([output.during for output in declared])
+    def _extremes(self, batch: Batch, formula: str | int | float) -> Array:
+        """Return the least and the greatest value (m, 2) of a formula."""
+        found, rows = batch.found, np.arange(len(batch.found.ends))
+        result = np.empty((len(rows), 2))
+        ints, floats, tapes, _ = self._tapes(batch, (formula,), ((),))
+        extremes_rows(ints, floats, tapes, *_Arcs.of(batch), result)
+        still = np.flatnonzero(found.spans[:, ARCS] == found.spans[:, ARCS + 1])
+        if still.size:  # nothing flowed
+            ends, end = found.place[still, N_MODE], found.now[still, T_HIGH]
+            first, last = (
+                self._values(batch, [formula], points)[:, 0]
+                for points in (
+                    _Points(still, found.ends[still, FIRST_MODE], 0.0 * end, found.initial[still]),
+                    _Points(still, ends, end, found.final[still]),
+                )
+            )
+            result[still, 0] = np.where(last < first, last, first)
+            result[still, 1] = np.where(last > first, last, first)
+        return result
+
+    def _tapes(
+        self, batch: Batch, formulas: tuple[str | int | float, ...], where: tuple[Where, ...]
+    ) -> _Integrands:
+        """Return what formulas are in every kind of mode, and their places there."""
+        key = batch.zeros, len(batch.kinds), formulas, where
+        if key not in self._packed:
+            self._packed[key] = self._taped(batch, formulas, where)
+        return self._packed[key]
+
+    def _taped(
+        self, batch: Batch, formulas: tuple[str | int | float, ...], where: tuple[Where, ...]
+    ) -> _Integrands:
+        observer = self._observer
+        expressions = observer.expressions(formulas)
         packed = Packed()
         tapes = np.zeros((len(batch.kinds), 9), np.int64)
         columns = np.zeros((len(batch.kinds), len(expressions)), np.int64)
@@ -223,7 +251,7 @@ class RowOutputs:
         """Return a jump like an event, with those impulses that it has surely, and possibly."""
         block, nowhere = batch.block, np.empty(0)
         if place == _STOP:
-            mode = batch.kinds[int(batch.found.ends[row, LAST_MODE])][0]
+            mode = batch.kinds[int(batch.found.place[row, N_MODE])][0]
             jump = Jump(0.0, 0, "", "stop", mode, mode, nowhere, nowhere)
             return jump, jump
         event = event_of(block, place, 0, batch.kinds)
@@ -242,9 +270,31 @@ class RowOutputs:
     def _jump(self, batch: Batch, events: _Events, event: int, table: Array) -> Jump:
         """Return the jump of an event itself."""
         row, place = int(events.owners[event]), int(events.places[event])
-        setup = self._runner.setup(table[row])
+        setup = partial(self._runner.setup, table[row])
         j = place - int(batch.found.spans[row, EVENTS])
         return batch.modes.jump(setup, event_of(batch.block, place, j, batch.kinds))
+
+
+class _Arcs(NamedTuple):
+    """The arcs of rows, as kernels take them; see `integrate_rows`."""
+
+    arcs: Ints32
+    places: Ints
+    starts: Array
+    times: Array
+    coefficients: Array
+    spans: Ints
+    values: Array
+    variables: int
+
+    @classmethod
+    def of(cls, batch: Batch) -> _Arcs:
+        block, found = batch.block, batch.found
+        spans = found.spans[:, ARCS : ARCS + 2].copy()
+        return cls(
+            block.arcs, block.places, block.starts, block.times, block.coefficients, spans,
+            found.values, found.final.shape[1],
+        )  # fmt: skip
 
 
 def modes_of(batch: Batch) -> list[tuple[Key, ...]]:
@@ -271,13 +321,13 @@ def modes_of(batch: Batch) -> list[tuple[Key, ...]]:
 
 def _events(batch: Batch) -> _Events:
     found, stopped = batch.found, np.flatnonzero(batch.stopped)
-    begins, counts = found.spans[:, EVENTS], found.counts[:, JUMPS]
+    begins, counts = found.spans[:, EVENTS], found.place[:, N_JUMPS]
     owners = np.repeat(np.arange(len(begins)), counts)
     places = np.arange(len(owners)) + np.repeat(begins - np.cumsum(counts) + counts, counts)
     codes = _codes(batch, places)
     owners, places = np.append(owners, stopped), np.append(places, np.full(len(stopped), _STOP))
     # A stop is like others in its mode.
-    codes = np.append(codes, -1 - found.ends[stopped, LAST_MODE])
+    codes = np.append(codes, -1 - found.place[stopped, N_MODE])
     order = np.argsort(owners, kind="stable")
     _, examples, alike = np.unique(codes[order], return_index=True, return_inverse=True)
     return _Events(owners[order], places[order], alike.ravel(), examples)
@@ -296,7 +346,7 @@ def _codes(batch: Batch, places: Ints) -> Ints:
 def _code(batch: Batch, row: int, place: int) -> tuple[int, ...]:
     """Return the same of one event, whatever other kinds there are."""
     if place == _STOP:
-        return (_STOP, int(batch.found.ends[row, LAST_MODE]))
+        return (_STOP, int(batch.found.place[row, N_MODE]))
     source, target, _, _, struck, group = batch.block.events[place].tolist()
     normal, tangential = batch.block.numbers[place, _NORMAL:].tolist()
     return source, target, struck, group != 0, normal != 0.0 or tangential != 0.0
@@ -322,7 +372,7 @@ def _at(batch: Batch, events: _Events, chosen: NDArray[np.intp], before: bool) -
     side = _SOURCE if before else _TARGET
     kinds = block.events[places, side].astype(np.int64)
     times, states = block.numbers[places, _TIME], block.states[places, 0 if before else 1]
-    kinds[stops] = found.ends[owners[stops], LAST_MODE]
-    times[stops] = found.clock[owners[stops], 0]
+    kinds[stops] = found.place[owners[stops], N_MODE]
+    times[stops] = found.now[owners[stops], T_HIGH]
     states[stops] = found.final[owners[stops]]
     return _Points(owners, kinds, times, states)

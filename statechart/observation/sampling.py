@@ -1,9 +1,9 @@
-"""Points of hybrid time: grids along the arcs of a run, and extremes looked for on them."""
+"""Points of hybrid time: grids along the arcs of a run."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,15 +11,6 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Arc, Key, Roles, Trace
-
-Evaluate = Callable[[Sequence[Arc], Sequence[Array]], Array]
-"""Values at local times of arcs, one array of times an arc; one value a time, in order."""
-
-# Grid on which extremes are looked for, in every piece of a step, before they are refined.
-_GRID = 16
-# Each round divides the bracket by 8; after 9 it is 1e-8 of a step, where a smooth extreme
-# differs from its neighbourhood by 1e-16.
-_ROUNDS, _DIVISIONS = 9, 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,63 +50,6 @@ class Points:
     roles: Sequence[Roles]
     ends: Sequence[int]
     unknowns: Array | None = None
-
-
-def extremes(
-    arcs: Sequence[Arc], pieces: Sequence[Array], evaluate: Evaluate
-) -> tuple[float, float]:
-    """Return the least and the greatest value over arcs; see `Observer.extremes`.
-
-    Parameters
-    ----------
-    arcs : sequence of Arc
-        Where they are looked for.
-    pieces : sequence of arrays
-        An arc each, local times where its pieces end: nothing in one is narrower than it.
-    evaluate : callable
-        Gives the values.
-    """
-    local = [_divided(np.append(0.0, ends), _GRID) for ends in pieces]
-    values = evaluate(arcs, local)
-    least = _least(arcs, local, values, evaluate, 1.0)
-    return least, -_least(arcs, local, -values, evaluate, -1.0)
-
-
-def _least(
-    arcs: Sequence[Arc], local: list[Array], values: Array, evaluate: Evaluate, sign: float
-) -> float:
-    """Return the least of ``sign * evaluate``, from its `values` on the grid `local`."""
-    if np.isnan(values).all():
-        return float("nan")
-    best = float(np.nanmin(values))
-    first = 0
-    for arc, tau in zip(arcs, local, strict=True):
-        v = values[first : first + len(tau)]
-        first += len(tau)
-        # Between grid points a smooth function is below them by at most about its second
-        # difference; only points that may hide a lower value are refined.
-        with np.errstate(invalid="ignore"):
-            bend = np.abs(np.diff(v, 2))
-            low = v - np.concatenate([bend[:1], bend, bend[-1:]]) < best
-        low[1:] &= v[1:] <= v[:-1]
-        low[:-1] &= v[:-1] <= v[1:]
-        for i in np.flatnonzero(low).tolist():
-            left, right = float(tau[max(i - 1, 0)]), float(tau[min(i + 1, len(tau) - 1)])
-            best = min(best, _refined(arc, left, right, evaluate, sign))
-    return best
-
-
-def _refined(arc: Arc, left: float, right: float, evaluate: Evaluate, sign: float) -> float:
-    best = float("inf")
-    for _ in range(_ROUNDS):
-        tau = np.linspace(left, right, _DIVISIONS + 1)
-        v = sign * evaluate((arc,), (tau,))
-        if np.isnan(v).all():
-            break
-        i = int(np.nanargmin(v))
-        best = min(best, float(v[i]))
-        left, right = float(tau[max(i - 1, 0)]), float(tau[min(i + 1, _DIVISIONS)])
-    return best
 
 
 def subdivided(arc: Arc, per_step: float) -> Array:

@@ -107,6 +107,7 @@ class Runner:
         self.model = model
         self._constants = model.constants()
         self._end = None if model.stop.time is None else parse(model.stop.time)
+        self._counting = bool(model.whole)
         read_at = working_time()
         try:
             self.automaton = _automaton(model)
@@ -174,12 +175,13 @@ class Runner:
         """
         overrides = dict(parameters or {})
         end = self.end(overrides, until=until)
-        with located(self.document, overrides):
-            variant = self.model.variant(overrides)
-        if variant is not self.model:
-            return self._other(variant, self._study).run(
-                overrides, until=end, certify=certify, throw=throw
-            )
+        if self._counting:
+            with located(self.document, overrides):
+                variant = self.model.variant(overrides)
+            if variant is not self.model:
+                return self._other(variant, self._study).run(
+                    overrides, until=end, certify=certify, throw=throw
+                )
         measured = self._plan.measured
         if measured is not None and (overrides or end != measured):
             return self._other(self.model, None).run(

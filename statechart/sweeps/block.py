@@ -25,6 +25,7 @@ from statechart.errors import (
     FormulaError,
     SimulationError,
 )
+from statechart.execution.ahead import T_HIGH
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.rows import modes_of
@@ -213,7 +214,7 @@ class _Cells:
             found.outcome[here[batch.stopped]] = Outcome.STOPPED.name
             found.message[here] = ""
             found.certified[here] = True
-            found.t_end[here] = batch.found.clock[:, 0]
+            found.t_end[here] = batch.found.now[:, T_HIGH]
             texts = map(structure.sequence, modes_of(batch))
             found.modes[here] = [codes.setdefault(text, len(codes)) for text in texts]
         if done:

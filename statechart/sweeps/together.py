@@ -50,8 +50,7 @@ class Together:
         found = self._runner.rows(self._task.names)
         if found is None:
             return None
-        outputs = Outputs(found[0], self._task.outputs)
-        return None if outputs.extremes else (found[1], RowOutputs(outputs, found[1]))
+        return found[1], RowOutputs(Outputs(found[0], self._task.outputs), found[1])
 
     @property
     def size(self) -> int:

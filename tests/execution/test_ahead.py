@@ -7,7 +7,7 @@ import pytest
 
 from contacts.event_driven.ordinary import SceneInstants
 from statechart.automaton.trace import Trace
-from statechart.execution import ahead
+from statechart.execution import loops
 from statechart.running.runner import Runner
 
 STICK = {
@@ -38,7 +38,7 @@ CASES = [
 def traced(
     model: str, values: dict[str, float], worth: float, monkeypatch: pytest.MonkeyPatch
 ) -> Trace:
-    monkeypatch.setattr(ahead, "_WORTH", worth)
+    monkeypatch.setattr(loops, "_WORTH", worth)
     runner = Runner(model)
     runner.run(values, throw=False)  # every mode is made known
     return runner.run(values, throw=False).trace
@@ -50,6 +50,7 @@ def test_a_run_is_the_same_to_the_bit(
 ) -> None:
     # Else it is taken at once where it lies compiled on disk.
     monkeypatch.setattr(SceneInstants, "compiled", lambda self: False)
+    monkeypatch.setattr(SceneInstants, "rows_compiled", lambda self: False)
     made = traced(model, values, -1, monkeypatch)
     alone = traced(model, values, float("inf"), monkeypatch)
     assert_same(made, alone)

@@ -10,7 +10,7 @@ from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
-from statechart.execution import ahead
+from statechart.execution import loops
 from statechart.loading.load import interpret
 from statechart.sweeps import block, together
 from statechart.sweeps.block import Block, run_block
@@ -46,6 +46,8 @@ outputs:
   begin: {value: energy, at: start}
   impulse: {integral: A.V + B.V}
   slid: {integral: B.slip, during: {B: closed}}
+  low: {minimum: stick.y}
+  strong: {maximum: A.V + B.V}
 """
 
 
@@ -66,7 +68,7 @@ def compared(
 ) -> int:
     """Run cells together and alone; return how many went through together."""
     # Else they do so where the call lies compiled on disk.
-    monkeypatch.setattr(ahead, "_WORTH", -1)
+    monkeypatch.setattr(loops, "_WORTH", -1)
     columns = dict(zip(model.ranges, table.T, strict=True))
     plan = Plan(model, Setting(), columns, grid=False, until=until)
     block._cells.cache_clear()

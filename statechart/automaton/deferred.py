@@ -1,0 +1,93 @@
+"""Mappings and sequences that are made when somebody looks at them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Generic, TypeVar, overload
+
+T = TypeVar("T")
+
+# Of a sequence, the first so many are kept once they have been made.
+_SHORT = 1 << 12
+
+
+class Deferred(Mapping[str, T], Generic[T]):
+    """What is made when it is first read: every mode considered, and why it was taken or not.
+
+    Parameters
+    ----------
+    make : callable
+        Returns it.
+    """
+
+    def __init__(self, make: Callable[[], Mapping[str, T]]) -> None:
+        self._make = make
+
+    @cached_property
+    def _made(self) -> Mapping[str, T]:
+        made = self._make()
+        del self._make  # and what it holds
+        return made
+
+    def __getitem__(self, label: str) -> T:
+        return self._made[label]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    def __reduce__(self) -> tuple[type, tuple[dict[str, T]]]:
+        return dict, (dict(self),)
+
+
+class Recorded(Sequence[T], Generic[T]):
+    """What is made when it is looked at, in order.
+
+    Parameters
+    ----------
+    make : callable
+        Makes what stands at a place.
+    count : callable
+        How many there are.
+    """
+
+    def __init__(self, make: Callable[[int], T], count: Callable[[], int]) -> None:
+        self._make, self._count = make, count
+        self._seen: dict[int, T] = {}
+
+    def __len__(self) -> int:
+        return self._count()
+
+    @overload
+    def __getitem__(self, place: int) -> T: ...
+    @overload
+    def __getitem__(self, place: slice) -> tuple[T, ...]: ...
+    def __getitem__(self, place: int | slice) -> T | tuple[T, ...]:
+        if isinstance(place, slice):
+            return tuple([self._at(i) for i in range(*place.indices(len(self)))])
+        count = len(self)
+        if not -count <= place < count:
+            raise IndexError(f"there are {count} of them, and none at {place}")
+        return self._at(place % count)
+
+    def __iter__(self) -> Iterator[T]:
+        return map(self._at, range(len(self)))
+
+    def forget(self, place: int) -> None:
+        """Make what stands at a place anew when it is looked at again."""
+        self._seen.pop(place, None)
+
+    def _at(self, place: int) -> T:
+        found = self._seen.get(place)
+        if found is None:
+            found = self._make(place)
+            if place < _SHORT:
+                self._seen[place] = found
+        return found
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Travel as what is seen here."""
+        return tuple, (tuple(self),)

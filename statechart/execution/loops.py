@@ -1,0 +1,269 @@
+"""The modes of a simulator as arrays, for compiled loops that run from flow to flow.
+
+The loops themselves are those of the laws (`statechart.automaton.laws.Ordinary`), which know what a
+usual instant is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from statechart.arrays import Array, Ints, Ints32
+from statechart.automaton.laws import Flow, Ordinary, Setup, roles_in
+from statechart.automaton.recording import Block, Event, Kind
+from statechart.automaton.trace import Jump, Key, Roles
+from statechart.engines.engine import Engine, Entry, Pace
+from statechart.engines.whole_flow import (
+    COLUMNS,
+    KINDS,
+    LAWS_AT,
+    TAPE,
+    Program,
+    Scratch,
+    scratch,
+)
+from statechart.execution.compiled_modes import CompiledMode
+from statechart.formulas.tape import Tape
+
+if TYPE_CHECKING:
+    from statechart.execution.rows import Found, Rows
+
+# Loops that are not compiled yet are, once so many flows could have been theirs: about two seconds.
+_WORTH = 2000
+# Steps of a flow that is made whole, and what they may take of a pad.
+_STEPS, _PART = 512, 1 << 17
+
+
+class Modes:
+    """The modes of a simulator for one set of zero parameters, as a `Program`; grows.
+
+    Parameters
+    ----------
+    ordinary : Ordinary
+        Of the laws.
+    engine : Engine
+    stops : int
+        Margins that end a run; they stand last.
+
+    Attributes
+    ----------
+    kinds : list of (Key, Roles)
+        Of every row; those of other flows of the runs stand between them.
+    """
+
+    def __init__(self, ordinary: Ordinary, engine: Engine, stops: int) -> None:
+        self.kinds: list[Kind] = []
+        self._ordinary, self._engine, self._stops = ordinary, engine, stops
+        self._compiled: dict[Kind, CompiledMode] = {}
+        self._entries: dict[Kind, Entry] = {}
+        self._bands: dict[str, int] = {}
+        self._memory: Scratch | None = None
+        self._loop: Loop | None = None
+        self._asked, self._worth = 0, False
+        self._calls: dict[tuple[str, ...], RowCall | None] = {}
+        self._rows_asked, self._rows_worth = 0, False
+
+    def compiled(self, kind: Kind) -> CompiledMode:
+        """Return a mode that was added."""
+        return self._compiled[kind]
+
+    def knows(self, kind: Kind) -> bool:
+        """Whether loops can go through a mode."""
+        return kind in self._compiled
+
+    def about(self, event: Event) -> tuple[str, str]:
+        """Return the region that an event of a loop is about, and its cause."""
+        return self._ordinary.about(event)
+
+    def jump(self, setup: Callable[[], Setup], event: Event) -> Jump:
+        """Return the jump of an event that a loop has made; `setup` gives the run's numbers."""
+        names = self._compiled[event.source, roles_in(event.source)].names
+        fired = names[event.fired] if event.fired >= 0 else ""
+        return self._ordinary.jump(setup, event, fired)
+
+    def add(self, mode: Key, roles: Roles, compiled: CompiledMode) -> None:
+        """Make a mode known, if loops can go through it."""
+        kind = mode, roles
+        if kind in self._compiled or self._ordinary.listed(*kind, compiled.names) is None:
+            return
+        entry = self._engine.entry(compiled.stepper)
+        if entry is not None:
+            self._compiled[kind], self._entries[kind] = compiled, entry
+            self._loop = None
+            self._calls.clear()
+
+    def rows(self, names: tuple[str, ...], count: int) -> RowCall | None:
+        """Return the call for so many runs with values of some parameters; None where none is.
+
+        As a loop it is compiled once it is worth that.
+        """
+        self._rows_asked += count
+        if not self._rows_worth:
+            self._rows_worth = self._rows_asked > _WORTH or self._ordinary.rows_compiled()
+        if not self._rows_worth or not self._compiled:
+            return None
+        if names not in self._calls:
+            if self._loop is None:
+                self._loop = self._made()
+            self._calls[names] = self._ordinary.rows(self._loop, names, self._engine.tolerance)
+        return self._calls[names]
+
+    def follows(self, setup: Callable[..., Setup]) -> bool:
+        """Whether rows of runs have the numbers that this gives for one."""
+        return self._ordinary.setup == setup
+
+    def flow(self, setup: Setup, kind: Kind, terms: Array | None = None) -> Flow:
+        """Return a usual flow in a mode."""
+        mode, roles = kind
+        tolerances = self._ordinary.tolerances(setup)
+        return Flow(mode, roles, settled=True, tolerances=tolerances, terms=terms)
+
+    def loop(self, mode: Key, roles: Roles) -> Loop | None:
+        """Return what loops run through from a flow on; None where they cannot enter it."""
+        if (mode, roles) not in self._compiled:
+            return None
+        self._asked += 1
+        if not self._worth:
+            self._worth = self._asked > _WORTH or self._ordinary.compiled()
+        if not self._worth:
+            return None
+        if self._loop is None:
+            self._loop = self._made()
+        return self._loop
+
+    def _made(self) -> Loop:
+        packed = Packed()
+        known = set(self.kinds)
+        self.kinds += [kind for kind in self._compiled if kind not in known]
+        rows = np.zeros((len(self.kinds), COLUMNS), np.int64)
+        rows[:, LAWS_AT] = -1
+        for kind, compiled in self._compiled.items():
+            entry = self._entries[kind]
+            margins = [
+                (KINDS.index(how), self._bands.setdefault(name, len(self._bands)))
+                for name, how in compiled.watched
+            ]
+            listed = self._ordinary.listed(*kind, compiled.names)
+            assert listed is not None
+            within = self._ordinary.within(kind[0])
+            row = rows[self.kinds.index(kind)]
+            row[:] = (
+                entry.address,
+                packed.ints(entry.used),
+                entry.takes,
+                packed.ints(np.ravel(margins)),
+                len(margins),
+                len(margins) - self._stops,
+                packed.ints(listed),
+                *packed.tape(compiled.guards),
+                *packed.tape(compiled.rates),
+                *(packed.tape(within) if within is not None else _NO_TAPE),
+                *packed.tape(compiled.lifting.tape),
+                *packed.tape(compiled.lifting.anchors),
+                packed.ints(compiled.lifting.places),
+            )
+        tapes = np.array([packed.tape(tape) for tape in self._ordinary.tapes], np.int64)
+        # Of one engine, and so of one order.
+        pace, memory = entry.pace, self._memory
+        if memory is None:
+            numbers = self._ordinary.tapes[0]
+            steps = max(min(_STEPS, _PART // (numbers.n_variables * pace.terms)), 1)
+            memory = scratch(steps, numbers.n_variables, numbers.n_parameters, pace.terms)
+            self._memory = memory
+        return Loop(
+            packed.program(rows), tapes, pace, memory, tuple(self._bands), tuple(self.kinds)
+        )
+
+
+class RowCall(Protocol):
+    """Runs rows of values of some parameters in one call."""
+
+    @property
+    def loop(self) -> Loop:
+        """What they go through."""
+        ...
+
+    @property
+    def series(self) -> Array:
+        """The series of the jumps of the last row."""
+        ...
+
+    def inputs(self, table: Array) -> Array:
+        """Return what the numbers of runs are computed from (m, i), of rows (m, p) of values."""
+        ...
+
+    def run(self, rows: Rows, block: Block, found: Found) -> int:
+        """Make runs; return how many of them before the block was full."""
+        ...
+
+
+class Loop(NamedTuple):
+    """What compiled loops run through.
+
+    Attributes
+    ----------
+    program : Program
+    tapes : (t, 9) array of int64
+        The laws' own.
+    pace : Pace
+    memory : Scratch
+    margins : tuple of str
+        Whose tolerances a run may set one by one, in their order.
+    kinds : tuple of (Key, Roles)
+        Of the rows of the program.
+    """
+
+    program: Program
+    tapes: NDArray[np.int64]
+    pace: Pace
+    memory: Scratch
+    margins: tuple[str, ...]
+    kinds: tuple[Kind, ...]
+
+
+_NO_TAPE = (0,) * TAPE
+
+
+class Packed:
+    """Arrays one behind the other."""
+
+    def __init__(self) -> None:
+        self._ints: list[Ints32] = []
+        self._floats: list[Array] = []
+        self._sizes = [0, 0]
+
+    def ints(self, array: ArrayLike) -> int:
+        """Add whole numbers; return where they begin."""
+        array = np.asarray(array, np.int32).ravel()
+        self._ints.append(array)
+        self._sizes[0] += array.size
+        return self._sizes[0] - array.size
+
+    def tape(self, tape: Tape) -> tuple[int, ...]:
+        """Add a tape; return its columns."""
+        self._floats.append(tape.constants)
+        self._sizes[1] += len(tape.constants)
+        return (
+            self.ints(tape.code),
+            len(tape.code),
+            self._sizes[1] - len(tape.constants),
+            len(tape.constants),
+            self.ints(tape.outputs),
+            len(tape.outputs),
+            self.ints(tape.reads),
+            len(tape.reads),
+            tape.n_fixed,
+        )
+
+    def program(self, modes: Ints) -> Program:
+        """Return all of it."""
+        return Program(*self.arrays(), modes)
+
+    def arrays(self) -> tuple[Ints32, Array]:
+        """Return whole numbers and floats, one behind the other."""
+        ints, floats = [np.zeros(0, np.int32), *self._ints], [np.zeros(0), *self._floats]
+        return np.concatenate(ints), np.concatenate(floats)

@@ -1,0 +1,124 @@
+"""Least and greatest value of a tape along the polynomials of steps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from statechart.arrays import Array, Ints32
+from statechart.kernels.jit import kernel
+from statechart.kernels.polynomials import sample_states
+from statechart.kernels.quadrature import integrate_outputs
+from statechart.kernels.tapes import tape_table
+
+# Grid on which extremes are looked for, in every piece of a step, before they are refined.
+_GRID = 16
+# Each round divides the bracket by 8; after 9 it is 1e-8 of a step, where a smooth extreme
+# differs from its neighbourhood by 1e-16.
+_ROUNDS, _DIVISIONS = 9, 16
+
+
+@kernel
+def along(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    n_fixed: int,
+    times: Array,
+    coeffs: Array,
+    parameters: Array,
+    high: float,
+    low: float,
+    tau: Array,
+    values: Array,
+) -> None:
+    """Write the values (m,) of a tape's one output at local times (m,)."""
+    states, clock = sample_states(coeffs, times, tau), np.empty(tau.shape[0])
+    for i in range(tau.shape[0]):
+        clock[i] = high + (low + tau[i])
+    found = tape_table(code, constants, outputs, n_fixed, states, parameters, clock)
+    for i in range(tau.shape[0]):
+        values[i] = found[i, 0]
+
+
+@kernel
+def widen(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    reads: Ints32,
+    n_fixed: int,
+    times: Array,
+    resolved: Array,
+    coeffs: Array,
+    parameters: Array,
+    high: float,
+    low: float,
+    extremes: Array,
+) -> None:
+    """Bring the least and the greatest value up to date by those along an arc.
+
+    Parameters
+    ----------
+    code, constants, outputs, reads, n_fixed
+        A tape with one output.
+    times, coeffs
+        The arc.
+    resolved : (k, n, d + 1) array
+        The arc, without what has no value: pieces are looked for there, nothing in one is
+        narrower than it.
+    parameters : (p,) array
+    high, low : float
+        When the arc starts.
+    extremes : (2,) array
+        Not numbers where nothing had a value; what has none does not count.
+    """
+    _, ends = integrate_outputs(
+        code, constants, outputs, reads, n_fixed, times, resolved, parameters, high, 0.0, times[-1]
+    )
+    pieces, begin = ends.shape[0], 0.0
+    tau = np.zeros(_GRID * pieces + 1)
+    for k in range(pieces):
+        for i in range(_GRID):
+            tau[_GRID * k + i] = begin + (ends[k] - begin) * (i / _GRID)
+        begin = ends[k]
+    tau[-1] = begin
+    grid, near, fine = np.empty(tau.shape[0]), np.empty(_DIVISIONS + 1), np.empty(_DIVISIONS + 1)
+    along(code, constants, outputs, n_fixed, times, coeffs, parameters, high, low, tau, grid)
+    last = tau.shape[0] - 1
+    for which in range(2):
+        sign = 1.0 - 2.0 * which
+        best = sign * extremes[which]
+        for i in range(last + 1):
+            if not sign * grid[i] >= best and grid[i] == grid[i]:
+                best = sign * grid[i]
+        for i in range(last + 1):
+            # Between grid points a smooth function is below them by at most about its second
+            # difference; only points that may hide a lower value are refined.
+            k = min(max(i, 1), last - 1)
+            here = sign * grid[i]
+            if last < 2 or not here - abs(grid[k - 1] - 2.0 * grid[k] + grid[k + 1]) < best:
+                continue
+            if i > 0 and not here <= sign * grid[i - 1]:
+                continue
+            if i < last and not here <= sign * grid[i + 1]:
+                continue
+            left, right = tau[max(i - 1, 0)], tau[min(i + 1, last)]
+            for _ in range(_ROUNDS):
+                for j in range(_DIVISIONS):
+                    near[j] = left + j * ((right - left) / _DIVISIONS)
+                near[_DIVISIONS] = right
+                along(
+                    code, constants, outputs, n_fixed, times, coeffs, parameters, high, low, near,
+                    fine,
+                )  # fmt: skip
+                at, least = -1, math.inf
+                for j in range(_DIVISIONS + 1):
+                    if sign * fine[j] < least:
+                        at, least = j, sign * fine[j]
+                if at < 0:
+                    break
+                best = min(best, least)
+                left, right = near[max(at - 1, 0)], near[min(at + 1, _DIVISIONS)]
+        extremes[which] = sign * best
