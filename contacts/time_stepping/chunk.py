@@ -110,6 +110,11 @@ class Chunk(NamedTuple):
         """Return the first `count` steps."""
         return Chunk._make((self.h, self.states[: count + 1], *(rows[:count] for rows in self[2:])))
 
+    def ends(self, start: float) -> Array:
+        """Return when the steps end that begin at `start`."""
+        ends: Array = start + self.h * np.arange(1, len(self.codes) + 1, dtype=float)
+        return ends
+
     def after(self, count: int) -> Chunk:
         """Return the steps after the first `count`."""
         return Chunk._make((self.h, *(rows[count:] for rows in self[1:])))

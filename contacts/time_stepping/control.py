@@ -20,6 +20,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.scene_tape import SteppedTape
+from contacts.time_stepping.stops import first_lost
 from statechart.arrays import Array, Bools
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key
@@ -103,8 +104,7 @@ class StepControl:
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> Chunk:
         """Return the steps up to the first after which the controllers are to be asked."""
-        times: Array = start + chunk.h * np.arange(1, len(chunk.codes) + 1, dtype=float)
-        due = self._due(times, chunk.states[1:], chunk.solved, chunk.h)
+        due = self._due(chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h)
         asked: Bools = np.any(due, axis=1)
         if self._listening.waits(self._names, self.states):
             asked |= recorder.changes(chunk)
@@ -176,6 +176,15 @@ class StepControl:
             f"more than {_MOST_TURNS} transitions of controllers at one instant: "
             + ", ".join(self.states)
         )
+
+    def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
+        """Return the first step at whose end a guard has no value, and its name."""
+        if not len(chunk.codes):
+            return None
+        guards, solved = self._states.guards(self.states), chunk.solved[:, self._order]
+        rows = guards.table(self._setup, chunk.ends(start), chunk.states[1:], solved)
+        found = first_lost(rows[..., 0], np.hstack([chunk.states[1:], solved]))
+        return None if found is None else (found[0], guards.watch.guards[found[1]].margin)
 
     def _due(self, times: Array, states: Array, solved: Array, h: float) -> Bools:
         """Return which guards (m, g) are due."""

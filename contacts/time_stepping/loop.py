@@ -47,7 +47,7 @@ from statechart.automaton.trace import (
     Trace,
     check_size,
 )
-from statechart.errors import SimulationError, StepTooLarge, TooLong
+from statechart.errors import NonFinite, SimulationError, StepTooLarge, TooLong
 from statechart.formulas.tape import Tape
 
 # Steps at once, in which no signal is seen: of what takes longer than this many seconds, half as
@@ -85,6 +85,10 @@ class Control(Protocol):
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> Chunk:
         """Return the steps up to the first after which it may act."""
+        ...
+
+    def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
+        """Return the first step at whose end what it waits for has no value, and its name."""
         ...
 
     def turn(
@@ -267,6 +271,14 @@ class _Run:
         if missed is not None:
             failure = missed[1]
             chunk = chunk.first(missed[0])
+        lost = self.stops.lost(chunk, start)
+        if lost is None and self.control is not None:
+            lost = self.control.lost(chunk, start)
+        if lost is not None:
+            failure = NonFinite(
+                f"the guard {lost[1]} cannot be evaluated a step of {chunk.h:g} later"
+            )
+            chunk = chunk.first(lost[0])
         stopped = self.stops.met(chunk, start)
         if stopped is not None:
             chunk = chunk.first(stopped[0] + 1)

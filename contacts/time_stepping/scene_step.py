@@ -183,7 +183,7 @@ def step_scene(
                 off[i] = not (condition > 0.0 and gap >= -near)
             elif condition < 0.0:
                 off[i] = True
-            if not off[i] and not math.isfinite(gap):
+            if not off[i] and (math.isnan(condition) or not math.isfinite(gap)):
                 return k, NOT_FINITE, nothing, none, none
             gaps[k, i] = math.inf if off[i] else gap
             if held[i] > 0 or off[i] or was_off:

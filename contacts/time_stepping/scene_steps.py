@@ -275,4 +275,6 @@ def _failure(status: int) -> SingularMode | NonFinite:
             "the equations do not determine the motion: a coordinate without inertia moves "
             "nothing that could hold it, or what is held contradicts itself"
         )
-    return NonFinite("a coordinate, or the gap of a contact, became infinite or undefined")
+    return NonFinite(
+        "a coordinate, or a gap or condition of a contact, became infinite or undefined"
+    )

@@ -8,7 +8,7 @@ import numpy as np
 
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools
 from statechart.automaton.trace import Arc
 from statechart.formulas.tape import Tape
 
@@ -47,13 +47,24 @@ class StopConditions:
         """Return (step, condition) of the first condition met, by the steps' ends."""
         if not self._names:
             return None
-        rows = np.hstack([chunk.states[1:], chunk.solved])
-        times: Array = start + chunk.h * np.arange(1, len(rows) + 1, dtype=float)
-        below = self._margins(rows, times) < 0.0
+        below = self._ends(chunk, start)[1] < 0.0
         if not below.any():
             return None
         k = int(np.argmax(below.any(axis=1)))
         return k, int(np.argmax(below[k]))
+
+    def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
+        """Return the first step at whose end a condition has no value, and its name."""
+        if not self._names:
+            return None
+        rows, margins = self._ends(chunk, start)
+        found = first_lost(margins, rows)
+        return None if found is None else (found[0], self._names[found[1]])
+
+    def _ends(self, chunk: Chunk, start: float) -> tuple[Array, Array]:
+        """Return what the margins are of, and the margins, at the ends of steps."""
+        rows = np.hstack([chunk.states[1:], chunk.solved])
+        return rows, self._margins(rows, chunk.ends(start))
 
     def locate(self, recorder: Recorder, condition: int) -> Array:
         """Cut what is recorded where a condition is met in its last step; return that state."""
@@ -90,6 +101,16 @@ class StopConditions:
     def _margins(self, rows: Array, times: Array | float) -> Array:
         times = np.broadcast_to(np.asarray(times, dtype=float), len(rows)).copy()
         return self._tape.table(rows, self._values, times)
+
+
+def first_lost(margins: Array, inputs: Array) -> tuple[int, int] | None:
+    """Return (row, column) of the first margin that is not a number though all its inputs are.
+
+    Forces of steps that hold an impulse are not known, nor are margins on them.
+    """
+    known: Bools = np.all(np.isfinite(inputs), axis=1)
+    lost = np.argwhere(np.isnan(margins) & known[:, None]).tolist()
+    return (lost[0][0], lost[0][1]) if lost else None
 
 
 def _cut(arc: Arc, end: float) -> Arc:
