@@ -233,9 +233,10 @@ class BodyStepper(Stepper):
         for name, margin in trial.margins.items():
             if margin < -_START_DEPTH * length:
                 body = name.removesuffix(".gap")
+                where, advice = trial.deepest_of(body) or ("another body or a surface", "move it")
                 raise DeclarationProblem(
-                    f"body {body!r} starts {-margin:.6g} deep in another body or a surface",
-                    advice="move it out",
+                    f"body {body!r} starts {-margin:.6g} deep in {where}",
+                    advice=f"{advice} out",
                     loc=("bodies", body, "start"),
                 )
         return setup, SteppedHeap(names, bodies, around(), plastic, allowed, DEEPEST * length)
@@ -297,6 +298,19 @@ class SteppedHeap:
             for name, gap in zip(self._names, self._least, strict=True)
             if np.isfinite(gap)
         }
+
+    def deepest_of(self, body: str) -> tuple[str, str] | None:
+        """Return what a body touches the deepest since the last step, and how it is to move."""
+        b, touches, count = self._names.index(body), self._room.touches, len(self._names)
+        mine = [i for i in range(int(self._memory.many[0])) if b in touches.bodies[i].tolist()]
+        if not mine:
+            return None
+        i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]))
+        depth, (nx, ny) = -float(self._memory.contacts[i, 0]), touches.rows[i, 0, :2].tolist()
+        one, other = divmod(int(touches.keys[i, 0]), count + len(self.numbers.surfaces.kinds))
+        sign, partner = (1.0, other) if one == b else (-1.0, one)
+        where = f"body {self._names[partner]!r}" if partner < count else "a surface"
+        return where, f"move it by ({sign * depth * nx:.6g}, {sign * depth * ny:.6g})"
 
     @property
     def remarks(self) -> tuple[str, ...]:

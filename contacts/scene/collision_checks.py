@@ -154,7 +154,29 @@ def _check_shape(scene: SceneFields, name: str, shape: Shape, values: Mapping[st
     following = np.roll(edges, -1, axis=0)
     turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
     whole = np.arctan2(turns, (edges * following).sum(axis=1)).sum()
-    if not (turns > 0.0).all() or whole > 2.0 * np.pi + 1e-6:
+    problem = "a polygon is convex, its corners counter-clockwise"
+    if (turns < 0.0).all():
         raise DeclarationProblem(
-            "a polygon is convex, its corners counter-clockwise", loc=(*at, "polygon")
+            f"{problem}; these are clockwise", advice="reverse their order", loc=(*at, "polygon")
+        )
+    if not (turns > 0.0).all():
+        corner = (int(np.argmin(turns > 0.0)) + 1) % len(corners)
+        x, y = corners[corner].tolist()
+        how = "lies on a straight edge, or twice in a place"
+        advice = "leave it out"
+        if turns[corner - 1] < 0.0:
+            how, advice = (
+                "points inwards",
+                "split the shape there into convex ones, or leave it out",
+            )
+        raise DeclarationProblem(
+            f"{problem}; corner {corner + 1}, at ({x:.6g}, {y:.6g}), {how}",
+            advice=advice,
+            loc=(*at, "polygon", corner),
+        )
+    if whole > 2.0 * np.pi + 1e-6:
+        raise DeclarationProblem(
+            f"{problem}; these go around {whole / (2.0 * np.pi):.0f} times",
+            advice="give every corner once, in order",
+            loc=(*at, "polygon"),
         )

@@ -90,6 +90,9 @@ settings: {engine: impulse, step: 1e-2}
     ("old", "new", "words"),
     [
         ("[[-1, -1], [1, -1], [1, 1], [-1, 1]]", "[[-1, -1], [-1, 1], [1, 1]]", "convex"),
+        ("[[-1, -1], [1, -1], [1, 1], [-1, 1]]", "[[-1, -1], [-1, 1], [1, 1]]", "clockwise"),
+        ("[1, 1], [-1, 1]]", "[0, 0], [1, 1], [-1, 1]]", r"corner 3, at \(0, 0\), points inwards"),
+        ("[1, 1], [-1, 1]]", "[1, 0], [1, 1], [-1, 1]]", r"corner 3, at \(1, 0\), lies on"),
         ("copies: 2", "copies: 1.5", "whole number"),
         ("bodies: [block], surf", "bodies: [brick], surf", "no body 'brick'"),
         ("    inertia: 1\n", "", "free and has an inertia"),
@@ -102,8 +105,11 @@ def test_wrong_declarations_are_refused(old, new, words):
 
 
 def test_bodies_that_overlap_at_the_start_are_refused():
-    with pytest.raises(DeclarationError, match="deep in another body"):
+    words = r"body 'block0' starts 0.5 deep in body 'block1'.*move it by \(-?0, -0.5\) out"
+    with pytest.raises(DeclarationError, match=words):
         Runner(interpret(read_text(TWO.replace("3*index", "1.5*index")))).run()
+    with pytest.raises(DeclarationError, match=r"0.25 deep in a surface.*by \(0, 0.25\) out"):
+        Runner(interpret(read_text(TWO.replace("1 + 3*index", "0.75 + 3*index")))).run()
 
 
 def test_engines_with_events_say_what_runs_it():
