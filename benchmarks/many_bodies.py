@@ -1,8 +1,9 @@
 """Many bodies: time and exactness by the tolerance of impulses, beside others; and random heaps.
 
 Same discs, same step, one process, one core: medians. Of others what is installed is measured:
-pymunk and MuJoCo (`pip install "contact-statecharts[bench]"`). They give no impulses of contacts
-that this measures alike, so that their exactness is not told.
+Box2D 3, pymunk and MuJoCo (`pip install "contact-statecharts[bench]"`), each in a process of its
+own. They give no impulses of contacts that this measures alike, so that their exactness is not
+told; of all the deepest overlap is, at the end, and how high the highest disc then is.
 
 python benchmarks/many_bodies.py [--discs 100] [--dice 10 40] [--heaps 1000] [--repeats 5]
 """
@@ -11,11 +12,16 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import math
 import statistics
+import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+
+import numpy as np
+import scipy.spatial
 
 from contacts.collisions.outlines import body_numbers, owners_of
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
@@ -32,13 +38,13 @@ _RADIUS, _MASS, _FRICTION, _RESTITUTION = 0.01, 0.01, 0.5, 0.2
 
 
 def median(function: Callable[[], object], repeats: int) -> float:
-    """Return the median of so many times, after one that is not counted."""
+    """Return the median of so many times of the processor, after one that is not counted."""
     function()
     taken = []
     for _ in range(repeats):
-        began = time.perf_counter()
+        began = time.process_time()
         function()
-        taken.append(time.perf_counter() - began)
+        taken.append(time.process_time() - began)
     return statistics.median(taken)
 
 
@@ -64,30 +70,57 @@ def starts(count: int) -> list[tuple[float, float]]:
     return [(x, y) for x, y, _ in places.tolist()]
 
 
-def by_pymunk(places: list[tuple[float, float]]) -> Callable[[], None]:
-    pymunk = importlib.import_module("pymunk")
+def by_box2d(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float, float]]]:
+    box2d = importlib.import_module("pyb2d3")
+    # Of two coefficients of friction the geometric mean is taken, of restitution the larger.
+    material = box2d.surface_material(friction=_FRICTION, restitution=_RESTITUTION)
+    shape = box2d.shape_def(density=_MASS / (math.pi * _RADIUS**2), material=material)
 
-    def run() -> None:
-        space = pymunk.Space()
-        space.gravity, space.iterations = (0.0, -9.81), 30
+    def run() -> list[tuple[float, float]]:
+        world = box2d.World(gravity=(0.0, -9.81))
+        ground = world.create_static_body(position=(0.0, 0.0))
         for ends in (((-10.0, 0.0), (10.0, 0.0)), ((0.0, 0.0), (0.0, 10.0))):
-            wall = pymunk.Segment(space.static_body, *ends, 0.0)
-            wall.friction, wall.elasticity = 1.0, 1.0
-            space.add(wall)
+            ground.create_shape(shape, box2d.segment(*ends))
+        discs = []
         for place in places:
-            body = pymunk.Body(_MASS, _MASS * _RADIUS**2 / 2)
-            body.position = place
-            disc = pymunk.Circle(body, _RADIUS)
-            # Coefficients of a pair are products.
-            disc.friction, disc.elasticity = _FRICTION**0.5, _RESTITUTION**0.5
-            space.add(body, disc)
+            discs.append(world.create_dynamic_body(position=place))
+            discs[-1].create_shape(shape, box2d.circle(radius=_RADIUS))
         for _ in range(round(_END / _STEP)):
-            space.step(_STEP)
+            world.step(_STEP, 4)
+        found = [(disc.position[0], disc.position[1]) for disc in discs]
+        world.destroy()
+        return found
 
     return run
 
 
-def by_mujoco(places: list[tuple[float, float]]) -> Callable[[], None]:
+def by_pymunk(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float, float]]]:
+    pymunk = importlib.import_module("pymunk")
+
+    def run() -> list[tuple[float, float]]:
+        space = pymunk.Space()
+        space.gravity, space.iterations = (0.0, -9.81), 30
+        for ends in (((-10.0, 0.0), (10.0, 0.0)), ((0.0, 0.0), (0.0, 10.0))):
+            wall = pymunk.Segment(space.static_body, *ends, 0.0)
+            # Coefficients of a pair are products.
+            wall.friction, wall.elasticity = _FRICTION**0.5, _RESTITUTION**0.5
+            space.add(wall)
+        discs = []
+        for place in places:
+            body = pymunk.Body(_MASS, _MASS * _RADIUS**2 / 2)
+            body.position = place
+            disc = pymunk.Circle(body, _RADIUS)
+            disc.friction, disc.elasticity = _FRICTION**0.5, _RESTITUTION**0.5
+            space.add(body, disc)
+            discs.append(body)
+        for _ in range(round(_END / _STEP)):
+            space.step(_STEP)
+        return [(body.position.x, body.position.y) for body in discs]
+
+    return run
+
+
+def by_mujoco(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float, float]]]:
     mujoco = importlib.import_module("mujoco")
     inertia = _MASS * _RADIUS**2 / 2
     discs = "".join(
@@ -103,12 +136,33 @@ def by_mujoco(places: list[tuple[float, float]]) -> Callable[[], None]:
         f'<geom type="plane" size="9 9 1" zaxis="1 0 0"/>{discs}</worldbody></mujoco>'
     )
 
-    def run() -> None:
+    def run() -> list[tuple[float, float]]:
         data = mujoco.MjData(model)
         for _ in range(round(_END / _STEP)):
             mujoco.mj_step(model, data)
+        return [(x, z) for x, _, z in data.xpos[1:].tolist()]
 
     return run
+
+
+PEERS = {"box2d": by_box2d, "pymunk": by_pymunk, "mujoco": by_mujoco}
+
+
+def peer(name: str, count: int, repeats: int) -> None:
+    """Print what a run of a peer takes, and what it reaches."""
+    try:
+        run = PEERS[name](starts(count))
+    except ImportError:
+        print(f"{name:16}{count:6}  is not installed", flush=True)
+        return
+    taken, places = median(run, repeats), np.array(run())
+    away = scipy.spatial.distance.pdist(places).min() - 2 * _RADIUS
+    deepest = max(0.0, -min(float(away), float(places.min()) - _RADIUS))
+    print(
+        f"{name:16}{count:6}{'':10}{taken:10.3f} s  overlap at the end {deepest / _RADIUS:.1e} r, "
+        f"height {places[:, 1].max() / _RADIUS:.2f} r",
+        flush=True,
+    )
 
 
 def heaps(count: int) -> None:
@@ -151,7 +205,12 @@ def main() -> None:
     parser.add_argument("--tolerances", type=float, nargs="*", default=[1e-2, 1e-4, 1e-6, 1e-8])
     parser.add_argument("--heaps", type=int, default=0)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--peer", choices=PEERS, help="this program alone")
     chosen = parser.parse_args()
+    if chosen.peer:
+        for count in chosen.discs:
+            peer(chosen.peer, count, chosen.repeats)
+        return
     print(
         f"{'model':16}{'bodies':>6}{'tolerance':>10}{'median':>12}{'a contact':>13}"
         f"{'iterations':>10}{'inexact':>9}{'overlap':>10}"
@@ -159,13 +218,9 @@ def main() -> None:
     for count in chosen.discs:
         for tolerance in chosen.tolerances:
             ours("granular_column", count, tolerance, chosen.repeats)
-        for peer, made in (("pymunk", by_pymunk), ("mujoco", by_mujoco)):
-            try:
-                taken = median(made(starts(count)), chosen.repeats)
-            except ImportError:
-                print(f"{peer:16}{count:6}  is not installed")
-                continue
-            print(f"{peer:16}{count:6}{'':10}{taken:10.3f} s")
+        for name in PEERS:
+            alone = [sys.executable, __file__, "--peer", name, "--discs", str(count)]
+            subprocess.run([*alone, "--repeats", str(chosen.repeats)], check=True)
     for count in chosen.dice:
         ours("dice", count, 1e-6, chosen.repeats)
     if chosen.heaps:

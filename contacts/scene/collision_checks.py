@@ -160,19 +160,19 @@ def _check_shape(scene: SceneFields, name: str, shape: Shape, values: Mapping[st
             f"{problem}; these are clockwise", advice="reverse their order", loc=(*at, "polygon")
         )
     if not (turns > 0.0).all():
-        corner = (int(np.argmin(turns > 0.0)) + 1) % len(corners)
-        x, y = corners[corner].tolist()
+        wrong = (int(np.argmin(turns > 0.0)) + 1) % len(corners)
+        x, y = corners[wrong].tolist()
         how = "lies on a straight edge, or twice in a place"
         advice = "leave it out"
-        if turns[corner - 1] < 0.0:
+        if turns[wrong - 1] < 0.0:
             how, advice = (
                 "points inwards",
                 "split the shape there into convex ones, or leave it out",
             )
         raise DeclarationProblem(
-            f"{problem}; corner {corner + 1}, at ({x:.6g}, {y:.6g}), {how}",
+            f"{problem}; corner {wrong + 1}, at ({x:.6g}, {y:.6g}), {how}",
             advice=advice,
-            loc=(*at, "polygon", corner),
+            loc=(*at, "polygon", wrong),
         )
     if whole > 2.0 * np.pi + 1e-6:
         raise DeclarationProblem(
