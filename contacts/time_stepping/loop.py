@@ -23,9 +23,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.effort import Effort
 from contacts.time_stepping.energy import MOST_ADDED
 from contacts.time_stepping.recorder import TERMS, Recorder
+from contacts.time_stepping.stepped import Control, Stepped
 from contacts.time_stepping.stops import StopConditions
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
@@ -41,7 +42,6 @@ from statechart.automaton.laws import Impulses
 from statechart.automaton.trace import (
     FAR_TOO_MANY,
     LARGEST,
-    Jump,
     Key,
     Outcome,
     Trace,
@@ -60,42 +60,6 @@ DEEPEST = 0.1
 _COUNTED = 2.0**53
 # After so many steps it is known what each takes.
 _KNOWN = 2**15
-
-
-class Stepped(Protocol):
-    """What is stepped."""
-
-    @property
-    def margins(self) -> dict[str, float]:
-        """The least values seen."""
-        ...
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What a reader must know of the run."""
-        ...
-
-    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
-        """Take steps."""
-        ...
-
-
-class Control(Protocol):
-    """What acts at the ends of steps."""
-
-    def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> Chunk:
-        """Return the steps up to the first after which it may act."""
-        ...
-
-    def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
-        """Return the first step at whose end what it waits for has no value, and its name."""
-        ...
-
-    def turn(
-        self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
-    ) -> Array:
-        """Act at the end of a step, after the jumps of the step; return the state then."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +118,8 @@ class Begun(NamedTuple):
         What acts at the ends of steps.
     failure : SimulationError or None
         Why not even one step can be made.
+    change : callable or None
+        Lets it go on with other values of parameters; returns the numbers. None where it cannot.
     """
 
     setup: SceneSetup
@@ -162,20 +128,22 @@ class Begun(NamedTuple):
     warnings: tuple[str, ...]
     control: Control | None = None
     failure: SimulationError | None = None
+    change: Callable[[Mapping[str, float]], SceneSetup] | None = None
 
 
 class Span(NamedTuple):
-    """How far a run goes, by which steps, and who is told."""
+    """How far a run goes, by which steps, who is told; after what time at most it is looked at."""
 
     step: float
     until: float
     max_jumps: int
     impulses: Impulses
     show: Callable[[float, int, int], None]
+    every: float = math.inf
 
 
-def run(stepping: Stepping, begun: Begun, span: Span) -> Trace:
-    """Step a scene from its initial state; see `statechart.automaton.laws.TimeStepper.run`."""
+def made_ready(stepping: Stepping, begun: Begun, span: Span) -> SteppedRun:
+    """Return a run of a scene from its initial state."""
     values = begun.setup.values
     recorder = Recorder(
         stepping.regions[: len(begun.codes)],
@@ -187,21 +155,20 @@ def run(stepping: Stepping, begun: Begun, span: Span) -> Trace:
         lambda state, time: float(stepping.energy.values(state, values, time)[0]),
         len(stepping.angles),
     )
-    made = _Run(stepping, begun, recorder, span)
-    try:
-        if begun.failure is not None:
-            raise begun.failure
-        with interrupts.held():
-            made.loop()
-    except KeyboardInterrupt:
-        made.end(Outcome.INTERRUPTED, "interrupted by the user")
-    except SimulationError as error:
-        made.end(Outcome[error.outcome], f"t = {made.time:.17g}: {error}")
-    return made.trace(begun.warnings)
+    return SteppedRun(stepping, begun, recorder, span)
 
 
-class _Run:
+class SteppedRun:
+    """A run by steps, as far as it has come.
+
+    Parameters
+    ----------
+    stepping, begun, recorder, span
+        What is stepped, from where, who notes it, and how far.
+    """
+
     def __init__(self, stepping: Stepping, begun: Begun, recorder: Recorder, span: Span) -> None:
+        self._begun = begun
         self.stepping, self.recorder, self.span = stepping, recorder, span
         self.setup, self.stepped, self.control = begun.setup, begun.stepped, begun.control
         self.stops = StopConditions(stepping.stops, stepping.stop_names, self.setup.values)
@@ -211,14 +178,33 @@ class _Run:
         self.effort = Effort(span.impulses)
 
     def end(self, outcome: Outcome, message: str) -> None:
+        """Let the run end, and say why."""
         self.outcome, self.message = outcome, message
 
-    def loop(self) -> None:
+    def chunks(self) -> Iterator[None]:
+        """Make the run; yield when it begins and after every chunk of steps."""
+        try:
+            if self._begun.failure is not None:
+                raise self._begun.failure
+            steps = self._steps()
+            while True:
+                with interrupts.held():
+                    going = next(steps, False)
+                if not going:
+                    return
+                yield
+        except KeyboardInterrupt:
+            self.end(Outcome.INTERRUPTED, "interrupted by the user")
+        except SimulationError as error:
+            self.end(Outcome[error.outcome], f"t = {self.time:.17g}: {error}")
+
+    def _steps(self) -> Iterator[bool]:
         step, until = self.span.step, self.span.until
         met = self.stops.at_start(self.state)
         if met is not None:
             self._stop(met)
             return
+        yield True
         if self.control is not None:
             solved = self.stops.unknown(self.state)
             self.state = self.control.turn(self.recorder, (), self.state, solved, step)
@@ -230,6 +216,7 @@ class _Run:
             # Forces are impulses over a step: in a very short one they would be rounding.
             counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
         most = max(1, _CHUNK // max(1, len(self.stepping.regions)))
+        each = max(1, round(min(self.span.every / step, _COUNTED)))
         for count, h in counts:
             # A step may be taken in parts, of which there are a power of two.
             done = 0.0
@@ -240,7 +227,9 @@ class _Run:
                 if asked < 1.0:
                     chunk = self.stepped.steps(begin, asked * h, self.state, 1)
                 else:
-                    chunk = self.stepped.steps(begin, h, self.state, min(int(asked), most))
+                    chunk = self.stepped.steps(
+                        begin, h, self.state, min(int(asked), most, each - int(done) % each)
+                    )
                 took = time.perf_counter() - began
                 if took > _PATIENCE:
                     most = max(1, most // 2)
@@ -257,6 +246,8 @@ class _Run:
                         self.recorder, fresh, self.state, chunk.solved[-1], h
                     )
                 done += len(chunk.codes) * (chunk.h / h)
+                if self.span.every == math.inf or done % each == 0.0:
+                    yield True
         self.time = until
         self.message = f"reached t = {until:.17g}"
 
@@ -357,8 +348,15 @@ class _Run:
         self.recorder.stop(name, self.state)
         self.end(Outcome.STOPPED, f"{name} at t = {self.time:.17g}")
 
-    def trace(self, warnings: Sequence[str]) -> Trace:
-        recorder, stepping = self.recorder, self.stepping
+    def whole(self) -> Trace:
+        """Make all of the run."""
+        for _ in self.chunks():
+            pass
+        return self.trace()
+
+    def trace(self) -> Trace:
+        """Return what was made."""
+        recorder, stepping, warnings = self.recorder, self.stepping, self._begun.warnings
         recorder.close()
         tolerances = dict(self.setup.tolerances)
         # A contact lands within a step, and stays as deep as it has landed.

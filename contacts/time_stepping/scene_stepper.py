@@ -79,6 +79,12 @@ class SceneStepper(Stepper):
     ) -> Begun:
         scene = SteppedScene(self._tapes.at(self._tapes.initial), setup, off, allowed)
         control = None
+
+        def change(values: Mapping[str, float]) -> SceneSetup:
+            numbers = self._numbers.at(values, RELATIVE)
+            scene.change(numbers)
+            return numbers
+
         if self._scene.regions:
             tapes, numbers = self._tapes, self._numbers
 
@@ -87,7 +93,8 @@ class SceneStepper(Stepper):
                 scene.switch(tapes.at(tuple(states.values())), contacts)
 
             control = StepControl(self._mechanics, tapes, setup, scene, switch, self._regions)
-        return Begun(setup, scene, codes, warnings, control, failure)
+        able = None if self._scene.regions else change
+        return Begun(setup, scene, codes, warnings, control, failure, able)
 
     def _checked(self, overrides: Mapping[str, float], allowed: float) -> Begun:
         setup = self._numbers.at(overrides, RELATIVE)

@@ -87,6 +87,11 @@ class SteppedScene:
         self._misses = Misses(setup.scales)
         self._misses_kept = self._misses.copy()
 
+    def change(self, setup: SceneSetup) -> None:
+        """Go on with other values of parameters."""
+        self._values = setup.values
+        self.switch(self._source, setup.contacts)
+
     def switch(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Go on with other forces and coefficients."""
         self._source = source

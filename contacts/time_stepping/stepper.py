@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
@@ -12,11 +12,13 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.other_laws import replaced
 from contacts.states import STATES
-from contacts.time_stepping.loop import Begun, Span, Stepping, run
+from contacts.time_stepping.loop import Begun, Span, Stepping, made_ready
+from contacts.time_stepping.streaming import stream
 from statechart.arrays import Bools
 from statechart.automaton.laws import USUAL, Impulses
 from statechart.automaton.regions import Margin
-from statechart.automaton.trace import Key, Trace
+from statechart.automaton.sampling import Sampling
+from statechart.automaton.trace import Arc, Jump, Key, Trace
 
 RELATIVE = 1e-9
 """Tolerances at the start, relative to the scene."""
@@ -87,7 +89,23 @@ class Stepper(ABC):
     ) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
         begun = self._begin(overrides, step, impulses.tolerance)
-        return run(self._stepping, begun, Span(step, until, max_jumps, impulses, show))
+        span = Span(step, until, max_jumps, impulses, show)
+        return made_ready(self._stepping, begun, span).whole()
+
+    def stream(
+        self,
+        overrides: Mapping[str, float],
+        sampling: Sampling,
+        *,
+        step: float,
+        until: float,
+        max_jumps: int,
+        impulses: Impulses = USUAL,
+    ) -> Iterator[Arc | Jump]:
+        """Yield arcs and jumps as they come; see `TimeStepper.stream`."""
+        begun = self._begin(overrides, step, impulses.tolerance)
+        span = Span(step, until, max_jumps, impulses, lambda time, jumps, steps: None)
+        return stream(self._stepping, begun, span, sampling, overrides)
 
     @abstractmethod
     def _begin(self, overrides: Mapping[str, float], step: float, allowed: float) -> Begun:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from types import MappingProxyType
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from statechart.automaton.feasibility import Feasibility
     from statechart.automaton.recording import Event
     from statechart.automaton.regions import Mode
-    from statechart.automaton.trace import Trace
+    from statechart.automaton.sampling import Sampling
+    from statechart.automaton.trace import Arc, Trace
     from statechart.formulas.tape import Tape
 
 
@@ -377,5 +378,24 @@ class TimeStepper(Protocol):
         -------
         Trace
             Also where the run could not go on; its outcome says so.
+        """
+        ...
+
+    def stream(
+        self,
+        overrides: Mapping[str, float],
+        sampling: Sampling,
+        *,
+        step: float,
+        until: float,
+        max_jumps: int,
+        impulses: Impulses = USUAL,
+    ) -> Iterator[Arc | Jump]:
+        """Yield arcs and jumps as they come, an arc ending wherever the run is looked at.
+
+        Raises
+        ------
+        SimulationError
+            Where the run cannot go on, after all that it made.
         """
         ...

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -108,12 +110,22 @@ class Execution:
         if self.begun is not None:
             self.accumulation.series = self.begun.series
         self._livelock = Livelock()
+        self._made = None if self.begun is None else self.begun.made
 
     def run(self) -> Trace:
         """Run to an end; return what was made, also where the run could not go on."""
+        with self.told():
+            ended = self.begin()
+            while not ended:
+                ended = self.advance()
+        return trace_of(self)
+
+    @contextmanager
+    def told(self) -> Iterator[None]:
+        """Let the run end where it is interrupted or cannot go on, and its outcome say why."""
         try:
             with interrupts.held():
-                self._loop()
+                yield
         except KeyboardInterrupt:
             self._end(Outcome.INTERRUPTED, "interrupted by the user")
         except SimulationError as error:
@@ -122,29 +134,28 @@ class Execution:
             self._end(Outcome[error.outcome], f"mode {where}: {error}" if where else str(error))
         finally:
             self._progress.close()
-        return trace_of(self)
 
     def _end(self, outcome: Outcome, message: str) -> None:
         self.outcome, self.message = outcome, message
 
-    def _loop(self) -> None:
+    def begin(self) -> bool:
+        """Find the mode at the start; whether the run ends there."""
         self.flow, self.state = self._first()
         self.started_mode, self.started_state = self.flow.mode, self.state
         self._warn()
-        if not self.flow.settled and self.settle():
-            return
-        made = None if self.begun is None else self.begun.made
-        while True:
-            ahead = None if self.ahead is None else self.ahead.go(self, made)
-            fired, made = self._flow() if ahead is None else ahead, None
-            if self.outcome is not Outcome.HORIZON:
-                return
-            if not fired:
-                if not self._ending() or not self.settle(()):
-                    self.message = f"reached t = {self.clock.high:.17g}"
-                return
-            if self.settle(fired):
-                return
+        return not self.flow.settled and self.settle()
+
+    def advance(self) -> bool:
+        """Flow to the next event and jump; whether the run ends there, or its time is over."""
+        ahead = None if self.ahead is None else self.ahead.go(self, self._made)
+        fired, self._made = self._flow() if ahead is None else ahead, None
+        if self.outcome is not Outcome.HORIZON:
+            return True
+        if fired:
+            return self.settle(fired)
+        if not self._ending() or not self.settle():
+            self.message = f"reached t = {self.clock.high:.17g}"
+        return True
 
     def _first(self) -> tuple[Flow, Array]:
         """Return the first flow, and the state that it starts from."""

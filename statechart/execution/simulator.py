@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -11,7 +11,8 @@ import numpy as np
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
 from statechart.automaton.recording import Kind, Recording, pad
-from statechart.automaton.trace import Outcome, Roles, Trace
+from statechart.automaton.sampling import Sampling
+from statechart.automaton.trace import Arc, Jump, Outcome, Roles, Trace
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
 from statechart.execution.ahead import Ahead
@@ -22,6 +23,7 @@ from statechart.execution.loops import Modes
 from statechart.execution.outcome import error_of
 from statechart.execution.record import trace_of_row
 from statechart.execution.rows import HANDED, HOW, Batch, RowRunner
+from statechart.execution.stream import streamed
 
 
 class _Once:
@@ -150,6 +152,22 @@ class Simulator:
         made.ahead = None
         made.certificate = Certificate(trace, made.setup, laws, self.engine)
         return made.run()
+
+    def stream(
+        self,
+        parameters: Mapping[str, float],
+        sampling: Sampling,
+        *,
+        until: float,
+        max_jumps: int = 100_000,
+    ) -> Iterator[Arc | Jump]:
+        """Yield arcs and jumps of a run as they come; see `streamed`.
+
+        No other run may be made meanwhile.
+        """
+        made = self._execution(parameters, until, max_jumps)
+        made.ahead = None
+        return streamed(made, parameters, sampling)
 
     def _setup(self, parameters: Mapping[str, float]) -> Setup:
         """Return the numbers of a run."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from statechart.automaton.laws import USUAL, Impulses, TimeStepper
@@ -10,7 +10,8 @@ from statechart.errors import SimulationError
 
 if TYPE_CHECKING:
     from statechart.automaton.automaton import Automaton
-    from statechart.automaton.trace import Trace
+    from statechart.automaton.sampling import Sampling
+    from statechart.automaton.trace import Arc, Jump, Trace
 
 
 class SteppingSimulator:
@@ -74,6 +75,24 @@ class SteppingSimulator:
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         return trace
+
+    def stream(
+        self,
+        parameters: Mapping[str, float],
+        sampling: Sampling,
+        *,
+        until: float,
+        max_jumps: int = 100_000,
+    ) -> Iterator[Arc | Jump]:
+        """Yield arcs and jumps of a run as they come, as `Simulator.stream` does."""
+        return self.stepper.stream(
+            parameters,
+            sampling,
+            step=min(self.step, until) or self.step,
+            until=until,
+            max_jumps=max_jumps,
+            impulses=self.impulses,
+        )
 
 
 def _silent(time: float, jumps: int, steps: int) -> None:

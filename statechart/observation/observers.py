@@ -80,6 +80,10 @@ class Observers:
         """
         return self.floor(setting) if self.engine(setting).sharp else None
 
+    def fresh(self, setting: Setting) -> Simulator | SteppingSimulator:
+        """Return a simulator of nobody else's, with what is known of the modes."""
+        return self._simulator(setting, off=False)
+
     def _simulator(self, setting: Setting, off: bool) -> Simulator | SteppingSimulator:
         if setting.step is not None:
             asked = Impulses(

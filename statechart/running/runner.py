@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
-from statechart.automaton.trace import Key, Outcome
+from statechart.automaton.sampling import Control
+from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
@@ -31,6 +32,7 @@ from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.answers import Answers
 from statechart.running.result import Asked, Result
+from statechart.running.streaming import sampled, unsearched
 
 if TYPE_CHECKING:
     from statechart.engines.request import Measured
@@ -220,6 +222,53 @@ class Runner:
         observer = self.observers.at(answers.first)
         assert isinstance(observer.simulator, Simulator)
         return observer, RowRunner(observer.simulator, names)
+
+    def stream(
+        self,
+        parameters: Mapping[str, float] | None = None,
+        *,
+        until: float | None = None,
+        every: float = math.inf,
+        control: Control | None = None,
+    ) -> Iterator[Arc | Jump]:
+        """Yield the arcs and jumps of a run as they come: for a display, a logger, a controller.
+
+        Parameters
+        ----------
+        parameters, until
+            As for `run`.
+        every : float, optional
+            Arcs end at multiples of this time at the latest, of the engine impulse at its steps.
+        control : callable, optional
+            Called at the start and at these multiples with a `Sample`: time, mode and variables.
+            What it returns, parameters to values, holds from there on.
+
+        Raises
+        ------
+        DeclarationError
+            As `run`, and where an accuracy or a budget is asked for, which take several runs.
+        SimulationError
+            Where the run cannot go on, after all that it made.
+
+        Examples
+        --------
+        >>> from statechart.automaton.trace import Jump
+        >>> pieces = Runner("toppling_stick").stream()
+        >>> [piece.cause for piece in pieces if isinstance(piece, Jump)]
+        ['slip', 'reverse', 'stop']
+        """
+        overrides = dict(parameters or {})
+        end = self.end(overrides, until=until)
+        with located(self.document, overrides):
+            variant = self.model.variant(overrides)
+            if variant is not self.model:
+                other = self._other(variant, None)
+                return other.stream(overrides, until=end, every=every, control=control)
+            self._check(overrides)
+            simulator = self.observers.fresh(unsearched(self.setting))
+            sampling = sampled(every, control, self._check_names)
+            limit = self.model.settings.max_jumps
+            return simulator.stream(overrides, sampling, until=end, max_jumps=limit)
 
     def alternatives(self) -> dict[str, Runner]:
         """Return what runs the model under the other choices that its laws leave open.

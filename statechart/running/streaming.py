@@ -1,0 +1,61 @@
+"""What is asked of a run that is watched as it comes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from statechart.automaton.sampling import Control, Sample, Sampling
+from statechart.documents.setting import Setting
+from statechart.errors import DeclarationError
+
+
+def unsearched(setting: Setting) -> Setting:
+    """Return a setting by which a single run is made.
+
+    Raises
+    ------
+    DeclarationError
+        If it is not one.
+    """
+    if setting.accuracy is not None or setting.budget is not None:
+        raise DeclarationError(
+            "an accuracy or a budget takes several runs, a stream is one",
+            advice="ask for a tolerance, or a step",
+        )
+    return setting
+
+
+def sampled(
+    every: float, control: Control | None, check: Callable[[Mapping[str, float]], None]
+) -> Sampling:
+    """Return when a run is looked at, and what is asked then.
+
+    Parameters
+    ----------
+    every : float
+        Time between instants.
+    control : callable, optional
+        Sample -> values of parameters.
+    check : callable
+        Raises where a name is no parameter.
+
+    Raises
+    ------
+    DeclarationError
+        If the time is none.
+    """
+    if not every > 0.0 or (control is not None and every == math.inf):
+        raise DeclarationError(
+            f"every must be a finite time above 0, not {every:g}",
+            advice="say after which time the run is looked at: every=0.01",
+        )
+    if control is None:
+        return Sampling(every, None)
+
+    def checked(sample: Sample) -> Mapping[str, float] | None:
+        changed = control(sample)
+        check(changed or {})
+        return changed
+
+    return Sampling(every, checked)

@@ -1,0 +1,123 @@
+"""Runs as they come: the pieces of a run, and controllers in Python between samples."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from statechart.automaton.sampling import Sample
+from statechart.automaton.trace import Arc, Jump
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError, NoConsistentMode, SimulationError
+from statechart.running.runner import Runner
+
+PUSHED = """\
+kind: scene
+name: pushed
+parameters: {u: 0, mu: 0.5, g: 10}
+gravity: g
+bodies:
+  block: {mass: 2}
+surfaces:
+  floor: {height: 0}
+contacts:
+  base: {point: {body: block}, surface: floor, modes: [slide, pin], friction: mu}
+forces:
+  push: {body: block, force: [u, 0]}
+stop: {time: 2}
+"""
+
+
+@pytest.mark.parametrize("name", ["toppling_stick", "double_contact_bar", "bouncing_ball"])
+def test_a_stream_has_the_pieces_of_the_run(name: str) -> None:
+    runner = Runner(name, engine="taylor")
+    trace = runner.run().trace
+    pieces = list(runner.stream())
+    arcs = [piece for piece in pieces if isinstance(piece, Arc)]
+    jumps = [piece for piece in pieces if isinstance(piece, Jump)]
+    assert [(j.t, j.cause, j.target) for j in jumps] == [
+        (j.t, j.cause, j.target) for j in trace.jumps
+    ]
+    assert [(a.j, a.start, a.mode) for a in arcs] == [(a.j, a.start, a.mode) for a in trace.arcs]
+    for mine, theirs in zip(arcs, trace.arcs, strict=True):
+        np.testing.assert_array_equal(mine.coefficients, theirs.coefficients)
+    # Every jump comes behind the arc that it ends.
+    assert [piece.j for piece in pieces] == sorted(piece.j for piece in pieces)
+
+
+def test_pieces_come_before_the_run_is_over() -> None:
+    pieces = Runner("bouncing_ball", engine="taylor").stream()
+    first, second = next(pieces), next(pieces)
+    assert isinstance(first, Arc)
+    assert isinstance(second, Jump)
+    assert second.t == pytest.approx(math.sqrt(2 * 1 / 9.81), abs=1e-12)
+
+
+def test_arcs_of_a_watched_run_end_where_it_is_looked_at() -> None:
+    runner = Runner("toppling_stick", engine="taylor")
+    arcs = [piece for piece in runner.stream(until=3.0, every=0.5) if isinstance(piece, Arc)]
+    assert [arc.start.high for arc in arcs] == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
+    whole = runner.run(until=3.0).trace
+    np.testing.assert_allclose(arcs[-1].coefficients[-1].sum(axis=1), whole.final, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "engine", [{"engine": "taylor"}, {"engine": "scipy"}, {"engine": "impulse", "step": 1e-3}]
+)
+def test_a_controller_sets_parameters_between_samples(engine: Mapping[str, object]) -> None:
+    # Pushed with 30 for a second, which 10 of friction oppose, it gains 10; then friction stops it.
+    seen: list[Sample] = []
+
+    def control(sample: Sample) -> Mapping[str, float] | None:
+        seen.append(sample)
+        return {"u": 30.0 if sample.t < 0.999 else 0.0} if round(sample.t, 6) in (0, 1) else None
+
+    runner = Runner(read_text(PUSHED), **engine)  # type: ignore[arg-type]
+    pieces = list(runner.stream(every=0.25, control=control))
+    assert [sample.t for sample in seen[:6]] == pytest.approx([0, 0.25, 0.5, 0.75, 1.0, 1.25])
+    assert seen[0].mode == {"base": "pin"}
+    assert seen[2].mode == {"base": "slide+"}
+    near = 2e-2 if "step" in engine else 1e-9
+    assert seen[4].values["block.dx"] == pytest.approx(10.0, abs=near)
+    last = [piece for piece in pieces if isinstance(piece, Arc)][-1]
+    assert last.coefficients[-1].sum(axis=1)[2] == pytest.approx(5.0, abs=near)
+    causes = [piece.cause for piece in pieces if isinstance(piece, Jump)]
+    assert causes == ["slip"]
+
+
+def test_what_a_stream_cannot_do_is_told() -> None:
+    runner = Runner(read_text(PUSHED), engine="taylor")
+    with pytest.raises(DeclarationError, match="no parameter 'v'"):
+        list(runner.stream(every=0.5, control=lambda sample: {"v": 1.0}))
+    for every in (0.0, -1.0, math.nan):
+        with pytest.raises(DeclarationError, match="every must be a finite time above 0"):
+            runner.stream(every=every)
+    with pytest.raises(DeclarationError, match="say after which time"):
+        runner.stream(control=lambda sample: None)
+    with pytest.raises(DeclarationError, match="takes several runs, a stream is one"):
+        Runner(read_text(PUSHED), accuracy=1e-6).stream()
+    dice = Runner("dice").stream(until=0.01, every=0.005, control=lambda sample: {"g": 1.0})
+    with pytest.raises(SimulationError, match="take the engine taylor or scipy"):
+        list(dice)
+
+
+def test_a_run_that_cannot_go_on_says_so_after_all_that_it_made() -> None:
+    pieces: list[object] = []
+    with pytest.raises(NoConsistentMode):
+        pieces.extend(Runner("no_slip_pencil", engine="taylor").stream())
+    assert pieces
+
+
+def test_other_runs_of_the_runner_do_not_disturb_a_stream() -> None:
+    runner = Runner("bouncing_ball", engine="taylor")
+    pieces = runner.stream()
+    first = next(pieces)
+    assert isinstance(first, Arc)
+    before = first.coefficients.copy()
+    runner.run({"k": 0.5})
+    jumps = [piece.t for piece in pieces if isinstance(piece, Jump)]
+    np.testing.assert_array_equal(first.coefficients, before)
+    assert jumps == [jump.t for jump in runner.run().trace.jumps]
