@@ -42,6 +42,7 @@ from statechart.errors import (
     NonFinite,
     StepTooLarge,
 )
+from statechart.kernels.jit import by_python
 
 # Bodies may overlap at the start by this part of the scene.
 _START_DEPTH = 1e-6
@@ -228,8 +229,13 @@ class BodyStepper(Stepper):
 
         # A step of no length finds who overlaps.
         plastic = scene.simultaneous == "plastic"
-        trial = SteppedHeap(names, bodies, around(), plastic, allowed)
-        trial.steps(0.0, 1e-9 * length / speed, initial, 1)
+
+        def tried() -> SteppedHeap:
+            trial = SteppedHeap(names, bodies, around(), plastic, allowed)
+            trial.steps(0.0, 1e-9 * length / speed, initial, 1)
+            return trial
+
+        trial = by_python(tried)
         for name, margin in trial.margins.items():
             if margin < -_START_DEPTH * length:
                 body = name.removesuffix(".gap")

@@ -13,6 +13,7 @@ from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_joints, check_start
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS
+from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.control import StepControl, SteppedTapes
 from contacts.time_stepping.loop import Begun
 from contacts.time_stepping.scene_steps import SteppedScene
@@ -20,6 +21,7 @@ from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Bools, Ints
 from statechart.automaton.regions import Margin, Region
 from statechart.errors import SimulationError
+from statechart.kernels.jit import by_python
 
 # The modes at the start are those of a step this short, in the scene's own time.
 _TRIAL = 1e-6
@@ -114,9 +116,13 @@ class SceneStepper(Stepper):
             )
             if not off[i]:
                 check_start(law, row[:3], near, near, setup.tolerances["speed"])
-        trial = SteppedScene(tape, setup, off, allowed)
         h = _TRIAL * setup.scales.length / setup.scales.speed
-        first = trial.steps(0.0, h, setup.initial, 1)
+
+        def tried() -> tuple[SteppedScene, Chunk]:
+            trial = SteppedScene(tape, setup, off, allowed)
+            return trial, trial.steps(0.0, h, setup.initial, 1)
+
+        trial, first = by_python(tried)
         codes = first.codes[0]
         # Contacts that strike at once are free before; those that jam slide before.
         resting = first.struck[0] & (np.abs(measured[:, 1]) <= setup.tolerances["speed"])

@@ -18,7 +18,10 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from statechart.errors import StatechartError
+
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
 
 LOADING = 0.15
 """Seconds that Python may take for kernels before numba is imported, which takes as long; then what
@@ -90,11 +93,27 @@ class Kernel(Compiled):
 
         return run
 
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the function, compiled, or as it is written where all are."""
+        if not _Deadline.all_written:
+            return self.made(*arguments)
+        _Deadline.at = thread_time() + BRIEF
+        with np.errstate(all="ignore"):
+            return _plain(self.as_written(*arguments))
+
 
 class _Deadline:
-    """How long Python has run kernels, and when what it runs is to be given up."""
+    """How long Python has run kernels, and when what it runs is to be given up.
 
-    spent, at = 0.0, math.inf
+    Attributes
+    ----------
+    all_written : bool
+        Whether it runs all of them.
+    patient : bool
+        Whether it never took too long to run them all.
+    """
+
+    spent, at, all_written, patient = 0.0, math.inf, False, True
 
 
 class Seldom(Kernel):
@@ -186,6 +205,27 @@ def native(as_written: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any
         Does the same in Python.
     """
     return lambda function: Native(function, as_written)
+
+
+def by_python(look: Callable[[], T]) -> T:
+    """Return what a function returns whose kernels are all run by Python, as far as that can be.
+
+    For a look at one step, which does not pay to compile it: sums and products of arrays may be
+    rounded otherwise. Once that took too long it is tried no more.
+    """
+    _Deadline.all_written = _Deadline.patient
+    try:
+        return look()
+    except StatechartError:
+        raise
+    except Exception as error:
+        if not _Deadline.all_written:
+            raise
+        _Deadline.all_written = False
+        _Deadline.patient = not isinstance(error, TimeoutError)
+        return look()
+    finally:
+        _Deadline.all_written = False
 
 
 def is_ready(compiled: Any) -> bool:

@@ -12,7 +12,7 @@ import pytest
 from contacts.event_driven import ordinary
 from statechart import Runner
 from statechart.kernels import jit
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel, part, seldom
 from statechart.kernels.tapes import HYPOT, POW, SQRT, tape_values
 
 
@@ -26,6 +26,12 @@ def _roots(values, result):
     for i in range(len(values)):
         result[i] = _inner(values[i])
     return result[0], len(values)
+
+
+@kernel
+def _root(values, result):
+    result[0] = _inner(values[0])
+    return result[0]
 
 
 @pytest.fixture
@@ -122,8 +128,30 @@ def test_what_takes_long_is_compiled(monkeypatch):
     assert _roots._spent == math.inf
 
 
-@pytest.mark.parametrize("verb", ["validate", "draw -o {}/chart.svg", "run"])
-def test_what_runs_briefly_imports_no_compiler(verb, tmp_path):
+def test_a_look_that_fails_or_takes_long_by_python_is_compiled(monkeypatch):
+    def look(number):
+        return jit.by_python(lambda: _root(np.array([number]), np.zeros(1)))
+
+    monkeypatch.setattr(jit._Deadline, "patient", True)
+    assert type(look(4.0)) is float
+    assert math.isnan(look(-1.0))
+    assert jit._Deadline.patient
+    monkeypatch.setattr(jit, "BRIEF", -1.0)
+    assert look(4.0) == 2.0
+    assert not jit._Deadline.patient
+
+
+@pytest.mark.parametrize(
+    ("verb", "model"),
+    [
+        ("validate", "toppling_stick"),
+        ("draw -o {}/chart.svg", "toppling_stick"),
+        ("run", "toppling_stick"),
+        ("validate", "dice"),
+        ("modes", "dice"),
+    ],
+)
+def test_what_is_brief_imports_no_compiler(verb, model, tmp_path):
     name, *options = verb.format(tmp_path).split()
     script = (
         "import sys; from statechart.cli.main import main; code = main(sys.argv[1:]); "
@@ -131,7 +159,7 @@ def test_what_runs_briefly_imports_no_compiler(verb, tmp_path):
         "sys.exit(code)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", script, name, "toppling_stick", *options],
+        [sys.executable, "-c", script, name, model, *options],
         capture_output=True,
         text=True,
         check=True,
