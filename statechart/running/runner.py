@@ -124,6 +124,8 @@ class Runner:
             impulse_bound,
         )  # fmt: skip
         self._study, self._alone = study, once
+        # The last one with other copies of bodies, and what makes it: composing takes its time.
+        self._varied: tuple[dict[str, float], Runner] | None = None
         with located(self.document, {}):
             self._plan = planned(self._asked, model, self.automaton, study, once=once)
         budget = self._plan.setting.budget
@@ -181,9 +183,9 @@ class Runner:
             with located(self.document, overrides):
                 variant = self.model.variant(overrides)
             if variant is not self.model:
-                return self._other(variant, self._study).run(
-                    overrides, until=end, certify=certify, throw=throw
-                )
+                if self._varied is None or self._varied[0] != overrides:
+                    self._varied = overrides, self._other(variant, self._study)
+                return self._varied[1].run(overrides, until=end, certify=certify, throw=throw)
         measured = self._plan.measured
         if measured is not None and (overrides or end != measured):
             return self._other(self.model, None).run(

@@ -55,6 +55,16 @@ def test_the_number_of_copies_is_a_parameter():
     assert len(result.trace.variables) == 12
 
 
+def test_runs_with_other_copies_are_composed_once_and_do_not_mix_their_parameters():
+    runner = Runner("dice")
+    first, again = (runner.run({"n": 2, "throw": 1.5}, until=0.01) for _ in range(2))
+    assert again.observer.automaton is first.observer.automaton
+    assert again.trace.final.tolist() == first.trace.final.tolist()
+    slower = runner.run({"n": 2}, until=0.01).trace
+    assert slower.final.tolist() == Runner("dice").run({"n": 2}, until=0.01).trace.final.tolist()
+    assert slower.final.tolist() != first.trace.final.tolist()
+
+
 def test_a_stack_of_boxes_stands_still():
     result = Runner("box_stack").run()
     assert result.outputs["fastest"] < 1e-10
