@@ -188,18 +188,20 @@ class Reader:
         while self.token.text == ",":
             self.advance()
             arguments.append(self.sum())
-        self._close(opening)
         function = FUNCTIONS[name.text]
         most = function.most
+        # In a mapping between braces YAML ends a value at its first comma.
+        cut = self.token.kind == "end" and len(arguments) < function.least
+        self._close(opening, "put a formula with a comma in quotes" if cut else "")
         if len(arguments) < function.least or (most is not None and len(arguments) > most):
             wanted = f"{function.least}" if most is not None else f"at least {function.least}"
             self.source.fail(f"{name.text} takes {wanted}, not {len(arguments)}", name.offset)
         return self._checked(Call(name.text, tuple(arguments), name.offset))
 
-    def _close(self, opening: _Token) -> None:
+    def _close(self, opening: _Token, advice: str = "") -> None:
         if self.token.text != ")":
             if self.token.kind == "end":
-                self.source.fail("this parenthesis is never closed", opening.offset)
+                self.source.fail("this parenthesis is never closed", opening.offset, advice)
             self._unexpected()
         self.advance()
 

@@ -146,6 +146,7 @@ def test_anything_like_a_formula_has_a_value_or_an_error(text: str) -> None:
         ("1 + sin", 5, "sin(...)"),
         ("1 + sni(x)", 5, "'sin'"),
         ("(1 + (2)", 1, "never closed"),
+        ("atan2(x", 6, "never closed; put a formula with a comma in quotes"),
         ("1)", 2, "unexpected ')'"),
         ("x = 1", 3, "not an assignment"),
         ("x < 1", 3, "condition"),
