@@ -122,23 +122,20 @@ class Seldom(Kernel):
     Arrays that it writes to are arguments of their own.
     """
 
-    _spent = 0.0
+    _spent, _settled = 0.0, False
 
     @cached_property
     def _on_disk(self) -> bool:
         return is_cached(self)
 
-    def _left(self) -> float:
-        """Return how long Python may go on with it."""
-        # Importing numba, to look what lies on disk, takes as long as that.
-        if _Deadline.spent >= LOADING and self._on_disk:
-            return 0.0
-        return BRIEF - self._spent
-
     def __call__(self, *arguments: Any) -> Any:
         """Run the function, compiled or as it is written."""
-        left = self._left()
-        if left <= 0.0:
+        if self._settled:
+            return self.made(*arguments)
+        left = BRIEF - self._spent
+        # Importing numba, to look what lies on disk, takes as long as that.
+        if left <= 0.0 or (_Deadline.spent >= LOADING and self._on_disk):
+            self._settled = True
             return self.made(*arguments)
         given = {id(a): a for a in arguments if isinstance(a, np.ndarray)}
         copies = {key: array.copy() for key, array in given.items()}
@@ -149,12 +146,13 @@ class Seldom(Kernel):
                 result = self.as_written(*(copies.get(id(a), a) for a in arguments))
         except Exception:
             # It took too long, or it is an infinity or no number to compiled code alone.
-            self._spent = math.inf
-            return self.made(*arguments)
+            self._settled = True
         finally:
             took = thread_time() - began
             self._spent += took
             _Deadline.spent += took
+        if self._settled:
+            return self.made(*arguments)
         for key, array in given.items():
             if array.flags.writeable:
                 array[...] = copies[key]
