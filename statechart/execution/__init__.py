@@ -5,6 +5,6 @@
 jump; `ahead` lets compiled loops do so over the modes as arrays (`loops`) where nothing is unusual,
 and `rows` many runs at once. `zeno` watches for jumps that accumulate, `livelock` for those that
 lead nowhere, and `record` makes a trace of it. `certificate` proves how far a run is off.
-`time_stepping` runs models by fixed steps instead. `perturbation` changes a run slightly, `outcome`
-makes an error of an end.
+`time_stepping` runs models by fixed steps instead; a `stream` is a run as it comes. `perturbation`
+changes a run slightly, `outcome` makes an error of an end.
 """

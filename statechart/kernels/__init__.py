@@ -7,7 +7,7 @@ those of many runs; `intervals` and `jets` enclose their values and time derivat
 what is known of them over a piece of a step, and `search` finds the first fall of a margin by
 branch and bound. `resolution` says where a step may have passed something over, which `defect` asks
 of rates and `quadrature` of what is integrated; `enclosed_defect` proves it, with the complex
-`discs` that analytic functions take. `polynomials` is dense output, `constraints` the distance of a
-state from constraints, `lift` writes what follows from other variables, `accumulation` tells
-whether jumps accumulate.
+`discs` that analytic functions take. `polynomials` is dense output, `extremes` its least and
+greatest values, `constraints` the distance of a state from constraints, `lift` writes what follows
+from other variables, `accumulation` tells whether jumps accumulate.
 """
