@@ -38,7 +38,9 @@ UNBOUNDED = "unbounded"
 @lru_cache(maxsize=1024)
 def roles_in(mode: Key) -> Roles:
     """Return the roles of regions whose equations are those of their states."""
-    return tuple([Role(state) for state in mode])
+    # Of thousands of regions each is in one of a few states.
+    roles = {state: Role(state) for state in set(mode)}
+    return tuple([roles[state] for state in mode])
 
 
 @lru_cache(maxsize=1024)
