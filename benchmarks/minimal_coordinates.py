@@ -45,13 +45,14 @@ def stepping(built: Automaton, states: tuple[str, ...]) -> tuple[Callable[[], fl
     simulator = Simulator(built, Taylor(2.2e-16))
     setup = built.setup({}, 2.2e-16)
     stepper = simulator.compiled(tuple(map(Role, states)), setup.zeros).stepper
-    integrator, used = stepper.integrator, stepper.used  # type: ignore[attr-defined]
+    integrator, fixed = stepper.integrator, stepper.fixed  # type: ignore[attr-defined]
 
     def measure() -> float:
         integrator.time = 0.0
         integrator.state[:] = setup.initial
         if len(integrator.pars):
-            integrator.pars[0], integrator.pars[1:] = 0.0, setup.values[used]
+            integrator.pars[0] = 0.0
+            integrator.pars[1:] = fixed.at(setup.initial, setup.values, 0.0)
         began = time.perf_counter()
         steps = integrator.propagate_until(_SHORT, write_tc=True)[3]
         return 1e6 * (time.perf_counter() - began) / float(steps)

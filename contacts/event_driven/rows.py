@@ -64,7 +64,7 @@ class RowCall:
         given = [(place, names.index(name)) for place, name in enumerate(inputs) if name in names]
         self._places, self._columns = np.array(given, np.intp).reshape(-1, 2).T
         self._fixed = np.array([*(literals.get(name, math.nan) for name in inputs), math.inf])
-        variables, parameters = len(loop.memory.state), len(loop.memory.pars) - 1
+        variables, parameters = len(loop.memory.state), len(numbers.parameters.names)
         # What contacts may do is the same whatever the values.
         laws = numbers.contacts(np.zeros(parameters))
         contacts, may = len(laws), allowed(tuple([law.states for law in laws]))

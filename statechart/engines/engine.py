@@ -6,9 +6,6 @@ from abc import ABC, abstractmethod
 from enum import Enum
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import Constraints
@@ -115,15 +112,15 @@ class Entry(NamedTuple):
     ----------
     address : int
         See `statechart.engines.heyoka_step.Step`.
-    used : (k,) array of int
-        Places of the automaton's parameters that it takes, behind the time.
+    fixed : Tape
+        What it takes of the automaton's parameters, behind the time.
     takes : int
         How many parameters it takes, the time among them.
     pace : Pace
     """
 
     address: int
-    used: NDArray[np.intp]
+    fixed: Tape
     takes: int
     pace: Pace
 

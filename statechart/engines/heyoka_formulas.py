@@ -32,18 +32,40 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 
 
 class Converter:
-    """SymPy to heyoka, one heyoka node per SymPy node, parameters renumbered as they are met."""
+    """SymPy to heyoka, one heyoka node per SymPy node.
 
-    def __init__(self, automaton: Automaton, definitions: Mapping[sp.Symbol, sp.Expr]) -> None:
-        self._definitions = definitions
+    What depends on parameters alone is computed once a flow and given to heyoka as a parameter of
+    its own: as an operation it would be expanded into a series that is zero but for its first term,
+    and multiplied with others, order by order. What is left of a product without such factors is
+    computed once, whatever they are.
+
+    Parameters
+    ----------
+    automaton : Automaton
+    definitions : mapping of symbol to expression
+        Of the mode.
+    folds : bool
+        Whether to do so: in doubles, which heyoka's parameters then are rounded to.
+
+    Attributes
+    ----------
+    constants : list of expressions
+        What heyoka takes as its parameters, behind the time.
+    """
+
+    def __init__(
+        self, automaton: Automaton, definitions: Mapping[sp.Symbol, sp.Expr], *, folds: bool
+    ) -> None:
+        self._definitions, self._folds = definitions, folds
         self.known: dict[sp.Expr, Any] = {
             symbol: hy.expression(f"v{i}") for i, symbol in enumerate(automaton.variables)
         }
-        self.used: list[int] = []
+        self.constants: list[sp.Expr] = []
         self.singular: list[sp.Pow] = []  # powers without a series where their base is zero
         self.timed = False
-        self._parameters = {symbol: i for i, symbol in enumerate(automaton.parameters)}
+        self._parameters = frozenset(automaton.parameters)
         self._time = automaton.time
+        self._moving: dict[sp.Expr, bool] = {}
 
     def __call__(self, expression: sp.Expr) -> Any:
         """Return an expression of heyoka's.
@@ -55,25 +77,53 @@ class Converter:
         """
         found = self.known.get(expression)
         if found is None:
-            found = self.known[expression] = self._convert(expression)
+            made = self._convert if self._moves(expression) else self._constant
+            found = self.known[expression] = made(expression)
         return found
+
+    def _moves(self, node: sp.Expr) -> bool:
+        """Whether a formula is more than a number of the run."""
+        found = self._moving.get(node)
+        if found is None:
+            if node.is_Symbol:
+                definition = self._definitions.get(node)
+                found = (
+                    node not in self._parameters if definition is None else self._moves(definition)
+                )
+            else:
+                found = any(self._moves(argument) for argument in node.args)
+                found = found or not (self._folds or node.is_number)
+            self._moving[node] = found
+        return found
+
+    def _constant(self, node: sp.Expr) -> Any:
+        if node.is_number:
+            return hy.expression(float(node))
+        self.constants.append(node)
+        return hy.par[len(self.constants)]
+
+    def _joined(self, operation: Callable[[Any, Any], Any], node: sp.Expr, parts: Any) -> Any:
+        """Join the parts of a sum or of a product: first what moves, then the number of the run."""
+        still = [part for part in parts if self._folds and not self._moves(part)]
+        found = [self(part) for part in parts if part not in still]
+        if still:
+            found.append(self(node.func(*still)))
+        return functools.reduce(operation, found)
 
     def _convert(self, node: sp.Expr) -> Any:
         if node.is_Symbol:
             return self._symbol(node)
-        if node.is_number:
-            return hy.expression(float(node))
         if node.is_Add:
-            return functools.reduce(operator.add, (self(a) for a in node.args))
+            return self._joined(operator.add, node, node.args)
         if node.is_Mul:
             factors, exponent = exponential_joined(node.args)
-            parts = [self(a) for a in factors]
-            if exponent is not None:
-                parts.append(hy.exp(self(exponent)))
-            return functools.reduce(operator.mul, parts)
+            if exponent is None:
+                return self._joined(operator.mul, node, factors)
+            power = hy.exp(self(exponent))
+            return self._joined(operator.mul, node, factors) * power if factors else power
         if node.is_Pow:
             return self._power(*node.args)
-        if node.func is sp.Abs and not node.free_symbols - self._parameters.keys():
+        if node.func is sp.Abs and node.free_symbols <= self._parameters:
             # The length of a line by its parameters: a number of the run.
             return hy.sqrt(self(node.args[0]) ** 2.0)
         function = _FUNCTIONS.get(node.func)
@@ -91,12 +141,7 @@ class Converter:
         if node in self._definitions:
             # Only those that the rates need: heyoka wants no parameter that it does not use.
             return self(self._definitions[node])
-        index = self._parameters.get(node)
-        if index is None:
-            raise StatechartError(f"the unknown {node} is used before it is determined")
-        if index not in self.used:
-            self.used.append(index)
-        return hy.par[self.used.index(index) + 1]
+        raise StatechartError(f"the unknown {node} is used before it is determined")
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> Any:
         if exponent.is_Integer:

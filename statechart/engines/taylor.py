@@ -13,7 +13,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints32
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.compiling import whole
@@ -73,10 +73,11 @@ class _Stepper:
     state: NDArray[Any]
     pars: NDArray[Any]
     series: NDArray[Any]
-    used: NDArray[np.intp]  # indices of the automaton's parameters that the equations mention
+    fixed: Tape  # what the integrator takes as its parameters, behind the time
     parametric: bool
     compiled: Step | None
-    memory: tuple[int, Array, Array, NDArray[np.intp], Array, Array]  # of the compiled loop
+    # Of the compiled loop.
+    memory: tuple[int, Array, Array, tuple[Ints32, Array, Ints32], Array, Array]
     shape: tuple[int, int]  # of the series
     durations: Array
     begun: Array  # scratch
@@ -120,7 +121,7 @@ class Taylor(Engine):
         from statechart.engines.heyoka_formulas import Converter
 
         extended = self._number is not float
-        convert = Converter(automaton, dict(mode.definitions))
+        convert = Converter(automaton, dict(mode.definitions), folds=not extended)
         states = [hy.expression(f"v{i}") for i in range(len(automaton.variables))]
         system = [
             (variable, convert(rate)) for variable, rate in zip(states, mode.rates, strict=True)
@@ -138,7 +139,7 @@ class Taylor(Engine):
             )
         # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
         # cancel); the first is the start of the arc.
-        used = np.array(convert.used[: max(len(integrator.pars) - 1, 0)], dtype=np.intp)
+        fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
         state, pars, series = integrator.state, integrator.pars, integrator.tc
         compiled = None if extended else Step.of(integrator)
         address = 0 if compiled is None else compiled.address
@@ -150,10 +151,10 @@ class Taylor(Engine):
             state,
             pars,
             series,
-            used,
+            fixed,
             len(pars) > 0,
             compiled,
-            (address, state, pars, used, np.zeros(2), series),
+            (address, state, pars, fixed.program, np.zeros(2), series),
             series.shape,
             np.empty(0),
             np.empty(len(states)),
@@ -167,9 +168,8 @@ class Taylor(Engine):
         assert isinstance(stepper, _Stepper)
         if stepper.compiled is None:
             return None
-        address, used, takes = stepper.compiled.address, stepper.used, len(stepper.pars)
         pace = Pace(self.tolerance, self.max_step, self.allowed, stepper.shape[1])
-        return Entry(address, used, takes, pace)
+        return Entry(stepper.compiled.address, stepper.fixed, len(stepper.pars), pace)
 
     def compiling(self, rates: Tape) -> float:
         """Return about how many seconds `compile` takes."""
@@ -209,7 +209,7 @@ class Taylor(Engine):
                 stepper.state[:] = state
                 if stepper.parametric:
                     stepper.pars[0] = watch.start + reached
-                    stepper.pars[1:] = watch.parameters[stepper.used]
+                    stepper.pars[1:] = stepper.fixed.at(state, watch.parameters, watch.start)
             taken, finite, h, left = _one_by_one(
                 stepper, path, self._number(until - reached), self.max_step, count, end
             )

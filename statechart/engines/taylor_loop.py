@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
 from statechart.engines.heyoka_step import call_step
@@ -15,6 +14,7 @@ from statechart.kernels.jit import part, seldom
 from statechart.kernels.lift import Program, lift_any
 from statechart.kernels.polynomials import horner
 from statechart.kernels.search import NONE, search
+from statechart.kernels.tapes import tape_values
 
 OFF = -1
 """Verdict on a chunk that ends off its constraints, and was not searched therefore."""
@@ -168,7 +168,7 @@ def taylor_flow(
     address: int,
     state: Array,
     heyokas: Array,
-    used: NDArray[np.int64],
+    fixed: tuple[Ints32, Array, Ints32],
     clock: Array,
     series: Array,
     follows: Program,
@@ -205,9 +205,9 @@ def taylor_flow(
     ----------
     moved : bool
         Whether to start from `initial` instead of where the last call ended.
-    address, state, heyokas, clock, series, tolerance, max_step
-        An `Integrator`; its parameters `heyokas` are a time and those of `parameters` that are
-        `used`.
+    address, state, heyokas, fixed, clock, series, tolerance, max_step
+        An `Integrator`; its parameters `heyokas` are a time and what a tape, `fixed`, makes of
+        `parameters`.
     follows : Program
         What follows from other variables in the flow, see `statechart.kernels.lift`.
     until : float
@@ -246,8 +246,7 @@ def taylor_flow(
         put(initial, state)
         if heyokas.shape[0] > 0:
             heyokas[0] = start + times[first]
-            for i in range(used.shape[0]):
-                heyokas[i + 1] = parameters[used[i]]
+            tape_values(*fixed, initial, parameters, start, heyokas[1:])
     while True:
         put(state, begun)
         taken, finite, h, left = _taylor_steps(

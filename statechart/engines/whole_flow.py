@@ -34,19 +34,20 @@ TAPE = 9
 """Columns of a tape in a table: begin and number of operations, constants, outputs, reads; n_fixed.
 """
 
-(ADDRESS, PARS_AT, PARS, MARGINS_AT, MARGINS, STOPS, LAWS_AT) = range(7)
-GUARDS = 7
+(ADDRESS, PARS, MARGINS_AT, MARGINS, STOPS, LAWS_AT) = range(6)
+FIXED = 6
+GUARDS = FIXED + TAPE
 RATES = GUARDS + TAPE
 WITHIN = RATES + TAPE
 LIFT = WITHIN + TAPE
 ANCHORS = LIFT + TAPE
 PLACES_AT = ANCHORS + TAPE
 COLUMNS = PLACES_AT + 1
-"""Columns of a mode in a table. Address of heyoka's step; where its parameters are listed, and how
-many it takes, the time among them; where the kinds of its margins are listed, each with the place
-of a tolerance of its own, how many, and which is the first stop; where the laws list what
-they know of it; tapes of the margins, of the rates, of what is to stay above the room, of what
-follows from other variables, of its anchors; where the places of what follows are listed."""
+"""Columns of a mode in a table. Address of heyoka's step; how many parameters it takes, the time
+among them; where the kinds of its margins are listed, each with the place of a tolerance of its
+own, how many, and which is the first stop; where the laws list what they know of it; tapes of these
+parameters, of the margins, of the rates, of what is to stay above the room, of what follows from
+other variables, of its anchors; where the places of what follows are listed."""
 
 PLAIN, GAP, SPEED, FORCE = range(4)
 KINDS = ("plain", "gap", "speed", "force")
@@ -108,7 +109,8 @@ class Scratch(NamedTuple):
     times : (s + 1,), coefficients : (s, n, terms) array
         Of the steps; times[0] is 0.
     state, ended : (n,) array
-    pars : (p + 1,) array
+    pars : (p,) array
+        At least as many as any mode takes.
     clock : (2,) array
     series : (n, terms) array
     """
@@ -122,14 +124,14 @@ class Scratch(NamedTuple):
     series: Array
 
 
-def scratch(steps: int, variables: int, parameters: int, terms: int) -> Scratch:
-    """Return memory for flows of so many steps."""
+def scratch(steps: int, variables: int, terms: int) -> Scratch:
+    """Return memory for flows of so many steps, in modes that take no parameters."""
     return Scratch(
         np.zeros(steps + 1),
         np.empty((steps, variables, terms)),
         np.empty(variables),
         np.empty(variables),
-        np.empty(parameters + 1),
+        np.empty(0),
         np.zeros(2),
         np.empty((variables, terms)),
     )
@@ -162,8 +164,8 @@ def _enter(
     put(state, memory.state)
     if row[PARS] > 0:
         memory.pars[0] = now
-        for i in range(row[PARS] - 1):
-            memory.pars[i + 1] = watch.parameters[program.ints[row[PARS_AT] + i]]
+        code, constants, outputs, _, _ = tape_of(program, row[FIXED : FIXED + TAPE])
+        tape_values(code, constants, outputs, state, watch.parameters, now, memory.pars[1:])
 
 
 @part
@@ -234,7 +236,7 @@ def flow_to_event(
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
     lift_any(follows, initial, parameters, start)
-    ready = ready_along(code, constants, reads, n_fixed, times, coeffs, parameters, start, margins)
+    ready = ready_along(code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start)
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:

@@ -153,12 +153,12 @@ class Modes:
             row = rows[self.kinds.index(kind)]
             row[:] = (
                 entry.address,
-                packed.ints(entry.used),
                 entry.takes,
                 packed.ints(np.ravel(margins)),
                 len(margins),
                 len(margins) - self._stops,
                 packed.ints(listed),
+                *packed.tape(entry.fixed),
                 *packed.tape(compiled.guards),
                 *packed.tape(compiled.rates),
                 *(packed.tape(within) if within is not None else _NO_TAPE),
@@ -172,8 +172,9 @@ class Modes:
         if memory is None:
             numbers = self._ordinary.tapes[0]
             steps = max(min(_STEPS, _PART // (numbers.n_variables * pace.terms)), 1)
-            memory = scratch(steps, numbers.n_variables, numbers.n_parameters, pace.terms)
-            self._memory = memory
+            memory = scratch(steps, numbers.n_variables, pace.terms)
+        takes = max(len(memory.pars), *(entry.takes for entry in self._entries.values()))
+        self._memory = memory = memory._replace(pars=np.empty(takes))
         return Loop(
             packed.program(rows), tapes, pace, memory, tuple(self._bands), tuple(self.kinds)
         )

@@ -60,6 +60,7 @@ from statechart.kernels.tapes import (
     SIGN,
     SIN,
     SINH,
+    SKIP,
     SQRT,
     SQUARE,
     SUB,
@@ -291,6 +292,8 @@ def run_jets(code: Ints32, first: int, last: int, base: int, jets: Array, order:
     """
     for k in range(first, last):
         op = code[k, 0]
+        if op == SKIP:
+            continue
         u, du, ddu = _jet(jets, code[k, 1])
         d = e = ZERO
         if op <= POW:

@@ -19,6 +19,31 @@ def horner(coeffs: Array, step: int, v: int, s: float) -> float:
     return value
 
 
+Four = tuple[float, float, float, float]
+
+
+@part
+def values_at_four(coeffs: Array, step: int, v: int, places: Four) -> Four:
+    """Values of a variable at four places of a step: side by side, as none waits for another."""
+    a, b, c, d = places
+    e = f = g = h = 0.0
+    for k in range(coeffs.shape[2] - 1, -1, -1):
+        term = coeffs[step, v, k]
+        e, f, g, h = e * a + term, f * b + term, g * c + term, h * d + term
+    return e, f, g, h
+
+
+@part
+def slopes_at_four(coeffs: Array, step: int, v: int, places: Four) -> Four:
+    """Slopes of a variable at four places of a step."""
+    a, b, c, d = places
+    e = f = g = h = 0.0
+    for k in range(coeffs.shape[2] - 1, 0, -1):
+        term = k * coeffs[step, v, k]
+        e, f, g, h = e * a + term, f * b + term, g * c + term, h * d + term
+    return e, f, g, h
+
+
 @part
 def reaches(coeffs: Array, step: int, floors: Array, sizes: Array) -> None:
     """Write how large each variable (n,) is and moves in a step, and no less than its floor."""

@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import Along, enclose, judge, prepare, unclear_by_slopes
-from statechart.kernels.intervals import EPS, INF, LIBM, TINY
+from statechart.kernels.intervals import INF, LIBM
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel, part
-from statechart.kernels.polynomials import horner, local_time
+from statechart.kernels.needed import Needed, bit, narrowed, needed
+from statechart.kernels.polynomials import local_time
+from statechart.kernels.roots import last_place, value_at
 from statechart.kernels.tapes import filled, run_tape
 
 NONE, CROSSING, GRAZE, BUDGET, NON_FINITE = range(5)
@@ -24,67 +26,6 @@ _BOXES = 64
 
 Scratch = tuple[Array, Array, Array, Array]
 """Memory to evaluate in: bounds of third derivatives, registers, jets, evidence on one output."""
-
-
-@part
-def _margin(along: Along, step: int, output: int, s: float, regs: Array) -> float:
-    """Value of an output at one place of a step."""
-    code, base, first, last, reads, times, coeffs, start = along
-    n = coeffs.shape[1]
-    for r in range(reads.shape[0]):
-        v = reads[r]
-        if v == n:
-            regs[n, 0] = start + local_time(times, step, s)
-        else:
-            regs[v, 0] = horner(coeffs, step, v, s)
-    run_tape(code, first, last, base, regs, 1)
-    return regs[output, 0]
-
-
-@part
-def _root(
-    along: Along,
-    step: int,
-    output: int,
-    shift: float,
-    left: float,
-    right: float,
-    regs: Array,
-) -> float:
-    """Last place, to a few ulp, with output + shift >= 0 before it falls in [left, right].
-
-    Chandrupatla, "A new hybrid quadratic/bisection algorithm", Advances in Engineering Software
-    28 (1997) 145-149. Returns `left` where the fall is already done there, and `right` where
-    float64 sees none.
-    """
-    a, fa = right, shift + _margin(along, step, output, right, regs)
-    b, fb = left, shift + _margin(along, step, output, left, regs)
-    if not fb > 0.0:
-        return left
-    if not fa < 0.0:
-        return right
-    # By the secant first: where one end is near the root, as on a descent, that is nearly it.
-    t = min(max(fa / (fa - fb), EPS), 1.0 - EPS)
-    c, fc = a, fa
-    for _ in range(1200):  # halvings from 1 to the least place, and some
-        x = a + t * (b - a)
-        fx = shift + _margin(along, step, output, x, regs)
-        if (fx > 0.0) == (fa > 0.0):
-            c, fc = a, fa
-        else:
-            c, fc, b, fb = b, fb, a, fa
-        a, fa = x, fx
-        reach = EPS * abs(a if abs(fa) < abs(fb) else b) + TINY
-        if abs(b - a) <= 2.0 * reach or fx == 0.0:
-            break
-        xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
-        t = 0.5
-        if phi * phi < xi and (1.0 - phi) * (1.0 - phi) < 1.0 - xi:
-            t = fa / (fb - fa) * fc / (fb - fc)
-            t += (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
-        edge = reach / abs(b - a)
-        t = min(max(t, edge), 1.0 - edge)
-    return a if fa >= 0.0 else b
 
 
 @part
@@ -105,11 +46,11 @@ def _descent(
     reads, coeffs = along[4], along[6]
     bounds, regs, jets, work = scratch
     p, q = right, left
-    if _margin(along, step, guard[0], p, regs) >= 0.0:
+    if value_at(along, step, guard[0], p, regs) >= 0.0:
         return step, p
     for _ in range(1000):
-        if _margin(along, step, guard[0], q, regs) > 0.0:
-            return step, _root(along, step, guard[0], 0.0, q, p, regs)
+        if value_at(along, step, guard[0], q, regs) > 0.0:
+            return step, last_place(along, step, guard[0], 0.0, q, p, regs)
         p = q
         if p == 0.0:
             if step == 0:
@@ -190,26 +131,26 @@ def _clear_at_edge(
     return jets[output, 0] + tolerance > 0.0
 
 
-Ready = tuple[Along, Array, Array, Array, Array, Array, NDArray[np.uint8]]
-"""A tape that is evaluated along steps, with what depends on parameters alone: see `Along`;
-bounds of third derivatives, registers, jets; evidence on the outputs; boxes still to see, and the
-outputs that are undecided in them."""
+Ready = tuple[Along, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
+"""A tape that is evaluated along steps, with what depends on parameters alone: see `Along`, and
+`Needed`; bounds of third derivatives, registers, jets; evidence on the outputs; boxes still to see,
+and the outputs that are undecided in them."""
 
 
 @part
 def ready_along(
     code: Ints32,
     constants: Array,
+    outputs: Ints32,
     reads: Ints32,
     n_fixed: int,
     times: Array,
     coeffs: Array,
     parameters: Array,
     start: float,
-    outputs: int,
 ) -> Ready:
     """Evaluate what depends on parameters alone."""
-    n = coeffs.shape[1]
+    n, count = coeffs.shape[1], outputs.shape[0]
     base, regs = filled(code, constants, parameters, n, 1)
     along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
     run_tape(code, 0, n_fixed, base, regs, 1)
@@ -219,9 +160,10 @@ def ready_along(
         if not abs(regs[r, 0]) < INF:
             jets[r, 0], jets[r, 1] = -INF, INF
     run_jets(code, 0, n_fixed, base, jets, 2)
-    work, ends = np.empty((outputs + 1, 11)), np.empty((2, _BOXES))
-    marks = np.empty((_BOXES + 1, outputs), dtype=np.uint8)
-    return along, np.zeros(n), regs, jets, work, ends, marks
+    work, ends = np.empty((count + 1, 11)), np.empty((2, _BOXES))
+    marks = np.empty((_BOXES + 1, count), dtype=np.uint8)
+    needs = needed(along, outputs, regs.shape[0])
+    return along, needs, np.zeros(n), regs, jets, work, ends, marks
 
 
 @kernel
@@ -249,10 +191,18 @@ def search(
     for i in range(outputs.shape[0]):
         if not tolerances[i] >= 0.0:
             raise ValueError("the tolerances of margins are numbers >= 0")
-    ready = ready_along(
-        code, constants, reads, n_fixed, times, coeffs, parameters, start, outputs.shape[0]
-    )
+    ready = ready_along(code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start)
     return search_along(ready, outputs, tolerances, first, last, budget)
+
+
+@part
+def _undecided(marks: NDArray[np.uint8]) -> int:
+    """Return the set of the outputs that are marked."""
+    outputs = 0
+    for i in range(marks.shape[0]):
+        if marks[i] != 0:
+            outputs |= bit(i)
+    return outputs
 
 
 @part
@@ -260,8 +210,8 @@ def search_along(
     ready: Ready, outputs: Ints32, tolerances: Array, first: int, last: int, budget: int
 ) -> tuple[int, int, int, float, float, float, int]:
     """Search steps (see `search`)."""
-    along, bounds, regs, jets, work, ends, marks = ready
-    code, base, fixed, _, reads, times, coeffs, start = along
+    along, needs, bounds, regs, jets, work, ends, marks = ready
+    reads, times, coeffs, start = along[4:]
     n_out = outputs.shape[0]
     aside, state = work[n_out:], marks[_BOXES]
     scratch = (bounds, regs, jets, aside)
@@ -283,9 +233,11 @@ def search_along(
             if boxes > budget:
                 at, end = local_time(times, step, a), local_time(times, step, b)
                 return BUDGET, -1, step, a, at, end, boxes - 1
-            m = 0.5 * (a + b)
+            m, few = 0.5 * (a + b), along
+            if b - a < 1.0:
+                few = narrowed(needs, along, _undecided(marks[top]))
             # The natural enclosure alone is cheap, and often enough.
-            enclose(along, step, bounds, m, max(b - m, m - a), 0, jets)
+            enclose(few, step, bounds, m, max(b - m, m - a), 0, jets)
             unclear = 0
             for i in range(n_out):
                 state[i] = marks[top, i]
@@ -295,19 +247,19 @@ def search_along(
                     else:
                         unclear += 1
             if unclear > 0 and b - a == 1.0:
+                few = narrowed(needs, along, _undecided(state))
                 unclear = unclear_by_slopes(
-                    along, outputs, tolerances, step, bounds, jets, state, work
+                    few, outputs, tolerances, step, bounds, jets, state, work
                 )
             if unclear == 0:
                 continue
-            judge(along, outputs, step, bounds, a, b, jets, work)
+            few = narrowed(needs, along, _undecided(state))
+            judge(few, outputs, step, bounds, a, b, jets, work)
             unclear, improved = 0, False
             for i in range(n_out):
                 if state[i] == 0:
                     continue
-                # No operation behind the one that gives the output.
-                last_op = max(fixed, outputs[i] - base + 1)
-                alone = (code, base, fixed, last_op, reads, times, coeffs, start)
+                alone = narrowed(needs, along, bit(i))
                 tolerance = tolerances[i]
                 below = a == 0.0 and work[i, 10] + tolerance < 0.0
                 # It rises: positive up to a, as the boxes before are clear; or zero there to
@@ -327,7 +279,7 @@ def search_along(
                         state[i] = 0
                         continue
                     if falls == 1:
-                        here = _root(alone, step, guard[0], tolerance, a, end, regs)
+                        here = last_place(alone, step, guard[0], tolerance, a, end, regs)
                         # What rounding left over at the float root, the slope carries below 0.
                         enclose(alone, step, bounds, here, 0.0, 0, jets)
                         rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
@@ -391,8 +343,7 @@ def search_along(
                 marks[max(top - 2, 0), i] = marks[top - 1, i] = state[i]
         if found >= 0:
             guard = outputs[found : found + 1]
-            last_op = max(fixed, guard[0] - base + 1)
-            alone = (code, base, fixed, last_op, reads, times, coeffs, start)
+            alone = narrowed(needs, along, bit(found))
             event_step, event = _descent(alone, guard, step, found_left, root, scratch)
             at = local_time(times, event_step, event)
             return CROSSING, found, event_step, event, at, local_time(times, step, sure), boxes

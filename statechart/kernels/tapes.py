@@ -18,6 +18,9 @@ _USUAL = ("neg", "square", "powi", "sqrt", "exp", "log", "sin", "cos", "tan")
 _OTHERS = ("asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "sign")
 OPCODES: dict[str, int] = {name: index for index, name in enumerate([*_BINARY, *_USUAL, *_OTHERS])}
 
+SKIP = -1
+"""In the place of an operation that is not to be run."""
+
 BLOCK = 32  # points evaluated side by side; amortises the dispatch of an operation
 
 
@@ -72,6 +75,8 @@ def run_tape(code: Ints32, first: int, last: int, base: int, regs: Array, count:
     """Run the operations [first, last) on `count` columns of registers."""
     for k in range(first, last):
         op = code[k, 0]
+        if op == SKIP:
+            continue
         a = regs[code[k, 1]]
         out = regs[base + k]
         if op <= POW:

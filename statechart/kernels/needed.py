@@ -1,0 +1,62 @@
+"""Which operations of a tape some of its outputs need.
+
+A search asks for all outputs of a tape where a step is clear, and for one or two where it is not:
+then the others' operations are skipped.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from statechart.arrays import Ints, Ints32
+from statechart.kernels.boxes import Along
+from statechart.kernels.jit import part
+from statechart.kernels.tapes import POW, SKIP
+
+Needed = tuple[Ints, Ints32, Ints32, Ints]
+"""For every register the outputs that need it, a bit each; the operations and the variables that
+are chosen; for which outputs, where the last operation is, how many variables."""
+
+# Bits of a set; the outputs beyond share the last.
+_BITS = 62
+
+
+@part
+def bit(output: int) -> int:
+    """Return the set of one output."""
+    return 1 << min(output, _BITS)
+
+
+@part
+def needed(along: Along, outputs: Ints32, registers: int) -> Needed:
+    """Follow which registers the outputs need; of operations, those that `along` runs."""
+    code, base, first, last, reads = along[:5]
+    needs = np.zeros(registers, np.int64)
+    for i in range(outputs.shape[0]):
+        needs[outputs[i]] |= bit(i)
+    for k in range(last - 1, first - 1, -1):
+        needs[code[k, 1]] |= needs[base + k]
+        if code[k, 0] <= POW:
+            needs[code[k, 2]] |= needs[base + k]
+    return needs, code.copy(), np.empty(reads.shape[0], np.int32), np.zeros(3, np.int64)
+
+
+@part
+def narrowed(needed: Needed, along: Along, outputs: int) -> Along:
+    """Return `along` with the operations and variables that a set of outputs needs alone."""
+    needs, chosen, variables, kept = needed
+    code, base, first, last, reads, times, coeffs, start = along
+    if kept[0] != outputs:
+        end, count = first, 0
+        for k in range(first, last):
+            if needs[base + k] & outputs != 0:
+                chosen[k, 0] = code[k, 0]
+                end = k + 1
+            else:
+                chosen[k, 0] = SKIP
+        for r in range(reads.shape[0]):
+            if needs[reads[r]] & outputs != 0:
+                variables[count] = reads[r]
+                count += 1
+        kept[0], kept[1], kept[2] = outputs, end, count
+    return chosen, base, first, kept[1], variables[: kept[2]], times, coeffs, start

@@ -1,0 +1,66 @@
+"""What heyoka is given of a mode: no operation of a step is about parameters alone."""
+
+import math
+import re
+from types import SimpleNamespace
+
+import heyoka as hy
+import numpy as np
+import pytest
+import sympy as sp
+from runs import automaton
+
+from statechart.automaton.laws import roles_in
+from statechart.engines.heyoka_formulas import Converter
+from statechart.engines.taylor import Taylor
+from statechart.execution.simulator import Simulator
+
+X, Y, P, Q, T, D = sp.symbols("x y p q t d")
+HERE = SimpleNamespace(variables=(X, Y), parameters=(P, Q), time=T)
+
+
+def still(decomposition, states):
+    """Return the operations of a decomposition that depend on parameters and numbers alone."""
+    moving, found = {f"u_{i}" for i in range(states)}, []
+    for i, (operation, _) in enumerate(decomposition[states:-states], states):
+        names = set(re.findall(r"u_\d+|\bt\b", str(operation)))
+        if names & (moving | {"t"}):
+            moving.add(f"u_{i}")
+        else:
+            found.append(str(operation))
+    return found
+
+
+@pytest.mark.parametrize("model", ["toppling_stick", "compass_walker", "hopper"])
+def test_no_operation_of_a_step_depends_on_parameters_alone(model):
+    simulator = Simulator(automaton(model), Taylor(2.2e-16))
+    setup, trace = simulator.automaton.setup({}, 2.2e-16), simulator.run(until=2.0)
+    for mode in {arc.mode for arc in trace.arcs}:
+        integrator = simulator.compiled(roles_in(mode), setup.zeros).stepper.integrator
+        assert still(integrator.decomposition, integrator.dim) == []
+
+
+@pytest.mark.parametrize("folds", [True, False])
+def test_a_formula_is_the_same_with_parameters_put_together(folds):
+    formula = (P + Q * X + 3) * sp.sin(X) / (P**2 + 1) + sp.sqrt(Q) * D * Y**2 + P * T
+    convert = Converter(HERE, {D: P * Q - 1}, folds=folds)
+    found = convert(formula)
+    values = {P: 0.7, Q: 1.9, X: 0.3, Y: -0.4, T: 0.5}
+    numbers = [value.subs(D, P * Q - 1).subs(values) for value in convert.constants]
+    compiled = hy.cfunc([found], vars=[hy.expression("v0"), hy.expression("v1")])
+    # Of heyoka's own parameters the first is when the flow began.
+    pars = np.array([0.5, *numbers], dtype=float)
+    (value,) = compiled([0.3, -0.4], pars=pars, time=0.0)
+    expected = float(formula.subs(D, P * Q - 1).subs(values))
+    assert math.isclose(value, expected, rel_tol=1e-15)
+    assert folds == (convert.constants != [P, Q])
+
+
+def test_what_moves_of_a_product_is_computed_once_whatever_stands_before_it():
+    convert = Converter(HERE, {}, folds=True)
+    system = [
+        (hy.expression("v0"), convert(P * Y**2 * sp.cos(X))),
+        (hy.expression("v1"), convert(-P * Q * Y**2 * sp.cos(X) + 3)),
+    ]
+    operations = [str(item[0]) for item in hy.taylor_adaptive(system, [0.0, 0.0]).decomposition]
+    assert sum("u_" in text and text.count("u_") == 2 for text in operations) == 1
