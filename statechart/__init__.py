@@ -35,18 +35,20 @@ if TYPE_CHECKING:
         Zeno,
     )
     from statechart.loading.load import load
+    from statechart.running.asked import Modes, equations, modes
     from statechart.running.drawing import draw, graph
     from statechart.running.result import Result
     from statechart.running.runner import Runner, run
     from statechart.study.trade import trade
     from statechart.sweeps.sweep import sweep
-    from statechart.testing.checking import check
+    from statechart.testing.checking import CheckReport, check
 
     __version__: str
 
 __all__ = [
     "AmbiguousMode",
     "Chart",
+    "CheckReport",
     "Count",
     "DeclarationError",
     "Diagram",
@@ -55,6 +57,7 @@ __all__ = [
     "Integral",
     "Maximum",
     "Minimum",
+    "Modes",
     "NoConsistentMode",
     "NonFinite",
     "OutOfBudget",
@@ -77,8 +80,10 @@ __all__ = [
     "Zeno",
     "check",
     "draw",
+    "equations",
     "graph",
     "load",
+    "modes",
     "run",
     "sweep",
     "trade",
@@ -92,12 +97,13 @@ _HOMES = {
     "documents.declaration": ("Settings", "Stop"),
     "documents.outputs": ("Count", "Integral", "Maximum", "Minimum", "Value"),
     "loading.load": ("load",),
+    "running.asked": ("Modes", "equations", "modes"),
     "running.drawing": ("draw", "graph"),
     "running.result": ("Result",),
     "running.runner": ("Runner", "run"),
     "study.trade": ("trade",),
     "sweeps.sweep": ("sweep",),
-    "testing.checking": ("check",),
+    "testing.checking": ("CheckReport", "check"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -67,7 +67,7 @@ class SceneLaws:
 
     def __init__(self, mechanics: Mechanics, numbers: SceneNumbers) -> None:
         self._mechanics = mechanics
-        self._modes = mechanics.scene.modes
+        self._modes = mechanics.scene.initial_modes
         self._paradox = mechanics.scene.paradox
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers

@@ -84,7 +84,7 @@ class RowCall:
             np.array([bands.index(m) if m in bands else -1 for m in loop.margins], np.int64),
             may,
             means,
-            _starts([law.name for law in laws], numbers.scene.modes),
+            _starts([law.name for law in laws], numbers.scene.initial_modes),
             gap,
             speed,
             force,

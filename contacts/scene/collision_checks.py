@@ -57,8 +57,13 @@ def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
     check_shapes(scene, values)
     if not scene.collisions:
         return
-    for section in ("contacts", "coordinates", "modes"):
-        if getattr(scene, section):
+    absent = {
+        "contacts": scene.contacts,
+        "coordinates": scene.coordinates,
+        "modes": scene.initial_modes,
+    }
+    for section, declared in absent.items():
+        if declared:
             raise DeclarationProblem(
                 f"a scene with collisions has no {section} yet",
                 advice="bodies are free, and touch by their shapes",

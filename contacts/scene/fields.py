@@ -125,8 +125,11 @@ class SceneFields(Declaration):
             }
         ],
     )
-    modes: dict[str, Literal["free", "closed", "slide", "slide+", "slide-", "pin", "off"]] = Field(
+    initial_modes: dict[
+        str, Literal["free", "closed", "slide", "slide+", "slide-", "pin", "off"]
+    ] = Field(
         default={},
+        alias="modes",
         description="Contact to its mode at the start: checked, and found where not given.",
         examples=[{"tip": "pin"}],
     )

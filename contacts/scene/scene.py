@@ -172,7 +172,7 @@ class Scene(SceneFields):
         for name, force in self.forces.items():
             several = {**self.bodies, **single}
             self._member(found, "body", force.body, several, "forces", name, "body")
-        for name, mode in self.modes.items():
+        for name, mode in self.initial_modes.items():
             self._member(found, "contact", name, self.contacts, "modes", name)
             if name not in self.contacts or not self._on_a_surface(name):
                 continue

@@ -112,7 +112,7 @@ class SceneStepper(Stepper):
             gap, *_, condition = row
             gated = OFF in law.states
             off[i] = gated and (
-                condition < 0.0 or (gap < -near and self._scene.modes.get(law.name) == OFF)
+                condition < 0.0 or (gap < -near and self._scene.initial_modes.get(law.name) == OFF)
             )
             if not off[i]:
                 check_start(law, row[:3], near, near, setup.tolerances["speed"])

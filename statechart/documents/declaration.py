@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Literal, Self
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StrictInt, model_validator
 
@@ -261,6 +263,29 @@ class Declaration(Part):
             made.check_values(made.values())
         return made
 
+    def modes(self) -> Any:
+        """Return the modes, and which are possible where a run starts; see `statechart.modes`."""
+        return _public("modes")(self)
+
+    def equations(self, mode: str, *, latex: bool = False) -> Any:
+        """Return the equations of motion of a mode; see `statechart.equations`."""
+        return _public("equations")(self, mode, latex=latex)
+
+    def diagram(self, path: str | Path | None = None, *, visited: bool = False) -> Any:
+        """Return the statechart, and write it to a file where one is named; see `statechart.draw`.
+
+        Examples
+        --------
+        >>> from statechart import load
+        >>> load("toppling_stick").diagram().title
+        'toppling_stick'
+        """
+        return _public("draw")(self, path, visited=visited)
+
+    def check(self, *, examples: int = 50, seed: int | None = None) -> Any:
+        """Test what must hold of every run over the ranges; see `statechart.check`."""
+        return _public("check")(self, examples=examples, seed=seed)
+
     def alternatives(self) -> Mapping[str, Self]:
         """Return the model under the other choices that its laws leave open, by their names."""
         return {}
@@ -362,3 +387,8 @@ class Declaration(Part):
                     )
         found.check()
         return self
+
+
+def _public(name: str) -> Any:
+    """Return a function of the public page: what a model is asked for stands above it."""
+    return getattr(import_module("statechart"), name)

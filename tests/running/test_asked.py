@@ -1,0 +1,47 @@
+"""What a model answers for itself, without a run."""
+
+from __future__ import annotations
+
+import statechart
+from contacts import Body, Contact, Point, Scene, Surface
+from statechart import Stop, load
+
+SCENE = Scene(
+    name="block",
+    gravity=9.81,
+    bodies={"block": Body(mass=1)},
+    surfaces={"floor": Surface(height=0)},
+    contacts={
+        "base": Contact(point=Point(body="block"), surface="floor", friction=0.5, restitution=0)
+    },
+    initial_modes={"base": "pin"},
+    stop=Stop(time=1),
+)
+
+
+def test_a_model_lists_its_modes() -> None:
+    found = SCENE.modes()
+    assert len(found) == 3
+    assert [mode["base"] for mode in found.possible] == ["free", "slide", "pin"]
+    assert found.refused == ()
+    assert str(found).startswith("block: 3 modes (4 with directions of sliding)")
+    table = load("four_legged_table").modes()
+    assert len(table.possible) + len(table.refused) == len(table)
+
+
+def test_a_model_writes_its_equations() -> None:
+    said = SCENE.equations("base:pin")
+    assert said.startswith("block, base:pin")
+    assert said == statechart.equations(SCENE, "pin")
+    assert "begin{align" in SCENE.equations("free", latex=True)
+
+
+def test_a_model_draws_and_checks_itself(tmp_path: object) -> None:
+    assert SCENE.diagram().title == "block"
+    assert SCENE.check(examples=1, seed=1).passed
+
+
+def test_the_mode_at_the_start_is_given_by_either_name() -> None:
+    fields = SCENE.model_dump(by_alias=True)
+    assert fields["modes"] == {"base": "pin"}
+    assert Scene(**fields) == SCENE
