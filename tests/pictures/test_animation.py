@@ -101,3 +101,11 @@ def test_the_command_line_writes_one(tmp_path, capsys):
     assert main(["run", "sliding_ladder", "--animate", str(target)]) == 0
     assert "sliding_ladder: STOPPED" in capsys.readouterr().out
     assert target.read_bytes().startswith(b"GIF89a")
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="the program ffmpeg is not here")
+def test_an_mp4_is_written_where_ffmpeg_is(tmp_path):
+    written = statechart.run("sliding_ladder").animate(tmp_path / "film.mp4", size=240)
+    data = written.read_bytes()
+    assert data[4:8] == b"ftyp"
+    assert b"moov" in data[:200]  # at the front: it plays while it is loaded
