@@ -56,7 +56,7 @@ class Stepper(ABC):
         self._mechanics, self._scene = mechanics, mechanics.scene
         self._stepping = Stepping(
             self._scene.name,
-            mechanics.variable_names,
+            (*mechanics.variable_names, *mechanics.memory),
             mechanics.parameters.names,
             regions,
             controls,

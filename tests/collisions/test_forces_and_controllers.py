@@ -110,8 +110,10 @@ def test_a_gate_lifts_what_stands_on_it_and_clocks_are_kept():
         GATE, surfaces=", plate: {edge: [[-1, 0.0], [0.8, 0.0]], displacement: [0, lift]}",
         names=", plate", time=0.6,
     )  # fmt: skip
+    scene += "outputs: {up: {value: lift, at: first gate.open}}\n"
     result = run(scene)
     trace = result.trace
+    assert result.outputs["up"] == pytest.approx(0.1, abs=1e-3)
     changes = [(jump.cause, jump.t) for jump in trace.jumps if jump.region == "gate"]
     assert [cause for cause, _ in changes] == ["waited", "up"]
     assert [t for _, t in changes] == pytest.approx([0.2, 0.4], abs=2.1e-3)
