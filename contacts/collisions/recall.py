@@ -41,8 +41,10 @@ class Recall:
         rates = self._tape(states)
         if not len(rates.reads):
             # All of it flows at constant rates, as clocks do.
-            result[:] = remembered + np.outer(times - times[0], rates.at(remembered, values, 0.0))
-            return result
+            # Added up one by one, so that it does not matter where steps begin.
+            result[1:] = np.outer(np.diff(times), rates.at(remembered, values, 0.0))
+            found: Array = np.cumsum(result, axis=0)
+            return found
         for k, h in enumerate(np.diff(times).tolist()):
             t, w = float(times[k]), result[k]
             first = rates.at(w, values, t)

@@ -12,6 +12,9 @@ from contacts.collisions.paths import Paths, Where
 from contacts.collisions.recall import Recall
 from statechart.arrays import Array
 
+# A start that is a whole number of steps but for this part of one is that.
+_SAME = 1e-6
+
 
 class Surroundings:
     """What acts on the bodies of one run.
@@ -58,7 +61,10 @@ class Surroundings:
         Before a run begins surfaces move as they do then, and so do they before a step of another
         length.
         """
-        times: Array = start + 0.5 * h * np.arange(2 * count + 2, dtype=float)
+        # Counted from the start of the run: instants are the same in chunks of any length.
+        number = round(start / h)
+        first = number if abs(start - number * h) <= _SAME * h else start / h
+        times: Array = h * (first + 0.5 * np.arange(2 * count + 2, dtype=float))
         memories = self._recall.along(self._states, self._values, remembered, times)
         now = self._paths.at(self._known, times[:1], memories[:1])
         looks = self._paths.at(self._known, times[1::2], memories[1::2])
