@@ -52,10 +52,16 @@ class Recorded(Sequence[T], Generic[T]):
         Makes what stands at a place.
     count : callable
         How many there are.
+
+    Attributes
+    ----------
+    source : object
+        What all of them stand in, for those who read that; does not travel.
     """
 
     def __init__(self, make: Callable[[int], T], count: Callable[[], int]) -> None:
         self._make, self._count = make, count
+        self.source: object = None
         self._seen: dict[int, T] = {}
 
     def __len__(self) -> int:

@@ -203,6 +203,11 @@ class Recording:
         del self.arcs, self.jumps
         return found
 
+    @property
+    def only(self) -> Block | None:
+        """The block that holds all of it, if one does."""
+        return self._blocks[0] if len(self._blocks) == 1 else None
+
     def kind(self, mode: Key, roles: Roles) -> int:
         """Return the place of a kind, a new one where it was none."""
         kind = mode, roles

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -45,6 +46,8 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
             Jump(t_end, place[N_JUMPS], "", "stop", last[0], last[0], final, final, (margin,))
         )
     arcs, jumps = record.close()
+    block = record.only
+    arcs.source = None if block is None else replace(batch, block=block)
     return Trace(
         name=automaton.name,
         regions=automaton.region_names,

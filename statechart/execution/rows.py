@@ -162,6 +162,10 @@ class RowRunner:
         self.simulator, self._names = simulator, tuple(names)
         self._gone: dict[frozenset[int], Bools] = {}
 
+    def ready(self, count: int) -> bool:
+        """Whether so many rows can be run: the call for them is compiled, or worth that now."""
+        return any(modes.rows(self._names, count) for _, modes in self.simulator.known())
+
     def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
         """Run rows; yield those that have gone through, in batches.
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from statechart.arrays import Array
 from statechart.automaton.events import happened
 from statechart.automaton.trace import Jump, Trace
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
+from statechart.execution.rows import Batch
 from statechart.observation.observer import Observer
+from statechart.observation.row_formulas import RowFormulas
 from statechart.observation.zeno_tails import last_resolved
 
 OutputValue = float | int | list[float] | None
@@ -91,12 +95,22 @@ class Outputs:
             values = observer.final(trace, list(self.end.values())).tolist()
             found |= zip(self.end, values, strict=True)
         if self.integrals:
-            declared = self.integrals.values()
-            totals = observer.integrals(
-                trace, [o.integral for o in declared], [o.during for o in declared]
-            )
-            found |= zip(self.integrals, totals.tolist(), strict=True)
+            found |= zip(self.integrals, self._integrated(trace).tolist(), strict=True)
         return {name: found[name] for name in self.names}
+
+    def _integrated(self, trace: Trace) -> Array:
+        """Return the declared integrals (f,)."""
+        batch = getattr(trace.arcs, "source", None)
+        if isinstance(batch, Batch):
+            return self.formulas.integrals(batch, self.integrals)[0]
+        formulas = [output.integral for output in self.integrals.values()]
+        during = [output.during for output in self.integrals.values()]
+        return self.observer.integrals(trace, formulas, during)
+
+    @cached_property
+    def formulas(self) -> RowFormulas:
+        """What evaluates formulas of runs that loops have made from their start to their end."""
+        return RowFormulas(self.observer)
 
     def endless(self, trace: Trace) -> frozenset[str]:
         """Return the outputs that count or list events of which a Zeno sequence has no end.

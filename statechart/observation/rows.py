@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.events import happened
 from statechart.automaton.recording import event_of
-from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Jump, Key
 from statechart.documents.outputs import Event, Moment
 from statechart.execution.ahead import N_JUMPS, N_MODE, T_HIGH
-from statechart.execution.loops import Packed
 from statechart.execution.rows import (
-    ARCS,
     EVENTS,
     EVENTS_END,
     FIRST_MODE,
     Batch,
     RowRunner,
 )
-from statechart.formulas.tape import Tape, contiguous
-from statechart.kernels.rows import extremes_rows, integrate_rows, tape_rows
-from statechart.observation.flows import Where, seen, wanted
 from statechart.observation.outputs import Outputs
+from statechart.observation.row_formulas import Points
 
 # Columns of the events of a block.
 _SOURCE, _TARGET, _STRUCK, _GROUP = 0, 1, 4, 5
@@ -38,16 +32,6 @@ _STOP = -1
 """As the place of an event in its block: a stop, which stands in none."""
 
 _Zeros = frozenset[int]
-_Integrands = tuple[Ints32, Array, Ints, Ints]
-
-
-class _Points(NamedTuple):
-    """Where formulas are evaluated: runs (m,), kinds of modes (m,), times (m,), states (m, n)."""
-
-    owners: Ints
-    kinds: Ints
-    times: Array
-    states: Array
 
 
 class _Events(NamedTuple):
@@ -84,10 +68,9 @@ class RowOutputs:
 
     def __init__(self, outputs: Outputs, runner: RowRunner) -> None:
         self._outputs, self._runner = outputs, runner
-        self._observer, self._simulator = outputs.observer, runner.simulator
-        self._regions = self._observer.automaton.regions
+        self._regions = outputs.observer.automaton.regions
+        self._formulas = outputs.formulas
         self._verdicts: dict[tuple[_Zeros, tuple[int, ...], tuple[Event, ...]], bool | None] = {}
-        self._packed: dict[tuple[Hashable, ...], _Integrands] = {}
 
     def of(self, batch: Batch, table: Array) -> tuple[dict[str, Array], dict[str, list[Array]]]:
         """Return the outputs of rows: numbers (m,), and lists, a row of each.
@@ -108,7 +91,7 @@ class RowOutputs:
                 happens = self._happened(batch, events, moment.events, table)
                 chosen = _chosen(events.owners, np.flatnonzero(happens), moment)
                 points = _at(batch, events, chosen, output.before)
-                values = self._values(batch, [output.value], points)[:, 0]
+                values = self._formulas.values(batch, [output.value], points)[:, 0]
                 if moment.several:
                     counts = np.bincount(points.owners, minlength=m)
                     lists[name] = np.split(values, np.cumsum(counts)[:-1])
@@ -120,105 +103,22 @@ class RowOutputs:
                 numbers[name] = np.bincount(events.owners[happens], minlength=m).astype(float)
         rows = np.arange(m)
         for group, points in (
-            (outputs.start, _Points(rows, found.ends[:, FIRST_MODE], np.zeros(m), found.initial)),
+            (outputs.start, Points(rows, found.ends[:, FIRST_MODE], np.zeros(m), found.initial)),
             (
                 outputs.end,
-                _Points(rows, found.place[:, N_MODE], found.now[:, T_HIGH], found.final),
+                Points(rows, found.place[:, N_MODE], found.now[:, T_HIGH], found.final),
             ),
         ):
             if group:
-                columns = self._values(batch, list(group.values()), points).T
+                columns = self._formulas.values(batch, list(group.values()), points).T
                 numbers |= zip(group, columns, strict=True)
         if outputs.integrals:
-            numbers |= zip(outputs.integrals, self._integrals(batch).T, strict=True)
-        for name, formula, which in outputs.extremes:
-            numbers[name] = self._extremes(batch, formula)[:, which]
-        return numbers, lists
-
-    def _values(
-        self, batch: Batch, formulas: Sequence[str | int | float], points: _Points
-    ) -> Array:
-        """Return the values (m, f) of formulas at points."""
-        observer = self._observer
-        expressions = observer.expressions(formulas)
-        result = np.full((len(points.owners), len(expressions)), np.nan)
-        if not observer.needed(expressions):
-            self._fill(observer.tape(expressions, None), batch, points, result)
-            return result
-        for kind in np.unique(points.kinds).tolist():
-            index = np.flatnonzero(points.kinds == kind)
-            mode = self._mode(batch, kind)
-            part = np.empty((len(index), len(expressions)))
-            some = _Points._make([array[index] for array in points])
-            self._fill(observer.tape(seen(expressions, mode), mode), batch, some, part)
-            result[index] = part
-        return result
-
-    @staticmethod
-    def _fill(tape: Tape, batch: Batch, points: _Points, result: Array) -> None:
-        tape_rows(
-            *tape.program, contiguous(points.states), batch.found.values,
-            np.ascontiguousarray(points.owners), contiguous(points.times), result,
-        )  # fmt: skip
-
-    def _mode(self, batch: Batch, kind: int) -> Mode:
-        return self._simulator.compiled(batch.kinds[kind][1], batch.zeros).mode
-
-    def _integrals(self, batch: Batch) -> Array:
-        """Return the declared integrals (m, f)."""
-        declared = self._outputs.integrals.values()
-        formulas = tuple(output.integral for output in declared)
-        tapes = self._tapes(batch, formulas, wanted([output.during for output in declared]))
-        totals = np.zeros((len(batch.found.ends), len(formulas)))
-        ints, floats, kinds, columns = tapes
-        integrate_rows(ints, floats, kinds, columns, *_Arcs.of(batch), totals)
-        return totals
-
-    def _extremes(self, batch: Batch, formula: str | int | float) -> Array:
-        """Return the least and the greatest value (m, 2) of a formula."""
-        found, rows = batch.found, np.arange(len(batch.found.ends))
-        result = np.empty((len(rows), 2))
-        ints, floats, tapes, _ = self._tapes(batch, (formula,), ((),))
-        extremes_rows(ints, floats, tapes, *_Arcs.of(batch), result)
-        still = np.flatnonzero(found.spans[:, ARCS] == found.spans[:, ARCS + 1])
-        if still.size:  # nothing flowed
-            ends, end = found.place[still, N_MODE], found.now[still, T_HIGH]
-            first, last = (
-                self._values(batch, [formula], points)[:, 0]
-                for points in (
-                    _Points(still, found.ends[still, FIRST_MODE], 0.0 * end, found.initial[still]),
-                    _Points(still, ends, end, found.final[still]),
-                )
+            numbers |= zip(
+                outputs.integrals, self._formulas.integrals(batch, outputs.integrals).T, strict=True
             )
-            result[still, 0] = np.where(last < first, last, first)
-            result[still, 1] = np.where(last > first, last, first)
-        return result
-
-    def _tapes(
-        self, batch: Batch, formulas: tuple[str | int | float, ...], where: tuple[Where, ...]
-    ) -> _Integrands:
-        """Return what formulas are in every kind of mode, and their places there."""
-        key = batch.zeros, len(batch.kinds), formulas, where
-        if key not in self._packed:
-            self._packed[key] = self._taped(batch, formulas, where)
-        return self._packed[key]
-
-    def _taped(
-        self, batch: Batch, formulas: tuple[str | int | float, ...], where: tuple[Where, ...]
-    ) -> _Integrands:
-        observer = self._observer
-        expressions = observer.expressions(formulas)
-        packed = Packed()
-        tapes = np.zeros((len(batch.kinds), 9), np.int64)
-        columns = np.zeros((len(batch.kinds), len(expressions)), np.int64)
-        for place, kind in enumerate(batch.kinds):
-            active = observer.active(kind[0], where, expressions)
-            if not (active.places and batch.modes.knows(kind)):
-                continue
-            mode = self._mode(batch, place) if active.needed else None
-            tapes[place] = packed.tape(observer.tape(seen(active.expressions, mode), mode))
-            columns[place, : len(active.places)] = active.places
-        return *packed.arrays(), tapes, columns
+        for name, formula, which in outputs.extremes:
+            numbers[name] = self._formulas.extremes(batch, formula)[:, which]
+        return numbers, lists
 
     def _happened(
         self, batch: Batch, events: _Events, wait: tuple[Event, ...], table: Array
@@ -273,28 +173,6 @@ class RowOutputs:
         setup = partial(self._runner.setup, table[row])
         j = place - int(batch.found.spans[row, EVENTS])
         return batch.modes.jump(setup, event_of(batch.block, place, j, batch.kinds))
-
-
-class _Arcs(NamedTuple):
-    """The arcs of rows, as kernels take them; see `integrate_rows`."""
-
-    arcs: Ints32
-    places: Ints
-    starts: Array
-    times: Array
-    coefficients: Array
-    spans: Ints
-    values: Array
-    variables: int
-
-    @classmethod
-    def of(cls, batch: Batch) -> _Arcs:
-        block, found = batch.block, batch.found
-        spans = found.spans[:, ARCS : ARCS + 2].copy()
-        return cls(
-            block.arcs, block.places, block.starts, block.times, block.coefficients, spans,
-            found.values, found.final.shape[1],
-        )  # fmt: skip
 
 
 def modes_of(batch: Batch) -> list[tuple[Key, ...]]:
@@ -364,7 +242,7 @@ def _chosen(owners: Ints, happens: NDArray[np.intp], moment: Moment) -> NDArray[
     return happens[rank < (moment.most or 1)]
 
 
-def _at(batch: Batch, events: _Events, chosen: NDArray[np.intp], before: bool) -> _Points:
+def _at(batch: Batch, events: _Events, chosen: NDArray[np.intp], before: bool) -> Points:
     """Return the points just before events, or just after them."""
     block, found = batch.block, batch.found
     owners, places = events.owners[chosen], events.places[chosen]
@@ -375,4 +253,4 @@ def _at(batch: Batch, events: _Events, chosen: NDArray[np.intp], before: bool) -
     kinds[stops] = found.place[owners[stops], N_MODE]
     times[stops] = found.now[owners[stops], T_HIGH]
     states[stops] = found.final[owners[stops]]
-    return _Points(owners, kinds, times, states)
+    return Points(owners, kinds, times, states)

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 
 import numpy as np
@@ -139,7 +139,7 @@ def run_block(task: Task, rows: Array) -> Block:
     KeyboardInterrupt
         If it is to end.
     """
-    here = version("contact-statecharts")
+    here = _version()
     if task.version != here:
         raise DeclarationError(
             f"a worker has version {here} of contact-statecharts, not {task.version}",
@@ -147,6 +147,11 @@ def run_block(task: Task, rows: Array) -> Block:
         )
     with _ONE_AT_A_TIME:
         return _cells(task).block(rows)
+
+
+@cache
+def _version() -> str:
+    return version("contact-statecharts")
 
 
 @lru_cache(maxsize=2)

@@ -31,7 +31,7 @@ _FORMAT = "statechart sweep 1"
 # Cells of a sweep: which of them are done is known in memory.
 _MOST = 100_000_000
 # Cells of a chunk: so many numbers are read at once by whoever looks at one of them.
-_CHUNK = 4096
+_CHUNK = 16384
 SAMPLE = "sample"
 """Dimension of a table of samples."""
 # Variables and dimensions that every sweep has.

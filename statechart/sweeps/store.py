@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _SEQUENCE, _UNFINISHED = "sequence", "unfinished"
 # Values of a list along its own dimension, and sequences, that one chunk holds.
-_LIST_CHUNK, _TABLE_CHUNK = 64, 256
+_LIST_CHUNK, _TABLE_CHUNK = 16, 256
 
 
 class _Kind(NamedTuple):

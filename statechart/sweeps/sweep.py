@@ -32,8 +32,11 @@ if TYPE_CHECKING:
 # Seconds that a block takes: much longer than handing it out, much shorter than people wait.
 _BLOCK = 0.25
 _MOST_CELLS = 4096
-# Seconds between what is written of a chunk that is not whole; a kill loses no more.
-_WRITTEN = 1.0
+# What is handed out is no more than one part in so many of what is left, down to so many cells:
+# workers come to their end together, and cells of one compiled call are worth it.
+_PARTS, _FEWEST = 16, 64
+# Seconds between what is written; a kill loses no more.
+_WRITTEN = 4.0
 # Blocks handed out at first, and at most; each that returns makes room for one more.
 _FIRST, _MOST = 64, 2048
 # Seconds between looks for a signal while workers work.
@@ -196,7 +199,7 @@ def make(
     kept = Store(plan, store, resume=resume)
     before, ended = kept.left, ""
     with interrupts.held(), told(plan.size, plan.size - before, shown=progress) as tell:
-        work = _Work(plan, kept, tell)
+        work = _Work(plan, kept, tell, shared=executor is not None)
         try:
             if executor is None:
                 _run_here(work)
@@ -239,8 +242,11 @@ class _Job(NamedTuple):
 class _Work:
     """The cells that are not done yet, and those whose results are not written yet."""
 
-    def __init__(self, plan: Plan, store: Store, tell: Callable[[int], None]) -> None:
+    def __init__(
+        self, plan: Plan, store: Store, tell: Callable[[int], None], *, shared: bool
+    ) -> None:
         self._plan, self._store, self._tell = plan, store, tell
+        self._left, self._shared = store.left, shared
         self._open: list[_Chunk] = []
         self._parts = self._cells()
         self._size = 1
@@ -250,10 +256,16 @@ class _Work:
 
     def next(self) -> _Job | None:
         """Return the next cells to run, as many as take a moment."""
+        size = self._size
+        if self._shared:
+            size = min(size, max(self._left // _PARTS, _FEWEST))
         try:
-            return self._parts.send(self._size)
+            job = self._parts.send(size)
         except StopIteration:
             return None
+        assert job is not None
+        self._left -= len(job.places)
+        return job
 
     def _cells(self) -> Generator[_Job | None, int, None]:
         """Yield as many cells of a chunk as are sent for."""

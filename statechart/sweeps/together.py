@@ -56,7 +56,7 @@ class Together:
     def size(self) -> int:
         """How many cells to take next; 1 where each is to be run alone."""
         lost = self._tried >= _TRIED and self.through * _WORTH < self._tried
-        if lost or self._rows is None:
+        if lost or self._rows is None or not self._rows[0].ready(1):
             return 1
         # The first of them enter modes that are not known yet.
         return min(2 + self._tried, _MOST)

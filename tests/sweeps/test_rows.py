@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from contacts.event_driven.ordinary import SceneInstants
 from statechart import Runner, load
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
@@ -135,6 +136,22 @@ def test_a_stop_time_that_varies(monkeypatch: pytest.MonkeyPatch) -> None:
     table = cells(model, 12)
     table[3, 0] = 0.0  # no end
     assert compared(model, table, monkeypatch) > 0
+
+
+def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(loops, "_WORTH", 300)
+    monkeypatch.setattr(SceneInstants, "rows_compiled", lambda self: False)
+    model = load("toppling_stick")
+    plan = Plan(model, Setting(), {"mu": [0.2, 0.4]})
+    block._cells.cache_clear()
+    run_block(plan.task, np.linspace(0.1, 0.9, 90)[:, None])
+    (structure,) = block._cells(plan.task)._structures.values()
+    assert structure.together.through == 0
+    for _ in range(4):
+        run_block(plan.task, np.linspace(0.1, 0.9, 90)[:, None])
+    assert structure.together.through > 50
 
 
 def test_runs_that_look_for_an_accuracy_are_made_alone() -> None:
