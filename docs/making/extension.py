@@ -18,6 +18,8 @@ _log = logging.getLogger(__name__)
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Be asked by Sphinx."""
+    # Sphinx asks for what it will copy before anything is made.
+    (Path(app.srcdir) / MADE / "files").mkdir(parents=True, exist_ok=True)
     app.connect("builder-inited", _make)
     app.connect("build-finished", _check)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
