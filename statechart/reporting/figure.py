@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 _WIDTH = 7.2
 _MOST_LABELLED = 24
+# Of more the lines make a grey area, which tells nothing that bands of modes do not.
+_MOST_LINES = 150
 # Between a label that ends at its event and one that begins there, of the width.
 _GAP = 0.02
 _LEVELS = 3
@@ -331,6 +333,8 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> None:
         # Events that accumulate would make a black bar.
         if not times or jump.t - times[-1] > span / 250:
             times.append(jump.t)
+    if len(times) > _MOST_LINES:
+        return
     faint = 0.8 if len(jumps) <= _MOST_LABELLED else 0.35
     for ax in axes:
         ax.vlines(
