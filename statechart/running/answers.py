@@ -139,8 +139,8 @@ class Answers:
         floor = self._observers.floor(setting)
         first = self._observers.first(setting) if plan.first is None else plan.first
         if self._allowance is not None:
-            left = self._allowance.seconds - spent
-            return within(once, left, first=first, floor=floor), basis
+            allowed = self._allowance.seconds
+            return within(once, allowed, spent=spent, first=first, floor=floor), basis
         assert setting.accuracy is not None
         if plan.chosen is not None:
             answer = confirmed(once, plan.chosen)

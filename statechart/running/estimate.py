@@ -330,6 +330,7 @@ def within(
     once: Once,
     budget: float,
     *,
+    spent: float = 0.0,
     floor: float,
     first: float | None = None,
     clock: Callable[[], float] = working_time,
@@ -342,6 +343,8 @@ def within(
         Makes a run, and ends it with `Outcome.OUT_OF_BUDGET` once the time is up.
     budget : float
         Seconds for all runs together.
+    spent : float, optional
+        Of these, before the first run.
     floor : float
         Least tolerance of the engine.
     first : float, optional
@@ -369,18 +372,19 @@ def within(
         if not cut:
             runs.compare(observer, trace, last=tolerance <= floor)
         answer = Answer(observer, trace, runs.estimate, runs.cost, runs.warnings, runs.not_judged)
-        if cut or tolerance <= floor or runs.seconds + _LONGER * took > budget:
+        if cut or tolerance <= floor or spent + runs.seconds + _LONGER * took > budget:
             break
         tolerance = max(tolerance * stride, floor)
     if answer.estimate is None and answer.trace.outcome not in UNTOLD:
         warning = (
             f"within {budget:g} s there was time for one run only, so its error was not "
-            f"estimated: allow {_ADVISED * runs.seconds:.2g} s"
+            f"estimated: allow {_ADVISED * (spent + runs.seconds):.2g} s"
         )
         answer = replace(answer, warnings=(warning,))
-    if runs.seconds > max(_OVERRUN * budget, budget + _MOMENT):
+    taken = spent + runs.seconds
+    if taken > max(_OVERRUN * budget, budget + _MOMENT):
         warning = (
-            f"{runs.seconds:.2g} s were taken of the {budget:g} s allowed: a mode that is being "
+            f"{taken:.2g} s were taken of the {budget:g} s allowed: a mode that is being "
             "solved or compiled is not interrupted; what is made is kept for the next run"
         )
         answer = replace(answer, warnings=(*answer.warnings, warning))

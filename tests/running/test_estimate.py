@@ -342,6 +342,8 @@ def test_a_budget_that_was_overrun_is_told() -> None:
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
     told = within(once, 0.5, floor=1e-13, clock=clock).warnings
     assert any("1 s were taken of the 0.5 s allowed" in warning for warning in told)
+    late = within(once, 0.5, spent=0.75, floor=1e-13, clock=clock).warnings
+    assert any("1.8 s were taken of the 0.5 s allowed" in warning for warning in late)
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
     kept = within(once, 2.9, floor=1e-13, clock=clock).warnings
     assert not any("were taken" in warning for warning in kept)
