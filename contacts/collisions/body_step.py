@@ -280,7 +280,7 @@ def step_bodies(
     acting = filled(forces.code, forces.constants, forces.values, width, 1)
     for k in range(len(chunk.codes)):
         ground = Ground(around.frames[k : k + 3], registers, frames, still)
-        look_at(numbers, state, h, room.look)
+        look_at(numbers, state, h, memory.past[0], room.look)
         if len(forces.bodies) > 0:
             time = instant + (k + 0.5) * h
             pushed(numbers, forces, acting, around.memories[k + 1], time, h, room.look)

@@ -196,9 +196,9 @@ def between(
         dx, dy = one_centre[0] - other_centre[0], one_centre[1] - other_centre[1]
         away = math.hypot(dx, dy)
         gap = away - one_radius - other_radius
-        if gap > within or away == 0.0:
+        if gap > within:
             return 0
-        nx, ny = dx / away, dy / away
+        nx, ny = (dx / away, dy / away) if away > 0.0 else (0.0, 1.0)
         x, y = other_centre[0] + other_radius * nx, other_centre[1] + other_radius * ny
         write(found[0], nx, ny, x, y, gap)
         return 1

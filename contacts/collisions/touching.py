@@ -51,7 +51,7 @@ class Look(NamedTuple):
     centres : (b, 2), world : (v, 2)
         In the world, with the corners of polygons.
     reach : (b,)
-        How far a body moves within two steps.
+        How far a body moves within two steps, and since the last look.
     gaps : (b,)
         To what is nearest, where that is found.
     pull : (b,)
@@ -181,8 +181,11 @@ class Seen(NamedTuple):
 
 
 @part
-def look_at(numbers: BodyNumbers, state: Array, h: float, look: Look) -> None:
-    """Move bodies to the middle of a step, in place, and write what they are there."""
+def look_at(numbers: BodyNumbers, state: Array, h: float, past: float, look: Look) -> None:
+    """Move bodies to the middle of a step, in place, and write what they are there.
+
+    The step before was `past` long: what they have passed since its middle is within their reach.
+    """
     places, old, loose, centres, world, reach, gaps, pull = look
     count = len(numbers.sizes)
     gx, gy = numbers.gravity
@@ -200,7 +203,7 @@ def look_at(numbers: BodyNumbers, state: Array, h: float, look: Look) -> None:
         loose[b, 0] += h * gx
         loose[b, 1] += h * gy
         speed = math.hypot(old[b, 0], old[b, 1]) + numbers.sizes[b] * abs(old[b, 2]) + fall
-        reach[b] = 2.0 * h * speed
+        reach[b] = max(2.0 * h, 0.5 * (h + past)) * speed
         gaps[b], pull[b] = math.inf, fall
 
 

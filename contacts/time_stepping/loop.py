@@ -325,7 +325,7 @@ class SteppedRun:
             )
         if chunk.passed[k] > 0.0:
             return k, StepTooLarge(
-                f"something passes through another within one step of {h:g}; take "
+                f"something passes through another within one step of {self.span.step:g}; take "
                 f"{0.5 * h * chunk.passed[k]:.1g} or less"
             )
         if chunk.closing[k] <= DEEPEST * size:

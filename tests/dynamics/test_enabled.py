@@ -75,7 +75,7 @@ def test_a_ground_that_is_taken_away_lets_fall_and_one_that_comes_back_catches(n
 def test_a_point_inside_the_surface_comes_back_once_it_is_out(name: str) -> None:
     # Thrown up from below: the conditions hold all the time, the gap is open from t = 1 on.
     scene = _scene(Surface(height=0), {"y": -1.5, "dy": 2}, enabled="time >= 0")
-    trace = _run(scene.model_copy(update={"modes": {"c": "off"}}), name)
+    trace = _run(scene.model_copy(update={"initial_modes": {"c": "off"}}), name)
     assert trace.start_mode == ("off",)
     out = 2 - math.sqrt(4 - 3)
     assert _story(trace) == [
@@ -214,7 +214,7 @@ def test_a_start_inside_the_surface_says_how_to_be_off() -> None:
 def test_a_declared_mode_is_checked_against_the_conditions() -> None:
     scene = _scene(Surface(height=0), {"y": 1}, enabled="time < -1")
     with pytest.raises(DeclarationProblem, match=r"the condition c: time < -1 fails"):
-        _run(scene.model_copy(update={"modes": {"c": "free"}}))
+        _run(scene.model_copy(update={"initial_modes": {"c": "free"}}))
     with pytest.raises(DeclarationError, match="does not list the mode 'off'"):
         validate(
             read_text(

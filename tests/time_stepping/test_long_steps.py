@@ -81,14 +81,31 @@ def test_discs_collide_where_they_meet_and_nowhere_else(x0: float, y0: float, st
         assert found.outputs["vx"] < 45.0  # type: ignore[operator]
 
 
-def test_discs_that_would_pass_through_each_other_end_the_run() -> None:
+def test_discs_that_would_pass_through_each_other_in_a_step_take_it_in_parts() -> None:
     # 0.2 in a step of discs that are 0.04 wide: both looks are beside the other disc.
-    text = DISCS.replace("disc: 0.1", "disc: 0.02")
-    found = runner(text, 4e-3).run({"y0": 0.01, "x0": -1.5}, throw=False)
+    text, start = DISCS.replace("disc: 0.1", "disc: 0.02"), {"y0": 0.01, "x0": -1.5}
+    found = runner(text, 4e-3).run(start)
+    assert any("would pass through" in warning for warning in found.warnings)
+    # They touch at a sine of a quarter, and half of the approach is lost.
+    exact = 50.0 - 0.75 * 50.0 * (1.0 - 0.25**2)
+    errors = [runner(text, h).run(start).outputs["vx"] - exact for h in (4e-3, 1e-4)]  # type: ignore[operator]
+    assert abs(errors[0]) < 4.0
+    assert abs(errors[1]) < 0.4
+
+
+def test_discs_that_passed_before_a_step_that_is_taken_in_parts_end_the_run() -> None:
+    # Between the looks of a step and the next, but before the end of the first.
+    start = {"x0": -1.75, "y0": 0.125}
+    found = runner(DISCS, 0.02).run(start, throw=False)
     assert found.trace.outcome is Outcome.STEP_TOO_LARGE
     assert "passes through" in found.trace.message
     step = float(found.trace.message.rsplit("take ", 1)[1].split()[0])
-    assert runner(text, step).run({"y0": 0.01, "x0": -1.5}).outputs["vx"] < 45.0  # type: ignore[operator]
+    assert runner(DISCS, step).run(start).outputs["vx"] < 45.0  # type: ignore[operator]
+
+
+def test_discs_that_are_in_the_same_place_at_a_look_have_met() -> None:
+    found = runner(DISCS, 0.02).run({"x0": -1.5, "y0": 0.0})
+    assert found.outputs["vx"] == pytest.approx(12.5)
 
 
 def test_a_spring_that_swings_ever_farther_ends_the_run_and_a_fast_one_warns() -> None:
