@@ -5,7 +5,8 @@ Box2D 3, pymunk and MuJoCo (`pip install "contact-statecharts[bench]"`), each in
 own. They give no impulses of contacts that this measures alike, so that their exactness is not
 told; of all the deepest overlap is, at the end, and how high the highest disc then is.
 
-python benchmarks/many_bodies.py [--discs 100] [--dice 10 40] [--heaps 1000] [--repeats 5]
+python benchmarks/many_bodies.py [--discs 100] [--dice 10 40] [--heaps 1000] [--memory 3000]
+    [--repeats 5]
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
+import resource
 import statistics
 import subprocess
 import sys
@@ -23,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import scipy.spatial
 
-from contacts.collisions.outlines import body_numbers, owners_of
+from contacts.collisions.outlines import body_numbers
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
@@ -33,7 +35,7 @@ from statechart.testing.subject import Subject
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-_STEP, _END = 1e-3, 0.6
+_STEP, _END, _LONG = 1e-3, 0.6, 1.0
 _RADIUS, _MASS, _FRICTION, _RESTITUTION = 0.01, 0.01, 0.5, 0.2
 
 
@@ -176,8 +178,7 @@ def heaps(count: int) -> None:
         trace = subject.case({}).trace
         ends[trace.outcome.name] = ends.get(trace.outcome.name, 0) + 1
         scene = subject.model
-        single = scene.model_copy(update={"bodies": scene.single_bodies()})
-        numbers = body_numbers(single, owners_of(scene), scene.values())
+        numbers = body_numbers(scene, scene.values())
         try:
             assert_depths(numbers, trace)
         except AssertionError:
@@ -198,6 +199,22 @@ def heaps(count: int) -> None:
     )
 
 
+def memory(count: int, record: str) -> None:
+    """Print how much more than after its imports a run takes at most, in this process."""
+    runner = Runner("granular_column", record=record)
+    # Loads what is compiled.
+    runner.run({"n": 4}, until=_STEP)
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    before = int(status.split("VmRSS:")[1].split()[0])
+    trace = runner.run({"n": count}, until=_LONG, throw=False).trace
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(
+        f"{record:16}{count:6}{trace.counts['steps']:10} steps{(most - before) / 1024:10.0f} MB "
+        f"above imports  {trace.outcome.name}",
+        flush=True,
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--discs", type=int, nargs="*", default=[100])
@@ -206,7 +223,13 @@ def main() -> None:
     parser.add_argument("--heaps", type=int, default=0)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--peer", choices=PEERS, help="this program alone")
+    parser.add_argument("--memory", type=int, nargs="*", default=[], help="so many discs")
+    parser.add_argument("--record", choices=("modes", "poses", "nothing"), help="this one alone")
     chosen = parser.parse_args()
+    if chosen.record:
+        for count in chosen.memory:
+            memory(count, chosen.record)
+        return
     if chosen.peer:
         for count in chosen.discs:
             peer(chosen.peer, count, chosen.repeats)
@@ -223,6 +246,10 @@ def main() -> None:
             subprocess.run([*alone, "--repeats", str(chosen.repeats)], check=True)
     for count in chosen.dice:
         ours("dice", count, 1e-6, chosen.repeats)
+    for count in chosen.memory:
+        for record in ("modes", "poses", "nothing"):
+            alone = [sys.executable, __file__, "--memory", str(count), "--record", record]
+            subprocess.run(alone, check=True)
     if chosen.heaps:
         heaps(chosen.heaps)
 

@@ -72,3 +72,8 @@ STATES = {
     OFF_CODE: "off",
 }
 """Number of a mode of a region to its state."""
+
+
+def undetermined(names: Iterable[str]) -> str:
+    """Return what is told of contacts whose forces the motion leaves open."""
+    return f"the forces of {', '.join(names)} are indeterminate: the smallest are shown"

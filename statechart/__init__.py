@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from statechart.automaton.trace import Outcome, Trace
     from statechart.charts.chart import Chart
     from statechart.diagram.model import Diagram
-    from statechart.documents.declaration import Settings, Stop
     from statechart.documents.outputs import Count, Integral, Maximum, Minimum, Value
+    from statechart.documents.settings import Settings, Stop
     from statechart.errors import (
         AmbiguousMode,
         DeclarationError,
@@ -94,7 +94,7 @@ _HOMES = {
     "automaton.trace": ("Outcome", "Trace"),
     "charts.chart": ("Chart",),
     "diagram.model": ("Diagram",),
-    "documents.declaration": ("Settings", "Stop"),
+    "documents.settings": ("Settings", "Stop"),
     "documents.outputs": ("Count", "Integral", "Maximum", "Minimum", "Value"),
     "loading.load": ("load",),
     "running.asked": ("Modes", "equations", "modes"),

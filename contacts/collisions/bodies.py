@@ -14,29 +14,32 @@ import numpy as np
 from contacts.collisions.body_numbers import BodyNumbers, Memory
 from contacts.collisions.body_step import Room, step_bodies
 from contacts.collisions.declared_joints import check_closed
+from contacts.collisions.declared_surfaces import touched
 from contacts.collisions.inside import check_inside
 from contacts.collisions.joints import BOTH
+from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.mechanics import BodyMechanics
-from contacts.collisions.outlines import body_numbers, owners_of
+from contacts.collisions.outlines import body_numbers
 from contacts.collisions.paths import Paths
 from contacts.collisions.recall import Recall
 from contacts.collisions.surroundings import Surroundings
 from contacts.dynamics.control_guards import Controllers, controller, memory_rates
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.checks import check_finite, check_physical
+from contacts.scene.checks import check_physical
 from contacts.scene.collision_checks import check_shapes
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
+from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
 from contacts.time_stepping.control import StepControl
-from contacts.time_stepping.loop import DEEPEST, Begun
+from contacts.time_stepping.loop import DEEPEST
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import USUAL
 from statechart.automaton.regions import Margin, Region, State, stop_margins
+from statechart.automaton.time_stepper import USUAL
 from statechart.errors import (
     DeclarationProblem,
     NonFinite,
@@ -58,10 +61,8 @@ _PARTS = (4, 16, 64)
 
 def bodies_automaton(scene: Scene) -> Automaton:
     """Return the automaton of a scene with collisions: its regions, and what steps it."""
-    bodies = scene.single_bodies()
-    owners = owners_of(scene)
-    scene = scene.model_copy(update={"bodies": bodies})
-    mechanics = BodyMechanics(scene, owners)
+    declared, mechanics = scene, BodyMechanics(scene)
+    scene, superstates = mechanics.scene, superstates_of(BODY_STATES)
     observables = mechanics.observables
     stops = stop_margins(scene.stop.conditions, observables)
     of_bodies = (
@@ -70,17 +71,17 @@ def bodies_automaton(scene: Scene) -> Automaton:
             BODY_STATES,
             lambda state: State(),
             BODY_EDGES,
-            superstates_of(BODY_STATES),
+            superstates,
             default="free",
         )
-        for name in bodies
+        for name in scene.bodies
     )
     controllers = scene.controlled.flat
     regions = (*of_bodies, *(controller(n, r, mechanics) for n, r in controllers.items()))
     rates = memory_rates(mechanics)
 
     def stepper() -> BodyStepper:
-        return BodyStepper(mechanics, stops, regions)
+        return BodyStepper(declared, mechanics, stops, regions)
 
     return Automaton(
         name=scene.name,
@@ -98,7 +99,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
         observables=observables,
         setup=lambda overrides, _: stepper().setup(overrides),
         laws=None,
-        controls=(*mechanics.controls, *(rate for rate in rates.values() if rate != 0)),
+        controls=mechanics.given,
         stepper=stepper,
         own_step=lambda: stepper().own_step(),
     )
@@ -109,7 +110,10 @@ class BodyStepper(Stepper):
 
     Parameters
     ----------
+    declared : Scene
+        Copies as one.
     mechanics : BodyMechanics
+        Of it.
     stops : mapping
         Stop condition -> margin.
     regions : tuple of Region
@@ -117,21 +121,25 @@ class BodyStepper(Stepper):
     """
 
     def __init__(
-        self, mechanics: BodyMechanics, stops: Mapping[str, Margin], regions: tuple[Region, ...]
+        self,
+        declared: Scene,
+        mechanics: BodyMechanics,
+        stops: Mapping[str, Margin],
+        regions: tuple[Region, ...],
     ) -> None:
         self._controllers = Controllers(mechanics)
         super().__init__(
             mechanics,
             stops,
             mechanics.energy,
-            (*mechanics.a, *mechanics.unknown_forces),
+            (*mechanics.a, *mechanics.unknown_forces, *mechanics.given),
             regions=tuple(region.name for region in regions),
             controls=self._controllers.initial,
             again="impact",
             forces=None,
             sticks=np.zeros(len(mechanics.scene.bodies), dtype=np.bool_),
         )
-        self._bodies, self._regions = mechanics, regions
+        self._declared, self._bodies, self._regions = declared, mechanics, regions
         self._paths = Paths(mechanics.scene)
         self._recall = Recall(mechanics)
 
@@ -182,23 +190,18 @@ class BodyStepper(Stepper):
     def _made(
         self, overrides: Mapping[str, float], allowed: float
     ) -> tuple[SceneSetup, SteppedHeap]:
-        values, further = self._mechanics.parameters.values(overrides)
-        scene = self._scene
-        initial = further[: 6 * len(scene.bodies) + len(self._bodies.memory)]
-        moved, remembered = np.split(initial, [6 * len(scene.bodies)])
+        values, remembered = self._mechanics.parameters.values(overrides)
+        scene, owners = self._scene, self._bodies.owners
+        names = list(scene.bodies)
         known = scene.values(overrides)
         if overrides:
-            check_physical(scene, known)
-            check_shapes(scene, known)
-        if not np.isfinite(initial).all():
-            check_finite(scene, known)
-            raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
-        names = list(scene.bodies)
-        for i, number in enumerate(moved.tolist()):
-            check_range(number, "its start", ("bodies", names[i // 3 % len(names)]))
-        bodies = body_numbers(scene, self._bodies.owners, known)
-        for name, size in zip(names, bodies.sizes.tolist(), strict=True):
-            check_range(size, "its size", ("bodies", name, "shape"))
+            check_physical(self._declared, known)
+            check_shapes(self._declared, known)
+        moved = self._bodies.starts.at(values, known)
+        initial = np.concatenate([moved, remembered])
+        bodies = body_numbers(self._declared, known)
+        largest = int(np.argmax(bodies.sizes))
+        check_range(float(bodies.sizes[largest]), "its size", ("bodies", owners[largest], "shape"))
         for number in bodies.gravity.tolist():
             check_range(number, "", ("gravity",))
         length = float(np.abs(moved.reshape(2, -1, 3)[0, :, :2]).max() + bodies.sizes.max())
@@ -218,7 +221,7 @@ class BodyStepper(Stepper):
         )  # fmt: skip
         soon = 1e-6 * length / speed
         begun = self._paths.at(known, np.array([0.0, soon]), np.tile(remembered, (2, 1)))
-        check_inside(scene, bodies, moved, begun.frames[0])
+        check_inside(scene, owners, bodies, moved, begun.frames[0])
         check_closed(
             scene, bodies.joints, moved, begun.places[0], np.diff(begun.places, axis=0)[0] / soon,
             _START_DEPTH * length, _START_DEPTH * speed,
@@ -231,7 +234,7 @@ class BodyStepper(Stepper):
         plastic = scene.simultaneous == "plastic"
 
         def tried() -> SteppedHeap:
-            trial = SteppedHeap(names, bodies, around(), plastic, allowed)
+            trial = SteppedHeap(names, touched(scene), bodies, around(), plastic, allowed)
             trial.steps(0.0, 1e-9 * length / speed, initial, 1)
             return trial
 
@@ -243,9 +246,11 @@ class BodyStepper(Stepper):
                 raise DeclarationProblem(
                     f"body {body!r} starts {-margin:.6g} deep in {where}",
                     advice=f"{advice} out",
-                    loc=("bodies", body, "start"),
+                    loc=("bodies", owners[names.index(body)], "start"),
                 )
-        return setup, SteppedHeap(names, bodies, around(), plastic, allowed, DEEPEST * length)
+        return setup, SteppedHeap(
+            names, touched(scene), bodies, around(), plastic, allowed, DEEPEST * length
+        )
 
 
 class SteppedHeap:
@@ -253,8 +258,8 @@ class SteppedHeap:
 
     Parameters
     ----------
-    names : sequence of str
-        Of the bodies.
+    names, surfaces : sequence of str
+        Of the bodies, and of what they touch.
     numbers : BodyNumbers
     around : Surroundings
         What acts on them.
@@ -269,21 +274,27 @@ class SteppedHeap:
     def __init__(
         self,
         names: Sequence[str],
+        surfaces: Sequence[str],
         numbers: BodyNumbers,
         around: Surroundings,
         plastic: bool,
         allowed: float,
         deepest: float = math.inf,
     ) -> None:
+        self._surfaces = surfaces
         self.numbers, self._names, self._around, self._plastic = numbers, names, around, plastic
         count = len(names)
-        self._memory = self._kept = Memory.room(count)
+        self._memory = self._kept = Memory.room(numbers)
         self._room = Room.of(self.numbers, self._memory)
         self._allowed = allowed
         self._least = np.full(count, np.inf)
         self._deepest = deepest
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
+        # A disc about its centre of mass looks the same however it turns.
+        self._angular = np.ones(count, dtype=np.bool_)
+        pieces = numbers.pieces
+        self._angular[pieces.bodies] = pieces.spans != pieces.radii
 
     def switch(self, states: Mapping[str, str]) -> None:
         """Go on with controllers in other states."""
@@ -307,15 +318,19 @@ class SteppedHeap:
 
     def deepest_of(self, body: str) -> tuple[str, str] | None:
         """Return what a body touches the deepest since the last step, and how it is to move."""
-        b, touches, count = self._names.index(body), self._room.touches, len(self._names)
+        b, touches = self._names.index(body), self._room.touches
         mine = [i for i in range(int(self._memory.many[0])) if b in touches.bodies[i].tolist()]
         if not mine:
             return None
         i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]))
         depth, (nx, ny) = -float(self._memory.contacts[i, 0]), touches.rows[i, 0, :2].tolist()
-        one, other = divmod(int(touches.keys[i, 0]), count + len(self.numbers.surfaces.kinds))
+        one, other = touches.bodies[i].tolist()
         sign, partner = (1.0, other) if one == b else (-1.0, one)
-        where = f"body {self._names[partner]!r}" if partner < count else "a surface"
+        pieces = len(self.numbers.pieces.sizes)
+        surface = int(touches.keys[i, 0]) % (pieces + len(self._surfaces)) - pieces
+        where = f"surface {self._surfaces[surface]!r}" if surface >= 0 else (
+            f"body {self._names[partner]!r}"
+        )  # fmt: skip
         return where, f"move it by ({sign * depth * nx:.6g}, {sign * depth * ny:.6g})"
 
     @property
@@ -328,6 +343,7 @@ class SteppedHeap:
                 f"{self._length:g}, in which nothing follows how they touch; take "
                 f"{_FOLLOWED * self._length / self._turned:.1g} or less",
             )
+        found += ratio_remarks(self._room.worst, self._names, self._allowed)
         if self._parted:
             found += (
                 f"in {self._parted} steps of {self._length:g} bodies would pass through each "
@@ -362,7 +378,7 @@ class SteppedHeap:
         self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
         self._around.passed(len(chunk.codes))
         rates = np.abs(chunk.states[1:, 3 * bodies + 2 : 6 * bodies : 3])
-        turns = chunk.h * rates * (self.numbers.radii == 0)
+        turns = chunk.h * rates * self._angular
         self._turned = max(self._turned, float(np.max(turns, where=chunk.struck, initial=0.0)))
         self._length = max(self._length, h)
         return chunk
@@ -373,7 +389,8 @@ class SteppedHeap:
         """Return the steps that could be taken, and how they ended."""
         bodies = len(self._names)
         joint_forces = int((1 + (self.numbers.joints.holds == BOTH)).sum())
-        chunk = Chunk.room(h, state, 3 * bodies + joint_forces, bodies, count)
+        solved = 3 * bodies + joint_forces
+        chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
         ahead, remembered = self._around.ahead(start, h, state[6 * bodies :], count)
         done, status = 0, FULL
         while status == FULL:
@@ -384,6 +401,10 @@ class SteppedHeap:
             done += taken
             if status == FULL:
                 self._memory = self._memory.larger()
-                self._room = Room.of(self.numbers, self._memory)
+                worst = self._room.worst
+                self._room = Room.of(self.numbers, self._memory)._replace(worst=worst)
         chunk.states[1:, 6 * bodies :] = remembered
-        return chunk.first(done), status
+        chunk = chunk.first(done)
+        if self._around.count:
+            chunk.solved[:, solved:] = self._around.given(start, h, chunk.states)
+        return chunk, status

@@ -14,7 +14,35 @@ MEMORY = 4
 """What is kept of a contact from step to step: level, lasting, impulses."""
 
 # Contacts that there is place for at first.
-_PER_BODY = 8
+_PER_PIECE = 8
+
+
+class PieceNumbers(NamedTuple):
+    """The convex pieces that bodies are made of, in the order of these.
+
+    Attributes
+    ----------
+    bodies : (p,) array of int, begins : (b + 1,) array of int
+        Whose they are, and where those of a body begin.
+    vertices : (v, 2), firsts : (p + 1,)
+        Corners in the frames of their bodies, and where those of a piece begin; none of discs.
+    middles : (p, 2)
+        Centres of discs, and places in polygons, in those frames.
+    radii, sizes, cores : (p,)
+        Of discs; how far a piece reaches from its middle at most, and at least.
+    spans : (p,)
+        How far it reaches from the centre of its body.
+    """
+
+    bodies: Ints
+    begins: Ints
+    vertices: Array
+    firsts: Ints
+    middles: Array
+    radii: Array
+    sizes: Array
+    cores: Array
+    spans: Array
 
 
 class BodyNumbers(NamedTuple):
@@ -22,12 +50,9 @@ class BodyNumbers(NamedTuple):
 
     Attributes
     ----------
-    vertices : (v, 2), firsts : (b + 1,)
-        Corners of all bodies in their frames, and where those of a body begin; none of discs.
-    radii, sizes : (b,)
-        Of discs; and how far a body reaches from its centre.
-    cores : (b,)
-        And how far it reaches at least.
+    pieces : PieceNumbers
+    sizes : (b,)
+        How far a body reaches from its centre; 0 of those without a shape.
     inverse : (b, 3)
         1/mass, 1/mass, 1/moment of inertia.
     gravity : (2,)
@@ -41,11 +66,8 @@ class BodyNumbers(NamedTuple):
     joints : JointNumbers
     """
 
-    vertices: Array
-    firsts: Ints
-    radii: Array
+    pieces: PieceNumbers
     sizes: Array
-    cores: Array
     inverse: Array
     gravity: Array
     surfaces: SurfaceNumbers
@@ -77,9 +99,9 @@ class Memory(NamedTuple):
     past: Array
 
     @classmethod
-    def room(cls, bodies: int) -> Memory:
+    def room(cls, numbers: BodyNumbers) -> Memory:
         """Return that of bodies that have not touched yet."""
-        most = _PER_BODY * bodies + 1
+        most = _PER_PIECE * max(len(numbers.pieces.sizes), len(numbers.sizes)) + 1
         return cls(
             np.zeros((most, 2), dtype=np.int64),
             np.zeros((most, MEMORY)),

@@ -17,6 +17,7 @@ from contacts.collisions.body_numbers import BodyNumbers, Memory
 from contacts.collisions.broad_phase import Grid
 from contacts.collisions.islands import gathered, grouped, push, velocity
 from contacts.collisions.joints import BOTH
+from contacts.collisions.mass_ratios import note_worst
 from contacts.collisions.touching import (
     Ground,
     Look,
@@ -32,15 +33,17 @@ from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import beside, kernel, late
 from statechart.kernels.tapes import BLOCK, filled
 
 # What is no farther from the edge of its cone than this part of its impulse slides.
 _EDGE = 1e-9
+# Forces beside impacts are found to this part of what falls in a step at least.
+_NEAR = 1e-2
 
 
 class Room(NamedTuple):
-    """Where steps work; nothing in it lasts.
+    """Where steps work; of it `worst` alone lasts.
 
     Attributes
     ----------
@@ -53,6 +56,9 @@ class Room(NamedTuple):
         1: restitution is asked for.
     parents, local : (b,) array of int, begins : (b + 1,), order : (c,)
         See `contacts.collisions.islands`.
+    worst : (4,)
+        What lasts: of all islands whose impulses missed what was allowed, that with the largest
+        ratio of masses: this ratio, its lightest and its heaviest body, the residual.
     """
 
     look: Look
@@ -65,6 +71,7 @@ class Room(NamedTuple):
     local: Ints
     begins: Ints
     order: Ints
+    worst: Array
 
     @classmethod
     def of(cls, numbers: BodyNumbers, memory: Memory) -> Room:
@@ -73,7 +80,7 @@ class Room(NamedTuple):
         return cls(
             Look.room(numbers),
             Touches.room(most),
-            Grid.room(count, most),
+            Grid.room(len(numbers.pieces.sizes), most),
             np.empty((most, 2)),
             np.empty((most, 2)),
             np.empty(most, np.int64),
@@ -81,10 +88,11 @@ class Room(NamedTuple):
             np.empty(count, np.int64),
             np.empty(count + 1, np.int64),
             np.empty(most, np.int64),
+            np.zeros(4),
         )
 
 
-@kernel
+@beside
 def _solved(
     numbers: BodyNumbers, plastic: bool, room: Room, count: int, allowed: float, effort: Array
 ) -> None:
@@ -137,6 +145,8 @@ def _solved(
         missed, done, softened = island_impulses(
             contacts, start, unforced, asked, rebounds, chosen, allowed, bound
         )
+        if missed > allowed:
+            note_worst(numbers.inverse, touches.bodies, members, missed, room.worst)
         for a in range(size):
             put(chosen[a], room.pressed[members[a]])
             put(chosen[a], room.steady[members[a]])
@@ -147,7 +157,7 @@ def _solved(
         effort[3] = max(effort[3], 1.0 if softened else 0.0)
 
 
-@kernel
+@beside
 def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed: float) -> int:
     """Write what is force of an island's impulses: those without what strikes; return iterations.
 
@@ -163,20 +173,26 @@ def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed
     if quiet == 0:
         return 0
     alone, least = np.empty((quiet, 2)), np.empty((quiet, 2))
+    slow = fast = 0.0
     for a in range(quiet):
         for d in range(2):
             least[a, d] = touches.free[others[a], d] + touches.wanted[others[a], d]
         put(touches.pushes[others[a]], alone[a])
+        slow = max(slow, -least[a, 0])
+    for i in members:
+        fast = max(fast, -touches.free[i, 0] - touches.wanted[i, 0])
+    # No nearer, as velocities, than the impulses of the step are.
+    near = min(allowed * fast / slow, max(allowed, _NEAR)) if slow > 0.0 else allowed
     contacts = gathered(
         others, touches.bodies, touches.rows, numbers.inverse, touches.materials, room.local
     )
-    _, done = solve_rows(contacts, least, alone, allowed, False)
+    _, done = solve_rows(contacts, least, alone, near, False)
     for a in range(quiet):
         put(alone[a], room.steady[others[a]])
     return done
 
 
-@kernel
+@beside
 def _kept(
     numbers: BodyNumbers, memory: Memory, room: Room, seen: Seen, allowed: float, rates: Array,
     k: int, chunk: Chunk,
@@ -197,7 +213,9 @@ def _kept(
         lasts = pn > 0.0 and not room.bounces[i]
         memory.keys[i, 0], memory.keys[i, 1] = touches.keys[i]
         memory.contacts[i, 0], memory.contacts[i, 1] = touches.memory[i, 0], 1.0 if lasts else 0.0
-        memory.contacts[i, 2], memory.contacts[i, 3] = pn, pt
+        # What lasts is nearer to the next step's impulses than what others' impacts made it bear.
+        kept = pressed if touches.hit[i] else room.steady
+        memory.contacts[i, 2], memory.contacts[i, 3] = kept[i]
         if lasts and not touches.hit[i]:
             chunk.closing[k] = max(chunk.closing[k], touches.memory[i, 1])
         normal, tangential = touches.materials[i, 0], touches.materials[i, 1]
@@ -218,7 +236,7 @@ def _kept(
                 chunk.codes[k, b] = SLIDE
 
 
-@part
+@late
 def _kept_joints(
     numbers: BodyNumbers, memory: Memory, room: Room, first: int, k: int, chunk: Chunk
 ) -> None:
@@ -289,9 +307,10 @@ def step_bodies(
             return k, FULL
         if deepest < math.inf and (seen.passed > 0.0 or seen.sunk > 0.0 or seen.closing > deepest):
             return k, COARSE
-        count = joined(
-            numbers, around.places[k : k + 3], memory, room.look, h, seen.contacts, touches
-        )
+        count, joins = seen.contacts, len(numbers.joints.holds) > 0
+        if joins:
+            places = around.places[k : k + 3]
+            count = joined(numbers, places, memory, room.look, h, count, touches)
         _solved(numbers, plastic, room, count, allowed, chunk.efforts[k])
         rates, forced = loose.copy(), loose.copy()
         for i in range(count):
@@ -309,7 +328,8 @@ def step_bodies(
         if deepest < math.inf and h * np.abs(rates[:, 2]).max() > math.pi:
             return k, COARSE
         _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
-        _kept_joints(numbers, memory, room, seen.contacts, k, chunk)
+        if joins:
+            _kept_joints(numbers, memory, room, seen.contacts, k, chunk)
         for b in range(len(numbers.sizes)):
             for d in range(3):
                 at = 3 * b + d

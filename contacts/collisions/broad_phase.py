@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import beside, part
 
 # Bodies that reach farther than so many times the mean have no cell.
 _LARGE = 4.0
@@ -98,7 +98,7 @@ def _sorted_in(centres: Array, reach: Array, grid: Grid) -> int:
     return many
 
 
-@kernel
+@beside
 def near_pairs(centres: Array, reach: Array, grid: Grid) -> int:
     """Find pairs (one < other) whose circles meet; return how many, or -1 where place is short.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -17,9 +17,8 @@ from statechart.formulas.formula import parse
 _HOLDS = {("X", "Y"): BOTH, ("X",): ALONG_X, ("Y",): ALONG_Y}
 
 
-def joint_numbers(scene: Scene, known: Mapping[str, float]) -> JointNumbers:
-    """Evaluate the joints of a scene whose bodies are declared one by one."""
-    names = list(scene.bodies)
+def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]) -> JointNumbers:
+    """Evaluate the joints of a scene whose bodies have these names, copies one by one."""
     bodies, at = [], []
     for joint in scene.joints.values():
         ends = [joint.point, joint.to if isinstance(joint.to, Point) else None]

@@ -27,12 +27,16 @@ def touched(scene: Scene) -> list[str]:
     return [name for name in scene.surfaces if name in used]
 
 
-def surface_numbers(scene: Scene, known: Mapping[str, float]) -> SurfaceNumbers:
-    """Evaluate the surfaces of a scene whose bodies are declared one by one.
+def surface_numbers(
+    scene: Scene, bodies: Sequence[str], known: Mapping[str, float]
+) -> SurfaceNumbers:
+    """Evaluate the surfaces of a scene.
 
     Parameters
     ----------
     scene : Scene
+    bodies : sequence of str
+        Names of its bodies, copies one by one.
     known : mapping of str to float
         Parameters.
     """
@@ -42,7 +46,6 @@ def surface_numbers(scene: Scene, known: Mapping[str, float]) -> SurfaceNumbers:
 
     surfaces = [scene.surfaces[name] for name in touched(scene)]
     found = [_form(surface, number) for surface in surfaces]
-    bodies = list(scene.bodies)
     heights = tuple(
         str(surface.height)
         for (kind, _), surface in zip(found, surfaces, strict=True)

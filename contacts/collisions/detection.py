@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel, late, part
 
 FOUND = 5
 """Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""
@@ -133,7 +133,7 @@ def _corner(one: Array, other: Array, within: float, found: Array, features: Int
     return 1
 
 
-@part
+@late
 def _disc_and_polygon(
     centre: Array, radius: float, polygon: Array, flip: bool, within: float, found: Array
 ) -> int:
@@ -206,13 +206,21 @@ def between(
         return _disc_and_polygon(one_centre, one_radius, other, False, within, found)
     if len(other) == 0:
         return _disc_and_polygon(other_centre, other_radius, one, True, within, found)
+    return _polygons(one, one_centre, other, within, found, features)
+
+
+@late
+def _polygons(
+    one: Array, centre: Array, other: Array, within: float, found: Array, features: Ints
+) -> int:
+    """Find the points where two polygons are near each other; see `between`."""
     first, edge = _farthest(one, other)
     if first > within:
         return 0
     second, edge_of_other = _farthest(other, one)
     if second > within:
         return 0
-    width = math.hypot(one[0, 0] - one_centre[0], one[0, 1] - one_centre[1])
+    width = math.hypot(one[0, 0] - centre[0], one[0, 1] - centre[1])
     if second > first + _PREFERRED * width:
         count = _clipped(other, edge_of_other, one, within, True, found, features)
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,13 +15,17 @@ from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 
 
-def check_inside(scene: Scene, numbers: BodyNumbers, initial: Array, frames: Array) -> None:
+def check_inside(
+    scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, frames: Array
+) -> None:
     """Check that what collides with a hollow circle starts in it.
 
     Parameters
     ----------
     scene : Scene
         Its bodies one by one.
+    owners : sequence of str
+        What they are declared by.
     numbers : BodyNumbers
     initial : (6 b,)
         Coordinates and rates.
@@ -46,20 +51,22 @@ def check_inside(scene: Scene, numbers: BodyNumbers, initial: Array, frames: Arr
         members = [b for b in np.flatnonzero(meets).tolist() if b != carrier]
         outside = []
         for b in members:
-            if numbers.cores[b] > radius:
+            mine = slice(*numbers.pieces.begins[b : b + 2].tolist())
+            core = float(numbers.pieces.cores[mine].max(initial=0.0))
+            if core > radius:
                 raise DeclarationProblem(
-                    f"body {names[b]!r} reaches {numbers.cores[b]:.6g} around its centre, and "
+                    f"body {names[b]!r} reaches {core:.6g} around its centre, and "
                     f"{name!r}, which it is to move in, has a radius of {radius:.6g}",
                     advice="make the circle larger, or the body smaller",
-                    loc=("bodies", names[b], "shape"),
+                    loc=("bodies", owners[b], "shape"),
                 )
             if math.hypot(*(places[b, :2] - centre)) >= radius:
-                outside.append(names[b])
+                outside.append(b)
         if outside:
-            who = "every body" if len(outside) == len(members) else f"body {outside[0]!r}"
+            who = "every body" if len(outside) == len(members) else f"body {names[outside[0]]!r}"
             raise DeclarationProblem(
                 f"{who} starts outside of {name!r}, whose solid is around it",
                 advice=f"let bodies start within {radius:.6g} of its centre; to touch a circle "
                 "from outside, leave out hollow",
-                loc=("bodies", outside[0], "start"),
+                loc=("bodies", owners[outside[0]], "start"),
             )

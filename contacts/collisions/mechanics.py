@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 
@@ -9,8 +10,11 @@ import numpy as np
 import sympy as sp
 
 from contacts.collisions.applied import ForceProgram
+from contacts.collisions.starts import Starts
+from contacts.dynamics.control_guards import flows_in, memory_rates
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.parameters import body_parameters
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.formulas.determinants import Definition
@@ -20,21 +24,35 @@ from statechart.formulas.writer import compile_tape
 
 
 class BodyMechanics(Mechanics):
-    """The symbols of free bodies, of which there may be hundreds; equations are not composed.
+    """The symbols of free bodies, of which there may be thousands; equations are not composed.
 
     What controllers remember stands behind the variables, as in a state of a run.
 
     Parameters
     ----------
     scene : Scene
-        Its bodies one by one.
-    owners : sequence of str
+        As declared.
+
+    Attributes
+    ----------
+    scene : Scene
+        With its bodies one by one, whose starts are in `starts`.
+    owners : tuple of str
         What each of them is a copy of, or itself.
+    starts : Starts
     """
 
-    def __init__(self, scene: Scene, owners: Sequence[str]) -> None:
-        super().__init__(scene)
-        self.owners = owners
+    def __init__(self, scene: Scene) -> None:
+        owners = scene.owners()
+        self.owners = tuple(owners.values())
+        kinds = {
+            name: body.model_copy(update={"copies": None, "start": {}})
+            for name, body in scene.bodies.items()
+        }
+        single = {name: kinds[owner] for name, owner in owners.items()}
+        parameters = body_parameters(scene)
+        super().__init__(scene.model_copy(update={"bodies": single}), parameters)
+        self.starts = Starts(scene, parameters)
 
     def tape(
         self,
@@ -56,14 +74,19 @@ class BodyMechanics(Mechanics):
     def energy(self) -> sp.Expr:
         """Kinetic energy plus that of gravity."""
         gx, gy = self.gravity
+        alike: dict[str, list[str]] = {}
+        for name, owner in zip(self.scene.bodies, self.owners, strict=True):
+            alike.setdefault(owner, []).append(name)
         terms = []
-        for name, body in self.scene.bodies.items():
-            mass = parse(body.mass).to_sympy(self.known)
+        for owner, names in alike.items():
+            mass = self._formula(self.scene.bodies[names[0]].mass)
             x, y, dx, dy, turn = (
-                self.known[f"{name}.{c}"] for c in ("x", "y", "dx", "dy", "dangle")
+                [self.known[f"{name}.{c}"] for name in names]
+                for c in ("x", "y", "dx", "dy", "dangle")
             )
-            terms.append(mass * (dx**2 + dy**2) / 2 + self.known[f"{name}.inertia"] * turn**2 / 2)
-            terms.append(-mass * (gx * x + gy * y))
+            inertia = self.known[f"{owner}.inertia"]
+            terms += [mass * _squares(*dx, *dy) / 2, inertia * _squares(*turn) / 2]
+            terms.append(-mass * (gx * _sum(x) + gy * _sum(y)))
         return sp.Add(*terms)
 
     @cached_property
@@ -80,6 +103,18 @@ class BodyMechanics(Mechanics):
                 )
                 rows.append(row)
         return tuple(rows)
+
+    @cached_property
+    def given(self) -> tuple[sp.Symbol, ...]:
+        """What states of controllers give values: controls, and rates of what is remembered."""
+        rates = (rate for rate in memory_rates(self).values() if rate != 0)
+        return (*self.controls, *rates)
+
+    def given_in(self, states: Mapping[str, str]) -> Tape:
+        """Return the values of `given` in these states of the controllers."""
+        flows = zip(memory_rates(self).values(), flows_in(self, states), strict=True)
+        flowing = [flow for rate, flow in flows if rate != 0]
+        return self.tape([*self.controls, *flowing], definitions=self.controlled(states))
 
     def forces_at(self, states: Mapping[str, str], values: Array) -> ForceProgram:
         """Return the forces on bodies while controllers are in these states.
@@ -109,7 +144,7 @@ class BodyMechanics(Mechanics):
             np.array([*found], dtype=np.int64), tape.code, tape.constants, tape.outputs, values
         )
 
-    def _each(self, body: str) -> Iterator[tuple[int, dict[str, sp.Expr]]]:
+    def _each(self, body: str) -> Iterator[tuple[int, Mapping[str, sp.Expr]]]:
         """Yield the places of a body, or of its copies, with what formulas of each may use."""
         for place, (name, owner) in enumerate(zip(self.scene.bodies, self.owners, strict=True)):
             if body in (owner, name):
@@ -117,4 +152,13 @@ class BodyMechanics(Mechanics):
                     f"{body}.{c}": self.known[f"{name}.{c}"]
                     for c in ("x", "y", "angle", "dx", "dy", "dangle")
                 }
-                yield place, {**self.known, **own}
+                yield place, ChainMap(own, self.known)
+
+
+def _squares(*symbols: sp.Symbol) -> sp.Expr:
+    return _sum([sp.Pow(symbol, 2, evaluate=False) for symbol in symbols])
+
+
+def _sum(terms: Sequence[sp.Expr]) -> sp.Expr:
+    """Return the sum of terms of which no two are alike: to look for these takes most of it."""
+    return sp.Add(*terms, evaluate=False)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from contacts.collisions.body_numbers import BodyNumbers
+from contacts.collisions.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collisions.detection import between, place
 from statechart.arrays import Array
 from statechart.kernels.jit import part
@@ -14,7 +14,7 @@ from statechart.kernels.jit import part
 
 @part
 def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> tuple[float, float]:
-    """When two bodies that move in straight lines are nearer than `apart`; inf, inf if never.
+    """When two pieces that move in straight lines are nearer than `apart`; inf, inf if never.
 
     They are at `centres` at the time zero.
     """
@@ -31,10 +31,18 @@ def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> 
 
 @part
 def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -> bool:
-    """Whether two bodies cross less than the smaller one's size at this rate, beside each other."""
+    """Whether two pieces cross less than the smaller one's size at this rate, beside each other."""
     x = velocities[one, 0] - velocities[other, 0]
     y = velocities[one, 1] - velocities[other, 1]
     return math.hypot(x, y) < rate * min(sizes[one], sizes[other])
+
+
+@part
+def _moved(pieces: PieceNumbers, p: int, pose: Array) -> tuple[Array, Array, float]:
+    """Return corners, middle and radius of a piece of a body that is there."""
+    x, y, angle = pose
+    corners = place(pieces.vertices[pieces.firsts[p] : pieces.firsts[p + 1]], x, y, angle)
+    return corners, place(pieces.middles[p : p + 1], x, y, angle)[0], pieces.radii[p]
 
 
 @part
@@ -47,7 +55,7 @@ def met(
     normal: tuple[float, float],
     found: Array,
 ) -> tuple[float, float]:
-    """Return how two bodies touch that have moved on as they do: gap, cosine to a normal.
+    """Return how two pieces touch that have moved on as they do: gap, cosine to a normal.
 
     The gap is inf, and the cosine 1, where they are far apart.
 
@@ -55,8 +63,9 @@ def met(
     ----------
     numbers : BodyNumbers
     places, velocities : (b, 3) array
-        At the time zero.
+        Of their bodies, at the time zero.
     pair : (int, int)
+        Which pieces.
     later : float
         How long they move.
     normal : (float, float)
@@ -64,16 +73,14 @@ def met(
     found : (p, FOUND) array
         Is overwritten.
     """
-    one, other = pair
-    vertices, firsts, radii = numbers.vertices, numbers.firsts, numbers.radii
+    one, other = numbers.pieces.bodies[pair[0]], numbers.pieces.bodies[pair[1]]
     first, second = places[one] + later * velocities[one], places[other] + later * velocities[other]
     within = 2.0 * abs(later) * (np.abs(velocities[one]).max() + np.abs(velocities[other]).max())
+    corners, middle, radius = _moved(numbers.pieces, pair[0], first)
+    others, beside, rim = _moved(numbers.pieces, pair[1], second)
     count = between(
-        place(vertices[firsts[one] : firsts[one + 1]], first[0], first[1], first[2]), first[:2],
-        radii[one],
-        place(vertices[firsts[other] : firsts[other + 1]], second[0], second[1], second[2]),
-        second[:2], radii[other], within, found, np.empty(len(found), np.int64),
-    )  # fmt: skip
+        corners, middle, radius, others, beside, rim, within, found, np.empty(len(found), np.int64)
+    )
     gap, along = math.inf, 1.0 if count == 0 else -1.0
     for p in range(count):
         gap = min(gap, found[p, 4])

@@ -4,39 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.body_numbers import BodyNumbers
+from contacts.collisions.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collisions.declared_joints import joint_numbers
 from contacts.collisions.declared_surfaces import surface_numbers, touched
 from contacts.dynamics.contact_law import edge
-from contacts.scene.fields import copies
+from contacts.scene.parts import Body
 from contacts.scene.scene import Scene
 from contacts.solvers.step_impulses import smoothed
 from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 
-
-def owners_of(scene: Scene) -> list[str]:
-    """Return what each of the single bodies is a copy of, or itself."""
-    return [
-        name
-        for name, count in copies(scene, scene.values()).items()
-        for _ in range(1 if count is None else count)
-    ]
+_Number = Callable[[str | int | float], float]
 
 
-def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]) -> BodyNumbers:
+def body_numbers(scene: Scene, known: Mapping[str, float]) -> BodyNumbers:
     """Evaluate a scene with collisions.
 
     Parameters
     ----------
     scene : Scene
-        Its bodies one by one.
-    owners : sequence of str
-        See `owners_of`.
+        As declared.
     known : mapping of str to float
         Parameters.
 
@@ -49,47 +41,90 @@ def body_numbers(scene: Scene, owners: Sequence[str], known: Mapping[str, float]
     def number(text: str | int | float) -> float:
         return parse(text).value(known)
 
-    corners: list[list[float]] = []
-    firsts, radii, sizes, cores, inverse = [0], [], [], [], []
-    for name, body in scene.bodies.items():
-        shape, radius = body.shape, 0.0
-        mine: list[list[float]] = []
-        if shape is not None and shape.polygon is not None:
-            mine = [[number(x), number(y)] for x, y in shape.polygon]
-        elif shape is not None and shape.disc is not None:
-            radius = number(shape.disc)
-        mass, inertia = number(body.mass), number(body.inertia or 0)
-        if not inertia > 0.0:
-            raise DeclarationProblem(
-                "a body that collides needs a positive inertia",
-                loc=("bodies", name, "inertia"),
-            )
-        corners += mine
-        firsts.append(len(corners))
-        radii.append(radius)
-        sizes.append(max([math.hypot(*corner) for corner in mine], default=radius))
-        cores.append(_core(mine) if mine else radius)
-        inverse.append([1.0 / mass, 1.0 / mass, 1.0 / inertia])
+    owners = scene.owners()
+    kinds, laws, materials = _laws(scene, [*owners.values()], number)
+    # Copies have the numbers of one of them.
+    outlines = [_outline(body, number) for body in scene.bodies.values()]
+    pieces = _pieces(outlines, kinds)
+    sizes = [max((piece.span for piece in outline), default=0.0) for outline in outlines]
+    inverse = [_inverse(owner, body, number) for owner, body in scene.bodies.items()]
     declared = scene.gravity
-    kinds, laws, materials = _laws(scene, owners, number)
     return BodyNumbers(
-        np.array(corners, dtype=float).reshape(-1, 2),
-        np.array(firsts, dtype=np.int64),
-        np.array(radii),
-        np.array(sizes),
-        np.array(cores),
-        np.array(inverse),
+        pieces,
+        np.array(sizes)[kinds],
+        np.array(inverse)[kinds],
         np.array(
             [number(part) for part in declared]
             if isinstance(declared, tuple)
             else [0.0, -number(declared)]
         ),
-        surface_numbers(scene, known),
+        surface_numbers(scene, [*owners], known),
         kinds,
         laws,
         materials,
-        joint_numbers(scene, known),
+        joint_numbers(scene, [*owners], known),
     )
+
+
+class _Piece(NamedTuple):
+    """A convex piece of a body: see `PieceNumbers`."""
+
+    corners: Array
+    middle: Array
+    radius: float
+    size: float
+    core: float
+    span: float
+
+
+def _outline(body: Body, number: _Number) -> list[_Piece]:
+    """Return the pieces that a body is made of."""
+    found = []
+    for shape in body.shape:
+        if shape.disc is not None:
+            radius, middle = number(shape.disc), np.array([number(text) for text in shape.at])
+            span = radius + float(np.hypot(*middle))
+            found.append(_Piece(np.empty((0, 2)), middle, radius, radius, radius, span))
+            continue
+        corners = np.array([[number(x), number(y)] for x, y in shape.polygon or ()])
+        # A body of one piece is looked at from its centre of mass.
+        middle = np.zeros(2) if len(body.shape) == 1 else corners.mean(axis=0)
+        own = corners - middle
+        size, span = (float(np.hypot(*c.T).max()) for c in (own, corners))
+        found.append(_Piece(corners, middle, 0.0, size, _core(own.tolist()), span))
+    return found
+
+
+def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
+    """Return the pieces of all bodies, which have these outlines."""
+    counts = np.array([len(outline) for outline in outlines], dtype=np.int64)
+    pieces = [piece for outline in outlines for piece in outline]
+    first = np.cumsum(counts) - counts
+    # Of every piece of every body which of the declared ones it is.
+    order = [np.arange(first[kind], first[kind] + counts[kind]) for kind in kinds.tolist()]
+    which = np.concatenate([np.empty(0, np.int64), *order])
+    many = np.array([len(piece.corners) for piece in pieces], dtype=np.int64)
+    corners = [pieces[place].corners for place in which.tolist()]
+    middles = np.array([piece.middle for piece in pieces], dtype=float).reshape(-1, 2)
+    numbers = [np.array([piece[at] for piece in pieces], dtype=float)[which] for at in range(2, 6)]
+    return PieceNumbers(
+        np.repeat(np.arange(len(kinds)), counts[kinds]),
+        np.concatenate([[0], np.cumsum(counts[kinds])]),
+        np.concatenate([np.empty((0, 2)), *corners]),
+        np.concatenate([[0], np.cumsum(many[which])]),
+        middles[which],
+        *numbers,
+    )
+
+
+def _inverse(owner: str, body: Body, number: _Number) -> list[float]:
+    """Return 1/mass, twice, and 1/inertia."""
+    mass, inertia = number(body.mass), number(body.inertia or 0)
+    if not inertia > 0.0:
+        raise DeclarationProblem(
+            "a body that collides needs a positive inertia", loc=("bodies", owner, "inertia")
+        )
+    return [1.0 / mass, 1.0 / mass, 1.0 / inertia]
 
 
 def _core(corners: Sequence[Sequence[float]]) -> float:
@@ -99,17 +134,15 @@ def _core(corners: Sequence[Sequence[float]]) -> float:
     return max(0.0, min(cross), min(-turn for turn in cross))
 
 
-def _laws(
-    scene: Scene, owners: Sequence[str], number: Callable[[str | int | float], float]
-) -> tuple[Ints, Ints, Array]:
+def _laws(scene: Scene, owners: Sequence[str], number: _Number) -> tuple[Ints, Ints, Array]:
     """Return kinds of bodies (b,), which law they touch by (k, k + s), and the laws (m, 3)."""
-    kinds = {owner: kind for kind, owner in enumerate(dict.fromkeys(owners))}
+    kinds = {name: kind for kind, name in enumerate(scene.bodies)}
     surfaces = touched(scene)
     laws = np.full((len(kinds), len(kinds) + len(surfaces)), -1, dtype=np.int64)
     materials = []
     for law, collision in enumerate(scene.collisions.values()):
         materials.append((*edge(number(collision.friction)), number(collision.restitution)))
-        members = [kinds[owner] for owner in collision.bodies if owner in kinds]
+        members = [kinds[owner] for owner in collision.bodies]
         others = [len(kinds) + surfaces.index(name) for name in collision.surfaces]
         for one in members:
             for other in members + others:

@@ -12,7 +12,7 @@ import numpy as np
 
 from contacts.collisions.detection import between, write
 from statechart.arrays import Array, Bools, Ints, Ints32
-from statechart.kernels.jit import part
+from statechart.kernels.jit import late, part
 from statechart.kernels.tapes import run_tape
 
 LINE, PLATE, ROUND, HOLLOW, GRAPH = range(5)
@@ -221,7 +221,7 @@ def against_surface(
     return count
 
 
-@part
+@late
 def _without_joins(
     surfaces: SurfaceNumbers, s: int, found: Array, features: Ints, count: int
 ) -> int:
@@ -279,7 +279,7 @@ def _between_steps(low: float, high: float, x: float, rate: float, steeper: floa
     return following if low < following < high else 0.5 * (low + high)
 
 
-@part
+@late
 def _disc_on_graph(
     surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], middle: Array, radius: float,
     within: float, found: Array,
@@ -320,7 +320,7 @@ def _disc_on_graph(
     return count
 
 
-@part
+@late
 def _polygon_on_graph(
     surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], corners: Array, within: float,
     found: Array, features: Ints,

@@ -50,6 +50,7 @@ class Surroundings:
         """Go on with controllers in other states."""
         self._states = states
         self._forces = self._mechanics.forces_at(states, self._values)
+        self._given = self._mechanics.given_in(states)
 
     def forget(self) -> None:
         """Take back the last steps."""
@@ -76,6 +77,16 @@ class Surroundings:
         frames, places = (np.concatenate(pair) for pair in zip(before, looks, strict=True))
         seen = np.concatenate([memories[:1], memories[1::2]])
         return Ahead(frames, places, seen, self._forces), memories[2::2]
+
+    @property
+    def count(self) -> int:
+        """How many values controllers give."""
+        return len(self._mechanics.given)
+
+    def given(self, start: float, h: float, states: Array) -> Array:
+        """Return what controllers give (k, c) in the middles of steps between states (k + 1, w)."""
+        times: Array = start + h * (0.5 + np.arange(len(states) - 1.0))
+        return self._given.table(0.5 * (states[:-1] + states[1:]), self._values, times)
 
     def passed(self, count: int) -> None:
         """Note how many of these steps were taken."""

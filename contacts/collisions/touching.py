@@ -14,6 +14,7 @@ from contacts.collisions.detection import FOUND, between, placed
 from contacts.collisions.islands import velocity
 from contacts.collisions.joints import BOTH, JointNumbers, joint_rows
 from contacts.collisions.meeting import met, nearby, overlap
+from contacts.collisions.seams import exposed
 from contacts.collisions.surfaces import (
     against_surface,
     carried,
@@ -24,7 +25,7 @@ from contacts.collisions.surfaces import (
 from contacts.solvers.contact_rows import GUIDED, HELD
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import beside, late, part
 
 # Points of contact that a pair can have: a polygon on a surface has as many as corners.
 _POINTS = 16
@@ -48,10 +49,10 @@ class Look(NamedTuple):
     ----------
     places, old, loose : (b, 3)
         Where they are; their rates before the step, and after it without contacts.
-    centres : (b, 2), world : (v, 2)
-        In the world, with the corners of polygons.
-    reach : (b,)
-        How far a body moves within two steps, and since the last look.
+    centres, drifts : (p, 2), world : (v, 2)
+        Middles of pieces in the world and their velocities before the step; corners of polygons.
+    reach : (p,)
+        How far a piece moves within two steps, and since the last look.
     gaps : (b,)
         To what is nearest, where that is found.
     pull : (b,)
@@ -62,6 +63,7 @@ class Look(NamedTuple):
     old: Array
     loose: Array
     centres: Array
+    drifts: Array
     world: Array
     reach: Array
     gaps: Array
@@ -70,14 +72,15 @@ class Look(NamedTuple):
     @classmethod
     def room(cls, numbers: BodyNumbers) -> Look:
         """Return place for it."""
-        count = len(numbers.sizes)
+        count, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
         return cls(
             np.empty((count, 3)),
             np.empty((count, 3)),
             np.empty((count, 3)),
-            np.empty((count, 2)),
-            np.empty_like(numbers.vertices),
-            np.empty(count),
+            np.empty((pieces, 2)),
+            np.empty((pieces, 2)),
+            np.empty_like(numbers.pieces.vertices),
+            np.empty(pieces),
             np.empty(count),
             np.empty(count),
         )
@@ -186,8 +189,8 @@ def look_at(numbers: BodyNumbers, state: Array, h: float, past: float, look: Loo
 
     The step before was `past` long: what they have passed since its middle is within their reach.
     """
-    places, old, loose, centres, world, reach, gaps, pull = look
-    count = len(numbers.sizes)
+    places, old, loose, centres, drifts, world, reach, gaps, pull = look
+    count, pieces = len(numbers.sizes), numbers.pieces
     gx, gy = numbers.gravity
     fall = math.hypot(gx, gy) * h
     for b in range(count):
@@ -197,17 +200,20 @@ def look_at(numbers: BodyNumbers, state: Array, h: float, past: float, look: Loo
             state[at] += 0.5 * h * old[b, d]
             places[b, d] = state[at]
         x, y, angle = places[b]
-        centres[b, 0], centres[b, 1] = x, y
-        if numbers.radii[b] == 0.0:
-            placed(numbers.vertices, numbers.firsts[b], numbers.firsts[b + 1], x, y, angle, world)
+        first, end = pieces.begins[b], pieces.begins[b + 1]
+        placed(pieces.middles, first, end, x, y, angle, centres)
+        placed(pieces.vertices, pieces.firsts[first], pieces.firsts[end], x, y, angle, world)
         loose[b, 0] += h * gx
         loose[b, 1] += h * gy
-        speed = math.hypot(old[b, 0], old[b, 1]) + numbers.sizes[b] * abs(old[b, 2]) + fall
-        reach[b] = max(2.0 * h, 0.5 * (h + past)) * speed
+        for p in range(first, end):
+            drifts[p, 0] = old[b, 0] - old[b, 2] * (centres[p, 1] - y)
+            drifts[p, 1] = old[b, 1] + old[b, 2] * (centres[p, 0] - x)
+            speed = math.hypot(old[b, 0], old[b, 1]) + pieces.spans[p] * abs(old[b, 2]) + fall
+            reach[p] = max(2.0 * h, 0.5 * (h + past)) * speed
         gaps[b], pull[b] = math.inf, fall
 
 
-@part
+@late
 def pushed(
     numbers: BodyNumbers, forces: ForceProgram, registers: tuple[int, Array], memory: Array,
     time: float, h: float, look: Look,
@@ -217,12 +223,13 @@ def pushed(
     for b in forces.bodies:
         sped = math.hypot(look.loose[b, 0] - look.old[b, 0], look.loose[b, 1] - look.old[b, 1])
         turned, inverse = abs(look.loose[b, 2] - look.old[b, 2]), numbers.inverse[b]
-        look.reach[b] += 2.0 * h * (sped + numbers.sizes[b] * turned)
+        for p in range(numbers.pieces.begins[b], numbers.pieces.begins[b + 1]):
+            look.reach[p] += 2.0 * h * (sped + numbers.pieces.spans[p] * turned)
         # As fast as the same energy would make it without turning.
         look.pull[b] = math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
 
 
-@part
+@late
 def joined(
     numbers: BodyNumbers, places: Array, memory: Memory, look: Look, h: float, count: int,
     touches: Touches,
@@ -238,8 +245,8 @@ def joined(
     count : int
         Contacts.
     """
-    joints, bodies = numbers.joints, len(numbers.sizes)
-    first, at_old, m = bodies * (bodies + len(numbers.surfaces.kinds)), 0, count
+    joints, pieces = numbers.joints, len(numbers.pieces.sizes)
+    first, at_old, m = pieces * (pieces + len(numbers.surfaces.kinds)), 0, count
     for j in range(len(joints.holds)):
         b = joints.bodies[j, 0]
         touches.bodies[m, 0], touches.bodies[m, 1] = b, joints.bodies[j, 1]
@@ -273,7 +280,7 @@ def _held(joints: JointNumbers, one: int, other: int) -> bool:
 @part
 def _felt(look: Look, b: int, c: int, found: Array, m: int, touches: Touches) -> None:
     """Write the rows of a point of contact, and its velocities."""
-    bodies, rows, centres = touches.bodies, touches.rows, look.centres
+    bodies, rows, centres = touches.bodies, touches.rows, look.places
     nx, ny, x, y = found[0], found[1], found[2], found[3]
     bodies[m, 0], bodies[m, 1] = b, c
     for d in range(2):
@@ -287,7 +294,7 @@ def _felt(look: Look, b: int, c: int, found: Array, m: int, touches: Touches) ->
         touches.free[m, d] = velocity(bodies, rows, look.loose, m, d)
 
 
-@part
+@late
 def _arrives(
     numbers: BodyNumbers, look: Look, pair: tuple[int, int], normal: tuple[float, float],
     gap: float, nearing: float, h: float, aside: Array,
@@ -301,6 +308,16 @@ def _arrives(
     if gap > 0.0 and not arrived <= _ARRIVED * gap:
         return False, 0.0
     return True, _ELSEWHERE if along < _ALIKE else 0.0
+
+
+@late
+def _came(
+    numbers: BodyNumbers, look: Look, pair: tuple[int, int], normal: tuple[float, float],
+    since: float, aside: Array,
+) -> float:  # fmt: skip
+    """Return for how long a body was in another that it leaves: if it came by another side."""
+    earlier, _ = met(numbers, look.places, look.old, pair, -since, normal, aside)
+    return _ELSEWHERE if earlier > 0.0 else 0.0
 
 
 @part
@@ -342,26 +359,26 @@ def _moved(frames: Array, x: float, y: float, look: int) -> tuple[float, float]:
 
 @part
 def _on_surface(
-    numbers: BodyNumbers, ground: Ground, look: Look, b: int, s: int, h: float, found: Array,
+    numbers: BodyNumbers, ground: Ground, look: Look, p: int, s: int, h: float, found: Array,
     features: Ints,
 ) -> tuple[int, float]:  # fmt: skip
-    """Find the points of a body near a surface; return their number, and `crossed`."""
-    surfaces, x, y = numbers.surfaces, look.centres[b, 0], look.centres[b, 1]
-    carrier, within = surfaces.carriers[s], look.reach[b]
+    """Find the points of a piece near a surface; return their number, and `crossed`."""
+    surfaces, x, y = numbers.surfaces, look.centres[p, 0], look.centres[p, 1]
+    pieces, carrier, within = numbers.pieces, surfaces.carriers[s], look.reach[p]
     moves = carrier >= 0 or surfaces.moves[s]
     frames = ground.frames if moves else ground.still
     if moves:
         _swung(ground, s, carrier, look, h)
         u, v = _moved(frames, x, y, 2)
         within += 2.0 * math.hypot(u - x, v - y)
-    if distance(surfaces, s, frames[1], x, y) > numbers.sizes[b] + within:
+    if distance(surfaces, s, frames[1], x, y) > pieces.sizes[p] + within:
         return 0, 0.0
-    before = seen_from(frames[0], x - h * look.old[b, 0], y - h * look.old[b, 1])
-    passed = crossed(surfaces, s, before, seen_from(frames[1], x, y), numbers.cores[b])
-    first, end = numbers.firsts[b], numbers.firsts[b + 1]
+    before = seen_from(frames[0], x - h * look.drifts[p, 0], y - h * look.drifts[p, 1])
+    passed = crossed(surfaces, s, before, seen_from(frames[1], x, y), pieces.cores[p])
+    first, end = pieces.firsts[p], pieces.firsts[p + 1]
     points = against_surface(
-        surfaces, s, frames[1], ground.registers, look.world[first:end], look.centres[b],
-        numbers.radii[b], within, found, features,
+        surfaces, s, frames[1], ground.registers, look.world[first:end], look.centres[p],
+        pieces.radii[p], within, found, features,
     )  # fmt: skip
     return points, passed
 
@@ -384,7 +401,7 @@ def _carried_along(frames: Array, found: Array, h: float, m: int, touches: Touch
     return math.hypot(free[m, 0] - before[m, 0], free[m, 1] - before[m, 1])
 
 
-@kernel
+@beside
 def touching(
     numbers: BodyNumbers, ground: Ground, memory: Memory, look: Look, grid: Grid, h: float,
     touches: Touches,
@@ -406,68 +423,74 @@ def touching(
     touches : Touches
         To be filled.
     """
-    sizes, radii, cores, firsts = numbers.sizes, numbers.radii, numbers.cores, numbers.firsts
-    centres, world, old, reach = look.centres, look.world, look.old, look.reach
-    surfaces, pairs = numbers.surfaces, grid.pairs
-    b_count, s_count = len(sizes), len(surfaces.kinds)
+    pieces, surfaces, pairs = numbers.pieces, numbers.surfaces, grid.pairs
+    bodies, sizes, radii, cores = pieces.bodies, pieces.sizes, pieces.radii, pieces.cores
+    firsts, centres, drifts = pieces.firsts, look.centres, look.drifts
+    p_count, s_count = len(sizes), len(surfaces.kinds)
     found, aside = np.empty((_POINTS, FOUND)), np.empty((_POINTS, FOUND))
-    features, near = np.empty(_POINTS, np.int64), np.empty(b_count, np.int64)
+    features, near = np.empty(_POINTS, np.int64), np.empty(p_count, np.int64)
     # Between looks bodies move in straight lines.
     since = 0.5 * (h + (memory.past[0] if memory.past[0] > 0.0 else h))
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     m, at_old, at_pair = 0, 0, 0
     approach = closing = passed = sunk = 0.0
-    many = near_pairs(centres, sizes + reach, grid)
+    many = near_pairs(centres, sizes + look.reach, grid)
     if many < 0:
         return Seen(-1, approach, closing, passed, sunk)
-    for b in range(b_count):
-        count = 0
-        while at_pair < many and pairs[at_pair, 0] == b:
+    for p in range(p_count):
+        count, b = 0, bodies[p]
+        while at_pair < many and pairs[at_pair, 0] == p:
             near[count] = pairs[at_pair, 1]
             count += 1
             at_pair += 1
         for i in range(count + s_count):
-            c = near[i] if i < count else b_count + i - count
-            s = c - b_count
+            q = near[i] if i < count else p_count + i - count
+            s = q - p_count
             # What it touches: a body, also one that carries a surface, or none.
-            whole, other, moves = s < 0, c if s < 0 else surfaces.carriers[s], False
+            whole, other, moves = s < 0, bodies[q] if s < 0 else surfaces.carriers[s], False
+            if other == b:
+                continue
             if whole:
-                material = numbers.laws[numbers.kinds[b], numbers.kinds[c]]
-                if material < 0 or _held(numbers.joints, b, c):
+                material = numbers.laws[numbers.kinds[b], numbers.kinds[other]]
+                if material < 0 or _held(numbers.joints, b, other):
                     continue
                 # In short steps all that follows is within their error.
-                slowly = nearby(old, sizes, b, c, _CROSSED / since)
+                slowly = nearby(drifts, sizes, p, q, _CROSSED / since)
                 # Of what grazes the approach is slow.
                 core = _CORE if slowly else _WHOLE
-                begin, end = overlap(centres, old, b, c, core * (cores[b] + cores[c]))
+                begin, end = overlap(centres, drifts, p, q, core * (cores[p] + cores[q]))
                 if -since < begin and begin + end < 0.0:
                     passed = max(passed, (end - begin) / h)
                 points = between(
-                    world[firsts[b] : firsts[b + 1]], centres[b], radii[b],
-                    world[firsts[c] : firsts[c + 1]], centres[c], radii[c],
-                    reach[b] + reach[c], found, features,
+                    look.world[firsts[p] : firsts[p + 1]], centres[p], radii[p],
+                    look.world[firsts[q] : firsts[q + 1]], centres[q], radii[q],
+                    look.reach[p] + look.reach[q], found, features,
                 )  # fmt: skip
             else:
                 material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s]
-                if material < 0 or other == b:
+                if material < 0:
                     continue
                 slowly, moves = True, other < 0 and surfaces.moves[s]
-                points, crosses = _on_surface(numbers, ground, look, b, s, h, found, features)
+                points, crosses = _on_surface(numbers, ground, look, p, s, h, found, features)
                 passed = max(passed, crosses)
-            pair = b * (b_count + s_count) + c
+            if pieces.begins[b + 1] - pieces.begins[b] > 1:
+                points = exposed(pieces, centres, look.world, p, -1.0, found, features, points)
+            if whole and pieces.begins[other + 1] - pieces.begins[other] > 1:
+                points = exposed(pieces, centres, look.world, q, 1.0, found, features, points)
+            pair = p * (p_count + s_count) + q
             while at_old < memory.many[0] and memory.keys[at_old, 0] < pair:
                 at_old += 1
             known = at_old < memory.many[0] and memory.keys[at_old, 0] == pair
-            for p in range(points):
-                nx, ny, gap = found[p, 0], found[p, 1], found[p, 4]
+            for at in range(points):
+                nx, ny, gap = found[at, 0], found[at, 1], found[at, 4]
                 look.gaps[b] = min(look.gaps[b], gap)
                 if other >= 0:
                     look.gaps[other] = min(look.gaps[other], gap)
-                level, lasting = _recalled(memory, at_old, pair, features[p], h, m, touches)
-                _felt(look, b, other, found[p], m, touches)
+                level, lasting = _recalled(memory, at_old, pair, features[at], h, m, touches)
+                _felt(look, b, other, found[at], m, touches)
                 touches.carries[m] = 0.0
                 if moves:
-                    pull = _carried_along(ground.frames, found[p], h, m, touches)
+                    pull = _carried_along(ground.frames, found[at], h, m, touches)
                     look.pull[b] = max(look.pull[b], pull)
                 nearing = -touches.before[m, 0]
                 changed = touches.free[m, 0] - touches.before[m, 0]
@@ -480,21 +503,20 @@ def touching(
                 role, level, above = arriving(
                     gap, level, lasting, nearing, touches.free[m, 0], slow, 0.5 + BESIDE, h
                 )
-                if role == HIT and gap > 0.0 and whole and radii[b] * radii[c] > 0.0:
+                if role == HIT and gap > 0.0 and whole and radii[p] * radii[q] > 0.0:
                     # Discs that are near and fast may pass beside each other.
-                    touch, _ = overlap(centres, old, b, c, radii[b] + radii[c])
+                    touch, _ = overlap(centres, drifts, p, q, radii[p] + radii[q])
                     role = HIT if touch <= h else APART
                 if role == HIT and not (known or slowly):
                     arrives, crossed = _arrives(
-                        numbers, look, (b, c), (nx, ny), gap, nearing, h, aside
+                        numbers, look, (p, q), (nx, ny), gap, nearing, h, aside
                     )
                     passed = max(passed, crossed)
                     role = HIT if arrives else APART
                 if gap < 0.0 and -nearing > slow and not (known or slowly):
                     # It leaves: if it was not in it at the last look, it came by another side.
-                    earlier, _ = met(numbers, look.places, old, (b, c), -since, (nx, ny), aside)
-                    if earlier > 0.0:
-                        passed = max(passed, _ELSEWHERE)
+                    crossed = _came(numbers, look, (p, q), (nx, ny), since, aside)
+                    passed = max(passed, crossed)
                 if role == APART:
                     continue
                 touches.hit[m] = role == HIT
@@ -509,7 +531,7 @@ def touching(
                     touches.wanted[m, 0] = max(above / h, -0.5 * gained)
                 for d in range(3):
                     touches.materials[m, d] = numbers.materials[material, d]
-                touches.keys[m, 0], touches.keys[m, 1] = pair, features[p]
+                touches.keys[m, 0], touches.keys[m, 1] = pair, features[at]
                 touches.memory[m, 0] = level
                 touches.memory[m, 1] = 0.0 if lasting or role == HIT else above
                 if not lasting:

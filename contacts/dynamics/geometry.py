@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import sympy as sp
 
+from contacts.dynamics.rims import Rim, Vector
 from contacts.scene.joints import Path
 from contacts.scene.modes import ContactSymbols
-from contacts.scene.parts import Pair, Point, Surface
+from contacts.scene.parts import Contact, Pair, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
-
-Vector = tuple[sp.Expr, sp.Expr]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +24,9 @@ class ContactGeometry:
     ----------
     point : (Expr, Expr)
         Its position in the frame of the surface (the world's, unless a body carries the surface).
+    anchor, slipping : (Expr, Expr)
+        What stays constant as long as it is pinned, and the direction in which that moves as it
+        slips: the point and the tangent, unless it is on a rim (`contacts.dynamics.rims`).
     normal, tangent : (Expr, Expr)
         Unit vectors of the surface there, in that frame; the normal points out of the solid, the
         tangent is the normal turned clockwise.
@@ -37,6 +39,8 @@ class ContactGeometry:
     """
 
     point: Vector
+    anchor: Vector
+    slipping: Vector
     normal: Vector
     tangent: Vector
     symbols: ContactSymbols
@@ -126,16 +130,30 @@ class Geometry:
             return self.point(to)
         return self._formula(to.x or 0), self._formula(to.y or 0)
 
+    def _frame(self, surface: Surface) -> tuple[Vector, sp.Expr]:
+        """Return the origin and the angle of the frame of a surface."""
+        if surface.body is not None:
+            return self.body_frame(surface.body)
+        x0, y0, angle = surface_frame(surface, self.known)
+        return (x0, y0), angle
+
+    def _rim(self, contact: Contact) -> Rim:
+        surface = self.scene.surfaces[contact.surface]
+        radius = self._formula(contact.radius or 0)
+        turn = self.body_frame(contact.point.body)[1] - self._frame(surface)[1]
+        if surface.circle is None or surface.radius is None:
+            return Rim(radius, turn)
+        cx, cy = (self._formula(text) for text in surface.circle)
+        side = -1 if surface.hollow else 1
+        return Rim(radius, turn, ((cx, cy), self._formula(surface.radius) + side * radius), side)
+
     def _in_frame(self, surface: Surface, point: Vector) -> Vector:
         """Return a point in the frame of a surface.
 
         Rates of these coordinates are velocities relative to the surface's material, whatever it
         is carried by; that is what slips and what contact forces work on.
         """
-        if surface.body is None:
-            x0, y0, angle = surface_frame(surface, self.known)
-        else:
-            (x0, y0), angle = self.body_frame(surface.body)
+        (x0, y0), angle = self._frame(surface)
         c, s = sp.cos(angle), sp.sin(angle)
         dx, dy = point[0] - x0, point[1] - y0
         return c * dx + s * dy, c * dy - s * dx

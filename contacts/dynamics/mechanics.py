@@ -1,6 +1,5 @@
-"""Positions to equations of motion: mass matrix, forces, Jacobians, by SymPy.
+"""Positions to equations of motion: of bodies that contacts touch and joints hold, by SymPy.
 
-The kinetic energy of bodies whose centres and angles are expressions of coordinates q gives
 ``M(q) a + b(q, v) = Q + sum J_n^T V + J_t^T H + sum J^T X`` (contacts, joints); nothing is
 simplified.
 """
@@ -12,26 +11,31 @@ from functools import cached_property
 
 import sympy as sp
 
-from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
+from contacts.dynamics.free_motion import FreeMotion
+from contacts.dynamics.geometry import ContactGeometry, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import COEFFICIENTS, friction_cones, scene_parameters
+from contacts.dynamics.rims import Vector
 from contacts.scene.modes import ContactSymbols
-from contacts.scene.parts import Body, Contact, Point
+from contacts.scene.parts import Contact
 from contacts.scene.scene import Scene
 from statechart.automaton.regions import Hold, Margin
 from statechart.formulas.determinants import Definition
 from statechart.formulas.formula import parse_relation
+from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
 
-class Mechanics(Geometry):
+class Mechanics(FreeMotion):
     """The equations of a scene.
 
     Parameters
     ----------
     scene : Scene
         As declared.
+    parameters : Parameters, optional
+        Those of `scene_parameters` by default.
 
     Attributes
     ----------
@@ -45,14 +49,14 @@ class Mechanics(Geometry):
         as numbers that do not change while an instant is judged.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        self.parameters = scene_parameters(scene)
-        parameters = self.parameters.symbols
+    def __init__(self, scene: Scene, parameters: Parameters | None = None) -> None:
+        given = parameters or scene_parameters(scene)
+        symbols = given.symbols
         controlled = scene.controlled
         controls = {n: sp.Symbol(f"c{i}", real=True) for i, n in enumerate(controlled.order)}
         self.memory = {n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.memory)}
-        super().__init__(scene, {**parameters, **controls, **self.memory})
-        cones = friction_cones(scene, parameters)
+        super().__init__(scene, given, {**symbols, **controls, **self.memory})
+        cones = friction_cones(scene, symbols)
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
@@ -90,16 +94,6 @@ class Mechanics(Geometry):
             time=self.time,
             definitions=definitions,
         )
-
-    @cached_property
-    def mass_matrix(self) -> sp.Matrix:
-        """(n, n): of the kinetic energy ``v^T M v / 2``."""
-        return self._inertia[0]
-
-    @cached_property
-    def generalised_forces(self) -> tuple[sp.Expr, ...]:
-        """(n,): ``Q - b``, so that ``M a`` equals it where no contact is closed."""
-        return tuple(q - b for q, b in zip(self._applied, self._inertia[1], strict=True))
 
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
@@ -153,21 +147,6 @@ class Mechanics(Geometry):
         return (*(row.force for row in self.joint_rows), *of_contacts)
 
     @cached_property
-    def energy(self) -> sp.Expr:
-        """Kinetic energy plus that of gravity."""
-        kinetic = [
-            self.mass_matrix[i, k] * self.v[i] * self.v[k] / 2
-            for i in range(len(self.q))
-            for k in range(len(self.q))
-        ]
-        gx, gy = self.gravity
-        potential = []
-        for name, body in self.scene.bodies.items():
-            (x, y), _ = self.body_frame(name)
-            potential.append(-self._formula(body.mass) * (gx * x + gy * y))
-        return sp.Add(*kinetic, *potential)
-
-    @cached_property
     def power(self) -> sp.Expr:
         """Power of the applied forces, gravity excepted, and of joints and surfaces that move."""
         applied = (q * v for q, v in zip(self.applied_forces, self.v, strict=True))
@@ -193,15 +172,6 @@ class Mechanics(Geometry):
             c * rates[1] - s * rates[0] + rates[2] * x,
         )
         return n_x * moved[0] + n_y * moved[1], t_x * moved[0] + t_y * moved[1]
-
-    @cached_property
-    def gravity(self) -> Vector:
-        """Acceleration of gravity."""
-        declared = self.scene.gravity
-        if isinstance(declared, tuple):
-            gx, gy = (self._formula(text) for text in declared)
-            return gx, gy
-        return sp.S.Zero, -self._formula(declared)
 
     def contact(self, name: str) -> ContactGeometry:
         """Return the geometry of a contact, derived when first asked for."""
@@ -251,58 +221,6 @@ class Mechanics(Geometry):
         result["energy"] = self.energy
         return result
 
-    @cached_property
-    def _inertia(self) -> tuple[sp.Matrix, tuple[sp.Expr, ...]]:
-        """Mass matrix and bias forces, summed over the bodies."""
-        size = len(self.q)
-        matrix = sp.zeros(size, size)
-        bias = [sp.S.Zero] * size
-        at_rest = dict.fromkeys(self.a, sp.S.Zero)
-        for name, body in self.scene.bodies.items():
-            (x, y), angle = self.body_frame(name)
-            mass, inertia = self.inertia(name, body)
-            for weight, position in ((mass, x), (mass, y), (inertia, angle)):
-                gradient = [sp.diff(position, q) for q in self.q]
-                moving = [i for i, g in enumerate(gradient) if g != 0]
-                drift = self.rate(self.rate(position)).xreplace(at_rest)
-                for i in moving:
-                    bias[i] += weight * gradient[i] * drift
-                    for k in moving:
-                        matrix[i, k] += weight * gradient[i] * gradient[k]
-        return matrix, tuple(bias)
-
-    def inertia(self, name: str, body: Body) -> tuple[sp.Expr, sp.Expr]:
-        """Return the mass of a body, and its moment of inertia; 0 where it has none."""
-        mass = self._formula(body.mass)
-        if body.inertia is None:
-            return mass, sp.S.Zero
-        return mass, self.parameters.symbols[f"{name}.inertia"]
-
-    @cached_property
-    def applied_forces(self) -> tuple[sp.Expr, ...]:
-        """(n,): what the declared forces do to every coordinate."""
-        total = [sp.S.Zero] * len(self.q)
-        for force in self.scene.forces.values():
-            point = self.point(Point(body=force.body, at=force.at))
-            _, angle = self.body_frame(force.body)
-            components = [self._formula(text) for text in force.force]
-            moment = self._formula(force.moment)
-            for i, q in enumerate(self.q):
-                work = [f * sp.diff(p, q) for f, p in zip(components, point, strict=True)]
-                total[i] += sp.Add(*work, moment * sp.diff(angle, q))
-        return tuple(total)
-
-    @cached_property
-    def _applied(self) -> tuple[sp.Expr, ...]:
-        total = list(self.applied_forces)
-        gx, gy = self.gravity
-        for name, body in self.scene.bodies.items():
-            (x, y), _ = self.body_frame(name)
-            mass = self._formula(body.mass)
-            for i, q in enumerate(self.q):
-                total[i] += mass * (gx * sp.diff(x, q) + gy * sp.diff(y, q))
-        return tuple(total)
-
     def conditions(self, name: str) -> tuple[Margin, ...]:
         """Return the conditions without which a contact is off; those of its edge last."""
         contact = self.scene.contacts[name]
@@ -328,29 +246,38 @@ class Mechanics(Geometry):
             self._conditions[name] = tuple(found)
         return self._conditions[name]
 
-    def _stuck(self, name: str, contact: Contact) -> tuple[Vector, dict[sp.Symbol, sp.Expr]]:
+    def _stuck(
+        self, name: str, contact: Contact, anchor: Vector, tangent: Vector
+    ) -> tuple[Vector, dict[sp.Symbol, sp.Expr]]:
         """Return what is zero as long as a contact point does not move, and its constants.
 
         In the world's frame, where coordinates of positions are what they are.
         """
-        surface, point = self.scene.surfaces[contact.surface], self.point(contact.point)
-        here = self._in_frame(surface, point)
         x, y = (sp.Symbol(f"{name}.{axis}0", real=True) for axis in "xy")
-        anchors = {x: here[0], y: here[1]}
+        anchors = {x: anchor[0], y: anchor[1]}
+        along, across = self._rim(contact).centre((x, y), tangent)
+        surface, point = self.scene.surfaces[contact.surface], self.point(contact.point)
         if surface.body is None:
-            return (here[0] - x, here[1] - y), anchors
+            here = self._in_frame(surface, point)
+            return (here[0] - along, here[1] - across), anchors
         (x0, y0), angle = self.body_frame(surface.body)
         c, s = sp.cos(angle), sp.sin(angle)
-        return (point[0] - x0 - c * x + s * y, point[1] - y0 - s * x - c * y), anchors
+        return (
+            point[0] - x0 - c * along + s * across,
+            point[1] - y0 - s * along - c * across,
+        ), anchors
 
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
-        x, y = point = self._in_frame(surface, self.point(contact.point))
+        x, y = centre = self._in_frame(surface, self.point(contact.point))
+        rim = self._rim(contact)
         # The surface is differentiated in its own coordinates and the point in those of its body:
         # both are short, where gap(q) and its second derivative are long.
         own = sp.Dummy("x", real=True), sp.Dummy("y", real=True)
-        here = dict(zip(own, point, strict=True))
+        here = dict(zip(own, centre, strict=True))
         function, direction, factor = self._surface(surface, *own)
+        # Of a disc the function is linear, or a distance.
+        function -= rim.radius / factor
         gap, unit = function.xreplace(here), factor.xreplace(here)
         normal = (direction[0].xreplace(here), direction[1].xreplace(here))
         tangent = (normal[1], -normal[0])
@@ -370,14 +297,20 @@ class Mechanics(Geometry):
         gap_rate = times(gradient, rates)
         jacobian = [(sp.diff(x, q), sp.diff(y, q)) for q in self.q]
         jacobian_n = tuple(normal[0] * dx + normal[1] * dy for dx, dy in jacobian)
-        jacobian_t = tuple(tangent[0] * dx + tangent[1] * dy for dx, dy in jacobian)
-        slip = tangent[0] * rates[0] + tangent[1] * rates[1]
+        jacobian_t = tuple(
+            tangent[0] * dx + tangent[1] * dy + rim.radius * sp.diff(rim.turn, q)
+            for (dx, dy), q in zip(jacobian, self.q, strict=True)
+        )
+        rolling = self.rate(rim.radius * rim.turn)
+        slip = tangent[0] * rates[0] + tangent[1] * rates[1] + rolling
         # On the surface (gap = gap' = 0) this is the derivative of the normal velocity.
         bias_n = unit * (times(gradient, drifts) + bent(curvature))
         bias_t = tangent[0] * drifts[0] + tangent[1] * drifts[1] + bent(along)
+        bias_t += self.rate(rolling).xreplace(at_rest)
         V, H = self.forces[name]
         cone_n, cone_t = self._cones[name]
-        stuck, anchors = self._stuck(name, contact)
+        anchor, slipping = rim.anchored(centre, tangent)
+        stuck, anchors = self._stuck(name, contact, anchor, tangent)
         normal_a = sp.Add(bias_n, *(j * a for j, a in zip(jacobian_n, self.a, strict=True)))
         tangential_a = sp.Add(bias_t, *(j * a for j, a in zip(jacobian_t, self.a, strict=True)))
         symbols = ContactSymbols(
@@ -398,6 +331,16 @@ class Mechanics(Geometry):
             Hold((gap,), (normal_a,), (V,), steep=self.curved(name)),
             Hold(stuck, (normal_a, tangential_a), (V, H), anchors),
         )
+        point = x - rim.radius * normal[0], y - rim.radius * normal[1]
         return ContactGeometry(
-            point, normal, tangent, symbols, jacobian_n, jacobian_t, bias_n, bias_t
+            point,
+            anchor,
+            slipping,
+            normal,
+            tangent,
+            symbols,
+            jacobian_n,
+            jacobian_t,
+            bias_n,
+            bias_t,
         )

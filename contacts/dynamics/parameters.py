@@ -40,6 +40,18 @@ def scene_parameters(scene: Scene) -> Parameters:
     return Parameters(scene.parameters, partial(_derived, scene), partial(_initial, scene))
 
 
+def body_parameters(scene: Scene) -> Parameters:
+    """Return those of a scene of free bodies: what is alike in copies of a body stands once.
+
+    What follows from them besides is what controllers remember at the start.
+    """
+
+    def remembered(known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
+        return [parse(text).to_sympy(known) for text in scene.controlled.memory.values()]
+
+    return Parameters(scene.parameters, partial(_derived, scene), remembered)
+
+
 def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
     """Return the coefficients of contacts, moments of inertia, redundancies of joints."""
     result: dict[str, sp.Expr] = {}
@@ -84,12 +96,12 @@ def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
 
 def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
     """Return mass times the longest arm squared of the body's contact points and joints."""
-    points = [contact.point for contact in scene.contacts.values()]
-    points += [joint.point for joint in scene.joints.values()]
-    points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
+    points = [(contact.point, contact.radius or 0) for contact in scene.contacts.values()]
+    points += [(joint.point, 0) for joint in scene.joints.values()]
+    points += [(joint.to, 0) for joint in scene.joints.values() if isinstance(joint.to, Point)]
     arms = [
-        sp.Add(*(parse(text).to_sympy(known) ** 2 for text in point.at))
-        for point in points
+        sp.Add(*(parse(text).to_sympy(known) ** 2 for text in (*point.at, radius)))
+        for point, radius in points
         if point.body == name
     ]
     mass = parse(scene.bodies[name].mass).to_sympy(known)

@@ -57,7 +57,7 @@ class Projection:
         for name in mechanics.scene.contacts:
             geometry = mechanics.contact(name)
             outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
-            outputs += geometry.point
+            outputs += geometry.anchor
         for row in mechanics.joint_rows:
             outputs += [row.gap, row.gap_rate]
         self._joints = tuple(row.joint for row in mechanics.joint_rows)

@@ -17,7 +17,7 @@ from contacts.dynamics.scales import measure
 from contacts.dynamics.setup import POINT_MASS, ROUNDING, SceneNumbers
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.engines.whole_flow import Program, tape_of
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import beside
 from statechart.kernels.tapes import tape_values
 
 LIMITS, SCALES, STOPS = range(3)
@@ -102,7 +102,7 @@ def room(parameters: int, variables: int, rules: Rules, contacts: int) -> Number
     )
 
 
-@kernel
+@beside
 def run_numbers(
     program: Program,
     tapes: NDArray[np.int64],

@@ -174,7 +174,7 @@ class SnapshotTape:
             outputs += [geometry.bias_n, geometry.bias_t]
         for geometry in contacts:
             outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
-            outputs += [*geometry.point, *geometry.tangent]
+            outputs += [*geometry.anchor, *geometry.slipping]
         n, count = self.size, self.count
         lengths = n * n, n + 1, 2 * n * count, 2 * count, SCALARS * count
         # Where mass matrix, forces and energy, Jacobians, biases and scalars end.

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from statechart.engines.whole_flow import KINDS, Watch
 from statechart.execution.loops import Loop
 from statechart.execution.rows import Found, Rows
 from statechart.kernels.accumulation import WIDTH
+from statechart.kernels.jit import entry
 
 _NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE: OFF}
 
@@ -120,8 +120,9 @@ class RowCall:
             *[0.0] * 9,
         )
         self.series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
-        self._call = partial(run_rows, loop.program, loop.pace, loop.memory, scene, *tape.program)
+        self._given = loop.program, loop.pace, loop.memory, scene, *tape.program
         self._memory = made, watch, instants, self.series
+        self._entry: Callable[..., int] | None = None
 
     def inputs(self, table: Array) -> Array:
         """Return what the numbers of runs are computed from (m, i), of rows (m, p) of values."""
@@ -132,7 +133,10 @@ class RowCall:
 
     def run(self, rows: Rows, block: Block, found: Found) -> int:
         """Make runs; return how many of them before the block was full."""
-        return self._call(rows, *self._memory, block, found)
+        arguments = *self._given, rows, *self._memory, block, found
+        if self._entry is None:
+            self._entry = entry(run_rows, *arguments)
+        return self._entry(*arguments)
 
 
 def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:

@@ -17,12 +17,12 @@ from statechart.automaton.recording import ARCS, EVENTS, Block
 from statechart.engines.engine import Pace
 from statechart.engines.whole_flow import (
     GAP,
-    GUARDS,
     MARGINS,
     MARGINS_AT,
     PLAIN,
     STOPS,
     TAPE,
+    WATCHED,
     Program,
     Scratch,
     Watch,
@@ -186,9 +186,9 @@ def _start(
 def _closing(program: Program, mode: int, watch: Watch, state: Array, time: float) -> int:
     """Return how a run ends whose time is over, see `statechart.execution.finding.closing`."""
     row = program.modes[mode]
-    code, constants, outputs, _, _ = tape_of(program, row[GUARDS : GUARDS + TAPE])
+    code, constants, outputs, _, _ = tape_of(program, row[WATCHED : WATCHED + TAPE])
     margins, judged = np.empty(row[MARGINS]), False
-    tape_values(code, constants, outputs, state, watch.parameters, time, margins)
+    tape_values(code, constants, outputs[: row[MARGINS]], state, watch.parameters, time, margins)
     for i in range(margins.shape[0]):
         kind = program.ints[row[MARGINS_AT] + 2 * i]
         own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]

@@ -29,7 +29,7 @@ from contacts.modes.candidates import (
 )
 from contacts.modes.load_sharing import Share
 from contacts.scene.modes import OWN
-from contacts.states import OFF, OPEN, SLIDING, declared_state
+from contacts.states import OFF, OPEN, SLIDING, declared_state, undetermined
 from statechart.automaton.deferred import Deferred
 from statechart.errors import AmbiguousMode, NoConsistentMode
 
@@ -210,7 +210,7 @@ def _opens(taken: Candidate, other: Candidate | Undetermined, closed: Sequence[b
 
 def _indeterminate(laws: Sequence[ContactLaw], shared: Share) -> tuple[str, ...]:
     names = [law.name for law, zone in zip(laws, shared.zones, strict=True) if zone != OWN]
-    return (f"the forces of {', '.join(names)} are indeterminate: the smallest are shown",)
+    return (undetermined(names),)
 
 
 def _options(

@@ -8,9 +8,10 @@ from itertools import pairwise
 import numpy as np
 import sympy as sp
 
+import contacts.scene.shapes as declared
 from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.joints import Force, Path
-from contacts.scene.parts import Body, Point
+from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
@@ -29,7 +30,8 @@ _TRIED = 5
 class BodyShapes:
     """The shapes of a scene's bodies for values of its parameters.
 
-    Where no body declares a shape, a body is drawn by what is known of it: its contact points,
+    Where no body declares a shape, a body is drawn by what is known of it: discs that touch with
+    their rims, contact points,
     joints, edges, and bodies whose places are fixed in its frame. Points on a line make a bar; one
     known end alone makes one to where a uniform bar of its inertia ends on the other side.
     Points around make a polygon, with their images in the centre of mass where they do not enclose
@@ -51,7 +53,7 @@ class BodyShapes:
         self._mechanics, self._automaton, self._known = mechanics, automaton, known
         self._scene = mechanics.scene
         self._frames = {name: 1 + place for place, name in enumerate(self._scene.bodies)}
-        self._declared = any(body.shape is not None for body in self._scene.bodies.values())
+        self._declared = any(body.shape for body in self._scene.bodies.values())
 
     def shapes(self, idle: frozenset[str]) -> tuple[Shape, ...]:
         """Return the shapes, from back to front; contacts that are `idle` tell no points."""
@@ -59,27 +61,28 @@ class BodyShapes:
         found: list[Shape] = []
         regions = {name: k for k, name in enumerate(self._scene.bodies)}
         for name, body in self._scene.bodies.items():
-            if body.shape is not None:
+            if body.shape:
                 region = regions[name] if self._scene.collisions else -1
-                found.append(self._shape(name, body, region))
+                found += [self._shape(name, part, region) for part in body.shape]
             elif not self._declared:
                 points = [*self._points(name, idle), *fixed.get(name, ())]
-                found += self._told(name, body, points)
+                rims = self._rims(name)
+                found += [*rims, *self._told(name, body, points, rims)]
         return (*self._pendulums(), *self._springs(), *found, *self._joints())
 
-    def _shape(self, name: str, body: Body, region: int) -> Shape:
-        assert body.shape is not None
+    def _shape(self, name: str, part: declared.Shape, region: int) -> Shape:
         frame = self._frames[name]
-        if body.shape.disc is not None:
-            radius = self._number(body.shape.disc)
-            return Shape("disc", np.zeros((1, 2)), frame, frame, radius, region, name)
-        points = np.array([self._pair(corner) for corner in body.shape.polygon or ()])
+        if part.disc is not None:
+            centre, radius = np.array([self._pair(part.at)]), self._number(part.disc)
+            return Shape("disc", centre, frame, frame, radius, region, name)
+        points = np.array([self._pair(corner) for corner in part.polygon or ()])
         return Shape("outline", points, frame, frame, region=region, name=name)
 
     def _points(self, name: str, idle: frozenset[str]) -> list[tuple[float, float]]:
         """Return the places in a body's frame that the scene speaks of."""
         scene = self._scene
-        points = [c.point for key, c in scene.contacts.items() if key not in idle]
+        touching = scene.contacts.items()
+        points = [c.point for key, c in touching if key not in idle and c.radius is None]
         points += [joint.point for joint in scene.joints.values()]
         points += [joint.to for joint in scene.joints.values() if isinstance(joint.to, Point)]
         found = [self._pair(point.at) for point in points if point.body == name]
@@ -88,8 +91,26 @@ class BodyShapes:
                 found += [self._pair(corner) for corner in surface.edge]
         return found
 
-    def _told(self, name: str, body: Body, points: Sequence[tuple[float, float]]) -> list[Shape]:
+    def _rims(self, name: str) -> list[Shape]:
+        """Return the discs of a body that touch with their rims, each once."""
         frame = self._frames[name]
+        discs = {
+            (self._pair(contact.point.at), self._number(contact.radius)): None
+            for contact in self._scene.contacts.values()
+            if contact.point.body == name and contact.radius is not None
+        }
+        found = [Shape("disc", np.array([at]), frame, frame, r, name=name) for at, r in discs]
+        for (x, y), r in discs:
+            # A spoke, an outline of two corners, shows that it turns.
+            spoke = np.array([[x, y], [x, y - r]])
+            found.append(Shape("outline", spoke, frame, frame, name=name))
+        return found
+
+    def _told(
+        self, name: str, body: Body, points: Sequence[tuple[float, float]], rims: Sequence[Shape]
+    ) -> list[Shape]:
+        frame = self._frames[name]
+        points = [*points, *(tuple(rim.points[0]) for rim in rims)]
 
         def shape(kind: ShapeKind, corners: Sequence[Sequence[float] | Array] | Array) -> Shape:
             return Shape(kind, np.array(corners, float), frame, frame, name=name)
@@ -97,7 +118,7 @@ class BodyShapes:
         reach = max((np.hypot(*point) for point in points), default=0.0)
         away = [p for p in _distinct(points) if np.hypot(*p) > _SAME * reach]
         if not away:
-            return [shape("mass", [[0.0, 0.0]])]
+            return [] if rims else [shape("mass", [[0.0, 0.0]])]
         inertia = self._number(body.inertia or 0)
         mass = self._number(body.mass)
         if not inertia > 0.0:
@@ -226,15 +247,18 @@ def compiled(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
     )
 
 
-def disc_of(scene: Scene, point: Point, number: Callable[[str | int | float], float]) -> float:
-    """Return the radius of a disc that touches with its rim where its centre is declared to.
+def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float], float]) -> float:
+    """Return the radius of a disc that is drawn to touch with its rim where its centre is said to.
 
-    0 where the point is none: its contact is where the point is.
+    0 where it is none: its contact is where it is declared to be.
     """
-    shape = scene.bodies[point.body].shape
-    if shape is None or shape.disc is None or any(number(text) != 0.0 for text in point.at):
+    if contact.radius is not None:
         return 0.0
-    return number(shape.disc)
+    at = tuple(map(number, contact.point.at))
+    for shape in scene.bodies[contact.point.body].shape:
+        if shape.disc is not None and at == tuple(map(number, shape.at)):
+            return number(shape.disc)
+    return 0.0
 
 
 def _distinct(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

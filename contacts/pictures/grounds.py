@@ -89,7 +89,7 @@ def _carried(
 ) -> list[Shape]:
     """Return what a body carries, as lines or discs; nothing where its shape is declared."""
     assert surface.body is not None
-    if scene.bodies[surface.body].shape is not None:
+    if scene.bodies[surface.body].shape:
         return []
     kind: ShapeKind = "link"
     radius = 0.0
@@ -108,8 +108,8 @@ def _carried(
 
 def _lift(scene: Scene, name: str, number: Callable[[str | int | float], float]) -> float:
     """Return how far below the declared surface it is drawn: discs touch it with their rims."""
-    points = [c.point for c in scene.contacts.values() if c.surface == name]
-    radii = {disc_of(scene, point, number) for point in points}
+    contacts = [c for c in scene.contacts.values() if c.surface == name]
+    radii = {disc_of(scene, contact, number) for contact in contacts}
     return radii.pop() if len(radii) == 1 else 0.0
 
 

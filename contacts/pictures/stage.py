@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.geometry import Vector, surface_frame
+from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.rims import Vector
 from contacts.pictures.bodies import BodyShapes, compiled, disc_of
 from contacts.pictures.grounds import grounds
-from contacts.pictures.window import window
+from contacts.pictures.window import beside, cloud_of, window
 from contacts.scene.scene import Scene
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
-from statechart.pictures.film import HATCH, WORLD, Film, Touch
+from statechart.pictures.film import HATCH, WORLD, Film, Shape, Touch, arrows
 from statechart.pictures.stage import Moments
 
 # Of more bodies none leaves a trail.
 _MOST_TRAILS = 5
+# So many times a picture's size away it is looked for where surfaces end.
+_FAR = 4.0
 # The arrow of a force that few exceed is a quarter of the picture.
 _FEW = 0.9
 
@@ -55,36 +58,27 @@ class SceneStage:
     def film(self, moments: Moments) -> Film:
         """Return what the scene looks like at instants of a run; see `Stage`."""
         scene, regions = self._scene, self._automaton.regions
-        states = tuple(region.states for region in regions)
-        modes = np.array(
-            [
-                [known.index(state) for known, state in zip(states, key, strict=True)]
-                for key in moments.keys
-            ],
-            dtype=np.intp,
-        ).reshape(len(moments.times), len(regions))
+        key = moments.keys[0]
+        states, untold = tuple(self._automaton.states_told(key)), len(regions) - len(key)
+        modes = np.zeros((len(moments.times), len(regions)), dtype=np.intp)
+        for instant, key in enumerate(moments.keys):
+            pairs = zip(states[untold:], key, strict=True)
+            modes[instant, untold:] = [known.index(state) for known, state in pairs]
         never = frozenset(
             region.name
             for k, region in enumerate(regions)
-            if OFF in region.states and (modes[:, k] == region.states.index(OFF)).all()
+            if OFF in states[k] and (modes[:, k] == states[k].index(OFF)).all()
         )
         shapes = BodyShapes(self._mechanics, self._automaton, moments.parameters).shapes(never)
         poses = self._poses(moments)
         touches = tuple(
             self._touch(name, moments, poses) for name in scene.contacts if name not in never
         )
-        below = [t.places - moments.columns[f"{t.name}.gap"][:, None] * t.normals for t in touches]
-        centres, half = window(shapes, poses, [*(touch.places for touch in touches), *below])
+        force = _usual(touches)
+        centres, half = self._window(moments, shapes, poses, touches, force)
         unit = 2.0 * max(half)
         poses = self._held(poses, moments, HATCH * unit)
-        reach = np.array(half) * 1.05
-        shift = np.abs(poses[:, [WORLD, *self._moved.values()], :2]).max(axis=(0, 1))
-        box = centres.min(axis=0) - reach - shift, centres.max(axis=0) + reach + shift
-        frames = {
-            name: self._bodies[s.body] if s.body is not None else self._moved.get(name, WORLD)
-            for name, s in scene.surfaces.items()
-        }
-        carried = grounds(scene, moments.parameters, frames, box, unit)
+        carried = self._grounds(moments, poses, centres, 1.05 * np.array(half))
         trails = tuple(self._bodies.values()) if len(self._bodies) <= _MOST_TRAILS else ()
         return Film(
             title=self._automaton.name,
@@ -98,9 +92,49 @@ class SceneStage:
             touches=touches,
             centres=centres,
             half=half,
-            force=_usual(touches),
+            force=force,
             trails=trails,
         )
+
+    def _window(
+        self,
+        moments: Moments,
+        shapes: Sequence[Shape],
+        poses: Array,
+        touches: Sequence[Touch],
+        force: float,
+    ) -> tuple[Array, tuple[float, float]]:
+        """Return the window on bodies, contacts, arrows of forces, and what holds the bodies."""
+        below = [self._below(touch, moments) for touch in touches]
+        cloud = cloud_of(shapes, poses, [*(touch.places for touch in touches), *below])
+        centres, half = window(cloud)
+        known = self._scene.surfaces
+        around = self._grounds(moments, poses, centres, _FAR * np.array(half))
+        held = [s for s in around if known[s.name].body is None and known[s.name].edge is None]
+        cloud = beside(cloud, held, poses)
+        _, half = window(cloud)
+        tips = [(t.places + arrows(t.forces, half, force))[:, None] for t in touches]
+        return window(np.concatenate([cloud, *tips], axis=1))
+
+    def _grounds(
+        self, moments: Moments, poses: Array, centres: Array, reach: Array
+    ) -> tuple[Shape, ...]:
+        """Return the surfaces as far as they are ever seen, for the reach of a picture."""
+        shift = np.abs(poses[:, [WORLD, *self._moved.values()], :2]).max(axis=(0, 1))
+        box = centres.min(axis=0) - reach - shift, centres.max(axis=0) + reach + shift
+        frames = {
+            name: self._bodies[s.body] if s.body is not None else self._moved.get(name, WORLD)
+            for name, s in self._scene.surfaces.items()
+        }
+        return grounds(self._scene, moments.parameters, frames, box, 2.0 * float(reach.max()))
+
+    def _below(self, touch: Touch, moments: Moments) -> Array:
+        """Return where a surface is beside a contact point: straight below it on a graph."""
+        surface = self._scene.surfaces[self._scene.contacts[touch.name].surface]
+        gap = moments.columns[f"{touch.name}.gap"][:, None]
+        if surface.height is None or "x" not in parse(surface.height).names or surface.turn != 0:
+            return touch.places - gap * touch.normals
+        return touch.places - gap / touch.normals[:, 1:] * np.array([0.0, 1.0])
 
     @cached_property
     def _frames(self) -> Tape:
@@ -118,11 +152,15 @@ class SceneStage:
     def _touching(self) -> dict[str, Tape]:
         """Of every contact its point, in the world, and the normal of the surface there."""
         return {
-            name: compiled(
-                self._automaton, [*self._mechanics.point(contact.point), *self._normal(name)]
-            )
-            for name, contact in self._scene.contacts.items()
+            name: compiled(self._automaton, [*self._point(name), *self._normal(name)])
+            for name in self._scene.contacts
         }
+
+    def _point(self, name: str) -> Vector:
+        contact, normal = self._scene.contacts[name], self._normal(name)
+        x, y = self._mechanics.point(contact.point)
+        radius = parse(contact.radius or 0).to_sympy(self._mechanics.known)
+        return x - radius * normal[0], y - radius * normal[1]
 
     def _normal(self, name: str) -> Vector:
         surface = self._scene.surfaces[self._scene.contacts[name].surface]
@@ -168,14 +206,14 @@ class SceneStage:
         contact = self._scene.contacts[name]
         found = self._touching[name].table(moments.states, moments.values, moments.times)
         places, normals = found[:, :2], found[:, 2:]
-        radius = disc_of(
-            self._scene, contact.point, lambda text: parse(text).value(moments.parameters)
-        )
+        radius = disc_of(self._scene, contact, lambda text: parse(text).value(moments.parameters))
         places = places - radius * normals
         names = [region.name for region in self._automaton.regions]
         region = names.index(name)
         nothing = np.zeros(len(moments.times))
-        open_ = np.array([key[region] in OPEN for key in moments.keys])
+        # Of what is not told forces are seen that steps found.
+        place = region - len(names)
+        open_ = np.array([len(key) >= -place and key[place] in OPEN for key in moments.keys])
         normal, tangential = (
             np.where(open_, 0.0, np.nan_to_num(moments.columns.get(f"{name}.{force}", nothing)))
             for force in ("V", "H")

@@ -17,14 +17,14 @@ _LONGEST, _FOLLOWED = 4.0, 3.0
 # A side is at least this part of the other.
 _SHORTEST = 0.45
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
+# A surface is shown whole if it is no larger than so many times what moves.
+_AROUND = 2.2
 # Followed through what a camera would not see: this part of the run.
 _SMOOTH = 0.04
 
 
-def window(
-    shapes: Sequence[Shape], poses: Array, places: Sequence[Array]
-) -> tuple[Array, tuple[float, float]]:
-    """Return the middle (k, 2) of the picture at every instant, and half its width and height.
+def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> Array:
+    """Return all that is to be seen at every instant, as points (k, m, 2).
 
     Parameters
     ----------
@@ -46,11 +46,21 @@ def window(
         for part, frame in ends:
             clouds.append(np.array([placed(part, pose) for pose in poses[:, frame]]))
     cloud = np.concatenate(clouds, axis=1)
-    cloud = np.where(np.isfinite(cloud), cloud, np.nanmean(cloud, axis=(0, 1)))
+    return np.where(np.isfinite(cloud), cloud, np.nanmean(cloud, axis=(0, 1)))
+
+
+def window(cloud: Array) -> tuple[Array, tuple[float, float]]:
+    """Return the middle (k, 2) of the picture at every instant, and half its width and height.
+
+    Parameters
+    ----------
+    cloud : (k, m, 2) array
+        What is to be seen.
+    """
     low, high = cloud.min(axis=1), cloud.max(axis=1)
     least, most = low.min(axis=0), high.max(axis=0)
     whole, own = most - least, (high - low).max(axis=0)
-    centres = np.tile((least + most) / 2.0, (len(poses), 1))
+    centres = np.tile((least + most) / 2.0, (len(cloud), 1))
     half = whole / 2.0
     for axis in (0, 1):
         size = max(own.max(), whole[1 - axis])
@@ -61,6 +71,19 @@ def window(
     largest = float(half.max()) or 1.0
     half = np.maximum(half, _SHORTEST * largest)
     return centres, (float(half[0]), float(half[1]))
+
+
+def beside(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
+    """Return a cloud with the surfaces that end not far from it.
+
+    Such as a drum around its grains, or a floor between walls; not those that go on.
+    """
+    low, high = cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))
+    middle, reach = (low + high) / 2.0, _AROUND * float((high - low).max()) / 2.0
+    lines = [np.array([placed(s.points, p) for p in poses[:, s.frame]]) for s in surfaces]
+    return np.concatenate(
+        [cloud, *(line for line in lines if (np.abs(line - middle) <= reach).all())], axis=1
+    )
 
 
 def _smooth(values: Array) -> Array:

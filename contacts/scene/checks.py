@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from contacts.scene.fields import SceneFields
 from contacts.scene.joints import Path
-from contacts.scene.parts import Point
+from contacts.scene.parts import Point, Surface
 from statechart.documents.declaration import TIME
 from statechart.documents.document import Loc
 from statechart.documents.fields import FormulaText, value_of
@@ -48,6 +48,9 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
             if surface.incline is not None:
                 _within_right_angle(values, surface.incline, ("surfaces", name, "incline"))
     for name, contact in scene.contacts.items():
+        with found:
+            if contact.radius is not None:
+                _within_its_circle(scene, values, name)
         for key, words, most in (
             ("friction", "zero or positive", math.inf),
             ("restitution", "between 0 and 1", 1.0),
@@ -78,6 +81,11 @@ def physical_limits(scene: SceneFields) -> list[tuple[FormulaText, float, float]
         found += [(surface.radius, math.ulp(0.0), most)] if surface.radius is not None else []
         found += [(surface.incline, -1.5, 1.5)] if surface.incline is not None else []
     for contact in scene.contacts.values():
+        surface = scene.surfaces[contact.surface]
+        if contact.radius is not None:
+            found.append((contact.radius, math.ulp(0.0), most))
+        if contact.radius is not None and surface.hollow:
+            found.append((f"({surface.radius}) - ({contact.radius})", math.ulp(0.0), most))
         for text, last in ((contact.friction, math.inf), (contact.restitution, 1.0)):
             if scene.controlled.region_of(text) is not None:
                 return None
@@ -147,12 +155,53 @@ def _places(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
         yield from _pair(surface.circle or (), *at, "circle")
     for name, contact in scene.contacts.items():
         yield from _pair(contact.point.at, "contacts", name, "point", "at")
+        if contact.radius is not None:
+            yield ("contacts", name, "radius"), contact.radius
     for name, joint in scene.joints.items():
         yield from _pair(joint.point.at, "joints", name, "point", "at")
         if isinstance(joint.to, Point):
             yield from _pair(joint.to.at, "joints", name, "to", "at")
     for name, force in scene.forces.items():
         yield from _pair(force.at, "forces", name, "at")
+
+
+def check_rim(surface: Surface, loc: Loc) -> None:
+    """Check that a disc touches a surface where there is a formula for it.
+
+    Raises
+    ------
+    DeclarationProblem
+        Where it does not.
+    """
+    if surface.height is not None and "x" in parse(surface.height).names:
+        raise DeclarationProblem(
+            "where a disc touches a height that depends on x there is no formula for",
+            advice="a slope is an incline, or a line; a hill or a valley a circle",
+            loc=loc,
+        )
+    if surface.edge is not None:
+        raise DeclarationProblem(
+            "a disc touches the ends of an edge too",
+            advice="declare a line and for each end a small circle, each contact enabled on its "
+            "side of the end",
+            loc=loc,
+        )
+
+
+def _within_its_circle(scene: SceneFields, values: Mapping[str, float], name: str) -> None:
+    contact = scene.contacts[name]
+    assert contact.radius is not None
+    at = ("contacts", name, "radius")
+    _bounded(values, contact.radius, at, "positive", positive=True)
+    surface = scene.surfaces[contact.surface]
+    if surface.hollow and surface.radius is not None:
+        disc, circle = (value_of(text, values, *at) for text in (contact.radius, surface.radius))
+        if not disc < circle:
+            raise DeclarationProblem(
+                f"a disc of radius {disc:g} does not roll in a circle of radius {circle:g}",
+                advice="the circle has to be the larger one",
+                loc=at,
+            )
 
 
 def _within_right_angle(

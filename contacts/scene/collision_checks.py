@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from contacts.scene.fields import SceneFields
 from contacts.scene.shapes import INDEX, Shape
-from statechart.documents.fields import check_names, value_of
+from statechart.arrays import Array
+from statechart.documents.document import Loc
+from statechart.documents.fields import FormulaText, check_names, value_of
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
 
@@ -85,7 +88,7 @@ def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
                 advice = close_matches(one, scene.bodies)
                 loc: tuple[str | int, ...] = (*at, "bodies", place)
                 raise DeclarationProblem(f"no body {one!r}", advice=advice, loc=loc)
-            if scene.bodies[one].shape is None:
+            if not scene.bodies[one].shape:
                 raise DeclarationProblem(
                     f"body {one!r} has no shape",
                     advice="give it a polygon or a disc",
@@ -101,6 +104,8 @@ def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
 
 def _check_memory(scene: SceneFields) -> None:
     """Check that what controllers remember is known ahead of the steps."""
+    if not any(region.variables for region in scene.regions.values()):
+        return
     moving = {*scene.variables, *map(scene.rate_name, scene.variables)}
     for region, declared in scene.regions.items():
         for state, at in scene.controlled.states(region):
@@ -129,8 +134,8 @@ def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:
         At the first that is out of its bounds.
     """
     for name, body in scene.bodies.items():
-        if body.shape is not None:
-            _check_shape(scene, name, body.shape, values)
+        for place, shape in enumerate(body.shape):
+            _check_shape(scene, ("bodies", name, "shape", place), shape, values)
     for name, collision in scene.collisions.items():
         at = ("collisions", name)
         for key, most in (("friction", np.inf), ("restitution", 1.0)):
@@ -143,10 +148,14 @@ def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:
                 )
 
 
-def _check_shape(scene: SceneFields, name: str, shape: Shape, values: Mapping[str, float]) -> None:
-    at = ("bodies", name, "shape")
+def _check_shape(scene: SceneFields, at: Loc, shape: Shape, values: Mapping[str, float]) -> None:
     if shape.disc is not None:
-        check_names(parse(shape.disc), scene.parameters, *at, "disc")
+        places: list[tuple[FormulaText, Loc]] = [(shape.disc, (*at, "disc"))]
+        places += [(text, (*at, "at", axis)) for axis, text in enumerate(shape.at)]
+        for text, loc in places:
+            check_names(parse(text), scene.parameters, *loc)
+            if not math.isfinite(value_of(text, values, *loc)):
+                raise DeclarationProblem("must be finite", loc=loc)
         if not parse(shape.disc).value(values) > 0.0:
             raise DeclarationProblem("a radius is positive", loc=(*at, "disc"))
         return
@@ -155,10 +164,7 @@ def _check_shape(scene: SceneFields, name: str, shape: Shape, values: Mapping[st
         for axis, text in enumerate(corner):
             check_names(parse(text), scene.parameters, *at, "polygon", place, axis)
     corners = np.array([[parse(text).value(values) for text in corner] for corner in shape.polygon])
-    edges = np.roll(corners, -1, axis=0) - corners
-    following = np.roll(edges, -1, axis=0)
-    turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
-    whole = np.arctan2(turns, (edges * following).sum(axis=1)).sum()
+    turns, whole = _turns(corners)
     problem = "a polygon is convex, its corners counter-clockwise"
     if (turns < 0.0).all():
         raise DeclarationProblem(
@@ -170,10 +176,7 @@ def _check_shape(scene: SceneFields, name: str, shape: Shape, values: Mapping[st
         how = "lies on a straight edge, or twice in a place"
         advice = "leave it out"
         if turns[wrong - 1] < 0.0:
-            how, advice = (
-                "points inwards",
-                "split the shape there into convex ones, or leave it out",
-            )
+            how, advice = "points inwards", _split(corners, wrong)
         raise DeclarationProblem(
             f"{problem}; corner {wrong + 1}, at ({x:.6g}, {y:.6g}), {how}",
             advice=advice,
@@ -185,3 +188,27 @@ def _check_shape(scene: SceneFields, name: str, shape: Shape, values: Mapping[st
             advice="give every corner once, in order",
             loc=(*at, "polygon"),
         )
+
+
+def _turns(corners: Array) -> tuple[Array, float]:
+    """Return by how much a polygon turns to the left after each edge, and its angle in all."""
+    edges = np.roll(corners, -1, axis=0) - corners
+    following = np.roll(edges, -1, axis=0)
+    turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
+    return turns, float(np.arctan2(turns, (edges * following).sum(axis=1)).sum())
+
+
+def _split(corners: Array, inward: int) -> str:
+    """Return how to split a polygon at a corner that points inwards."""
+    count = len(corners)
+    for step in range(2, count - 1):
+        other = (inward + step) % count
+        order = np.roll(np.arange(count), -inward)
+        halves = order[: step + 1], np.append(order[step:], inward)
+        if all((_turns(corners[half])[0] > 0.0).all() for half in halves):
+            first, second = (", ".join(str(k + 1) for k in half) for half in halves)
+            return (
+                f"split it from there to corner {other + 1}: shape: [{{polygon: corners {first}}}, "
+                f"{{polygon: corners {second}}}]"
+            )
+    return "split it there into convex ones: shape: [{polygon: [...]}, {polygon: [...]}]"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Literal, Self
 
@@ -19,12 +19,16 @@ from contacts.scene.parts import (
     Simultaneous,
     Surface,
 )
-from contacts.scene.shapes import Collision
+from contacts.scene.shapes import INDEX, Collision
+from statechart.charts.flat_region import timed
 from statechart.documents.declaration import TIME, Declaration
+from statechart.documents.dimensions import Fact, per_time
 from statechart.documents.fields import FormulaText, NameText, unit, value_of
-from statechart.documents.quantities import Dimension, Quantity, per_time
+from statechart.documents.quantities import POWERS, Dimension, Quantity
+from statechart.documents.quantities import per_time as rate_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
+from statechart.formulas.tree import Name
 
 _OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "angle"}
 _OF_CONTACTS: Mapping[str, Dimension] = {
@@ -137,21 +141,28 @@ class SceneFields(Declaration):
     @property
     def variables(self) -> tuple[str, ...]:
         """Names of all coordinates."""
-        own = [f"{n}.{c}" for n, b in self.single_bodies().items() for c in b.coordinates]
+        own = [f"{n}.{c}" for n, b in self.owners().items() for c in self.bodies[b].coordinates]
         return (*self.coordinates, *own)
 
-    def single_bodies(self, overrides: Mapping[str, float] | None = None) -> dict[str, Body]:
-        """Return the bodies, copies one by one; all alike but for the index in their start."""
+    def owners(self) -> dict[str, str]:
+        """Return the names of all bodies, copies one by one, to those that they are declared by."""
         if all(body.copies is None for body in self.bodies.values()):
-            return self.bodies
-        result: dict[str, Body] = {}
-        for name, count in copies(self, self.values(overrides)).items():
+            return {name: name for name in self.bodies}
+        result: dict[str, str] = {}
+        for name, count in copies(self, self.values()).items():
             if count is None:
-                result[name] = self.bodies[name]
-                continue
-            for index in range(count):
-                result[f"{name}{index}"] = self.bodies[name].numbered(index)
+                result[name] = name
+            else:
+                result |= {f"{name}{index}": name for index in range(count)}
         return result
+
+    def single_bodies(self) -> dict[str, Body]:
+        """Return the bodies, copies one by one; all alike but for the index in their start."""
+        return {
+            name: body if body.copies is None else body.numbered(int(name.removeprefix(owner)))
+            for name, owner in self.owners().items()
+            for body in (self.bodies[owner],)
+        }
 
     @property
     def whole(self) -> frozenset[str]:
@@ -171,7 +182,7 @@ class SceneFields(Declaration):
         *owner, name = coordinate.split(".")
         return ".".join([*owner, f"d{name}"])
 
-    def quantity(self, name: str) -> Quantity:
+    def stated(self, name: str) -> Quantity:
         """Return what a name of the scene measures: of bodies, contacts, joints and energy."""
         owner, _, part = name.rpartition(".")
         words = f"{part} of {owner}"
@@ -182,20 +193,28 @@ class SceneFields(Declaration):
         if part in _OF_BODIES and owner and owner not in self.contacts:
             return Quantity(words, _OF_BODIES[part])
         if part.startswith("d") and part[1:] in _OF_BODIES and owner:
-            return Quantity(f"rate of {part[1:]} of {owner}", per_time(_OF_BODIES[part[1:]]))
+            return Quantity(f"rate of {part[1:]} of {owner}", rate_of(_OF_BODIES[part[1:]]))
+        if dimension := timed(self.controlled.flat.values(), name):
+            return Quantity(name, dimension)
         rates = {self.rate_name(coordinate): coordinate for coordinate in self.coordinates}
         if name in rates:
-            return Quantity(f"rate of {rates[name]}", per_time(self._dimension(rates[name])))
-        if name in self.coordinates:
-            return Quantity(name, self._dimension(name))
-        if name in self.controlled.clocks:
-            return Quantity(name, "time")
-        return Quantity(name, "energy") if name == "energy" else super().quantity(name)
+            return Quantity(f"rate of {rates[name]}")
+        return Quantity(name, "energy") if name == "energy" else super().stated(name)
 
-    def _dimension(self, coordinate: str) -> Dimension:
-        """Return what a coordinate is: an angle where that of a body is a formula of it."""
-        angles = (body.angle for body in self.bodies.values() if body.angle is not None)
-        return "angle" if any(coordinate in parse(angle).names for angle in angles) else ""
+    def facts(self) -> Iterator[Fact]:
+        """Yield what formulas measure: of starts and rates, too."""
+        yield from super().facts()
+        for body in self.bodies.values():
+            for key, text in body.start.items():
+                yield parse(text).root, POWERS[self.stated(f"body.{key}").dimension]
+        for name, coordinate in self.coordinates.items():
+            rate = per_time(name)
+            yield Name(self.rate_name(name)), rate
+            yield parse(coordinate.start).root, Name(name)
+            yield parse(coordinate.rate).root, rate
+        # What heights are formulas of, and the number of a copy.
+        yield Name("x"), POWERS["length"]
+        yield Name(INDEX), POWERS["1"]
 
     def jams(self, contact: str) -> bool:
         """Whether a contact may see an impact without collision.

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag, model_validator
 
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
-from contacts.scene.shapes import INDEX, Shape
+from contacts.scene.shapes import INDEX, Shapes
 from statechart.documents.fields import FiniteText, FormulaText, Part, RelationText, unit
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
@@ -99,10 +99,14 @@ class Body(Part):
         examples=[{"y": "h", "angle": 0.3, "dx": 1}],
         json_schema_extra=unit("length, length/time; of angles rad, rad/time"),
     )
-    shape: Shape | None = Field(
-        default=None,
-        description="Outline, for collisions and pictures.",
-        examples=[{"disc": "r"}],
+    shape: Shapes = Field(
+        default=(),
+        description="Outline, for collisions and pictures: a shape, or a list of those that it is "
+        "made of, which may overlap.",
+        examples=[
+            {"disc": "r"},
+            [{"disc": "r", "at": ["-L/2", 0]}, {"disc": "r", "at": ["L/2", 0]}],
+        ],
     )
     copies: FiniteText | None = Field(
         default=None,
@@ -296,6 +300,13 @@ class Contact(Part):
 
     point: Point = Field(
         description="The point that may touch.", examples=[{"body": "rod", "at": [0, "-L"]}]
+    )
+    radius: FiniteText | None = Field(
+        default=None,
+        description="Of a disc about the point that touches with its rim, and rolls: a wheel, a "
+        "ball, a round foot.",
+        examples=["r"],
+        json_schema_extra=unit("length"),
     )
     surface: str = Field(description="What it may touch.", examples=["floor"])
     modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = Field(

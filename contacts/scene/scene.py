@@ -8,7 +8,7 @@ from typing import Self, get_args
 
 from pydantic import model_validator
 
-from contacts.scene.checks import check_finite, check_kinks, check_physical
+from contacts.scene.checks import check_finite, check_kinks, check_physical, check_rim
 from contacts.scene.collision_checks import check_collisions, check_copies
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.joints import Path
@@ -163,7 +163,7 @@ class Scene(SceneFields):
             if surface.body is not None:
                 self._member(found, "body", surface.body, self.bodies, "surfaces", name, "body")
         # Of a body with copies joints hold one, by its number; forces act on one or on all.
-        single = self.single_bodies()
+        single = self.owners()
         for name, joint in self.joints.items():
             at = ("joints", name)
             self._member(found, "body", joint.point.body, single, *at, "point", "body")
@@ -256,6 +256,10 @@ class Scene(SceneFields):
                     loc=(*at, "modes"),
                 )
         self._formulas(found, contact.point.at, parameters, *at, "point", "at")
+        self._formulas(found, contact.radius, parameters, *at, "radius")
+        with found:
+            if contact.radius is not None and self._on_a_surface(name):
+                check_rim(self.surfaces[contact.surface], (*at, "radius"))
         for key in ("friction", "restitution"):
             text = getattr(contact, key)
             with found:
@@ -304,8 +308,9 @@ class Scene(SceneFields):
             for c, x in self.contacts.items()
         } | {name: {*region.causes} for name, region in self.controlled.flat.items()}
         if self.collisions:
-            found |= {body: {*_active(BODY_STATES)} for body in self.single_bodies()}
-            causes |= {body: {*BODY_CAUSES} for body in self.single_bodies()}
+            states_of_bodies, causes_of_bodies = {*_active(BODY_STATES)}, {*BODY_CAUSES}
+            found |= dict.fromkeys(self.owners(), states_of_bodies)
+            causes |= dict.fromkeys(self.owners(), causes_of_bodies)
         wrong = Findings()
         with wrong:
             check_uses(self, names, found, causes)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from statechart.documents.fields import FormulaText, Part, unit
 from statechart.errors import DeclarationProblem
@@ -12,11 +12,14 @@ from statechart.errors import DeclarationProblem
 INDEX = "index"
 """What formulas of a body's start call the number of a copy, from 0."""
 
+MOST_PARTS = 16
+"""Shapes that one body may have."""
+
 _Pair = tuple[FormulaText, FormulaText]
 
 
 class Shape(Part):
-    """The outline of a body, in its own frame: a convex polygon, or a disc about its centre."""
+    """The outline of a body, or a part of it, in its own frame: a convex polygon, or a disc."""
 
     polygon: Annotated[tuple[_Pair, ...], Field(min_length=3, max_length=16)] | None = Field(
         default=None,
@@ -27,6 +30,12 @@ class Shape(Part):
     disc: FormulaText | None = Field(
         default=None, description="Radius.", examples=["r"], json_schema_extra=unit("length")
     )
+    at: _Pair = Field(
+        default=(0, 0),
+        description="Centre of the disc, in the body's frame.",
+        examples=[["L/2", 0]],
+        json_schema_extra=unit("length"),
+    )
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -35,7 +44,24 @@ class Shape(Part):
                 "a shape is a polygon or a disc",
                 advice="write polygon: [[-1, -1], [1, -1], [0, 1]], or disc: 0.5",
             )
+        if self.disc is None and self.at != (0, 0):
+            raise DeclarationProblem(
+                "the corners of a polygon say where it is", loc=("at",), key=True
+            )
         return self
+
+
+def _as_list(value: Any) -> Any:
+    """Let a single shape be declared as itself."""
+    return value if isinstance(value, list | tuple) else () if value is None else (value,)
+
+
+_Several = Annotated[tuple[Shape, ...], Field(max_length=MOST_PARTS)]
+
+Shapes = Annotated[
+    _Several, BeforeValidator(_as_list, json_schema_input_type=Shape | _Several | None)
+]
+"""The outline of a body: a shape, or several that move as one and may overlap each other."""
 
 
 class Collision(Part):

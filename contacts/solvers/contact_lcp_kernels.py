@@ -12,7 +12,8 @@ import numpy as np
 
 from contacts.solvers.lemke import FOUND, lemke, on_support, row_residual
 from statechart.arrays import Array, Bools
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.copies import put
+from statechart.kernels.jit import kernel, late, part
 
 STEEPEST = 2.0**-12
 """No cone's edge is steeper: its normal part, of 1, counts as at least this."""
@@ -160,19 +161,22 @@ def _improved(matrix: Array, vector: Array, guess: Bools) -> tuple[bool, bool, A
     return False, True, z, basis
 
 
-@part
-def _by_lemke(matrix: Array, vector: Array, limit: int) -> tuple[bool, Array]:
+@late
+def _by_lemke(matrix: Array, vector: Array, limit: int, z: Array) -> bool:
+    """Solve by Lemke's algorithm; write z, zero where it finds none."""
     size = len(vector)
     right = vector / max(np.abs(vector).max(), 1e-300)
     outcome, _, basis = lemke(matrix, right, np.ones(size), limit)
+    z[:] = 0.0
     if outcome != FOUND:
-        return False, np.zeros(size)
-    regular, z = on_support(matrix, vector, basis)
-    return regular, np.maximum(_settled(z), 0.0)
+        return False
+    regular, found = on_support(matrix, vector, basis)
+    put(np.maximum(_settled(found), 0.0), z)
+    return regular
 
 
-@part
-def _proximal(matrix: Array, vector: Array, guess: Bools, limit: int) -> tuple[bool, Array]:
+@late
+def _proximal(matrix: Array, vector: Array, guess: Bools, limit: int, z: Array) -> bool:
     """Solve with delta (z - z_before) added to w, until it comes no closer (Rockafellar 1976).
 
     Contacts that stand in for each other make bases singular; with what is added none is. Along
@@ -182,22 +186,24 @@ def _proximal(matrix: Array, vector: Array, guess: Bools, limit: int) -> tuple[b
     regular = matrix.copy()
     for i in range(size):
         regular[i, i] += _DELTA
-    z, basis, best = np.zeros(size), guess, math.inf
+    basis, best = guess, math.inf
+    z[:] = 0.0
     for _ in range(_PROXIMAL_STEPS):
         moved = vector - _DELTA * z
         solved, _, new, found = _improved(regular, moved, basis)
         if solved:
             basis = found
         else:
-            solved, new = _by_lemke(regular, moved, limit)
+            solved = _by_lemke(regular, moved, limit, new)
             basis = new > 0.0
         left = step_residual(matrix, vector, new) if solved else math.inf
         if left >= best or not solved:
             break
-        z, best = new, left
+        put(new, z)
+        best = left
         if best <= ROUNDING:
             break
-    return best <= RESIDUAL, z
+    return best <= RESIDUAL
 
 
 @kernel
@@ -236,9 +242,9 @@ def solve_contacts(
     for attempt in range(3):
         if attempt > 0:
             if (attempt == 1) == regular:
-                solved, y = _by_lemke(scaled, right, limit)
+                solved = _by_lemke(scaled, right, limit, y)
             else:
-                solved, y = _proximal(scaled, right, guess, limit)
+                solved = _proximal(scaled, right, guess, limit, y)
             basis = y > 0.0
         if solved:
             z = scales * y

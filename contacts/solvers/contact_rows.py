@@ -15,7 +15,7 @@ import numpy as np
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put_rows
-from statechart.kernels.jit import part
+from statechart.kernels.jit import late, part
 
 HELD, GUIDED = -1.0, -2.0
 """In the place of the first number of a cone: both directions of a row are held, whatever it takes;
@@ -181,7 +181,7 @@ def _sweep(
     return total
 
 
-@part
+@late
 def swept(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float, most: int, count: int
 ) -> tuple[float, int]:

@@ -1,7 +1,8 @@
 """Impulses of contacts that feel each other: the best that are found, and how good they are.
 
 What rests is solved by its last impulses, once they are verified. Few contacts are solved by their
-status (Newton), many by sweeps, and what neither solves by both in turn, then by Lemke's algorithm.
+status (Newton), then by sweeps and that in turn, then by Lemke's algorithm; many by some sweeps and
+then proximal points, from the last impulses or from nothing.
 There always are impulses: where they miss the contact laws their residual tells by how much, and
 they never add more energy than the scheme may.
 """
@@ -20,25 +21,26 @@ from contacts.solvers.contact_rows import (
     slope,
     swept,
 )
+from contacts.solvers.proximal_newton import by_proximal_points
 from contacts.solvers.status_newton import by_status
 from contacts.solvers.step_impulses import capped, part_within
 from statechart.arrays import Array, Bools
 from statechart.kernels.copies import put_rows
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import beside, kernel, late, part
 
 # Impulses of the step before are taken as they are where they miss by no more than this: what
 # rests does not creep.
 _VERIFIED = 1e-10
-# So many contacts are solved by their status at once, and densely; so many at all; and by Lemke's
-# algorithm.
-_FEW, _MANY, _LEMKE = 24, 1000, 48
+# So many contacts are solved by their status at once, and densely; so many where they rest, which
+# takes one step; so many at all; and by Lemke's algorithm.
+_FEW, _DENSE, _MANY, _LEMKE = 24, 100, 1000, 48
 # Rates that a contact of bodies moves; those of a dense problem move all.
 _OF_BODIES = 6
-# Sweeps of the trials, of which this one starts from nothing.
-_SWEEPS, _ANEW = (64, 64, 256, 1024), 1
+# Sweeps of the trials, of which this one starts from nothing; what is sparse has so many.
+_SWEEPS, _ANEW, _SPARSE = (64, 64, 256, 1024), 1, 2
 
 
-@kernel
+@beside
 def solve_rows(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float, rests: bool
 ) -> tuple[float, int]:
@@ -70,10 +72,13 @@ def solve_rows(
     if left <= _VERIFIED:
         return left, 0
     done, sparse = 0, count > _FEW and contacts.places.shape[1] == _OF_BODIES
-    if count <= _FEW or (rests and count <= _MANY):
-        left, done = by_status(contacts, least, impulses, _VERIFIED, sparse)
+    sparse = sparse and count <= _MANY
+    if count <= _FEW or (rests and count <= _DENSE):
+        left, done = by_status(contacts, least, impulses, _VERIFIED)
+    elif sparse and rests:
+        left, done = by_proximal_points(contacts, least, impulses, _VERIFIED)
     other = impulses.copy()
-    for trial in range(len(_SWEEPS)):
+    for trial in range(_SPARSE if sparse else len(_SWEEPS)):
         if left <= allowed:
             break
         # From elsewhere it may be near: impulses of the step before mislead where much changes.
@@ -82,11 +87,14 @@ def solve_rows(
         else:
             put_rows(impulses, other)
         missed, done = swept(contacts, least, other, allowed, _SWEEPS[trial], done)
-        if missed > allowed and count <= _MANY:
-            missed, steps = by_status(contacts, least, other, allowed, sparse)
+        if missed > allowed and sparse:
+            missed, steps = by_proximal_points(contacts, least, other, allowed)
+            done += steps
+        elif missed > allowed and count <= _MANY:
+            missed, steps = by_status(contacts, least, other, allowed)
             done += steps
         if missed > allowed and trial == _ANEW and count <= _LEMKE and not joined:
-            put_rows(_by_lemke(contacts, least, rates), other)
+            _by_lemke(contacts, least, rates, other)
             moved(contacts, other, rates)
             missed = residual(contacts, least, other, rates)
         if missed < left:
@@ -124,9 +132,9 @@ def dense_impulses(
     return left, impulses
 
 
-@part
-def _by_lemke(contacts: ContactRows, least: Array, felt: Array) -> Array:
-    """Return the impulses of the dense problem; zero where none are found."""
+@late
+def _by_lemke(contacts: ContactRows, least: Array, felt: Array, impulses: Array) -> None:
+    """Write the impulses of the dense problem; zero where none are found."""
     count, width = len(least), contacts.places.shape[1]
     delassus = np.zeros((2 * count, 2 * count))
     for k in range(len(felt)):
@@ -142,7 +150,7 @@ def _by_lemke(contacts: ContactRows, least: Array, felt: Array) -> Array:
             felt[contacts.places[j, k]] = 0.0
     nothing = np.zeros(UNKNOWNS * count, np.bool_)
     good, z, _ = solve_contacts(delassus, least, contacts.cones, nothing, pivots(count))
-    return impulses_of(z) if good else np.zeros((count, 2))
+    put_rows(impulses_of(z) if good else np.zeros((count, 2)), impulses)
 
 
 @part
@@ -158,7 +166,7 @@ def _velocities(contacts: ContactRows, impulses: Array) -> Array:
     return result
 
 
-@kernel
+@beside
 def island_impulses(
     contacts: ContactRows,
     before: Array,

@@ -160,13 +160,6 @@ def pattern_of(contacts: ContactRows) -> Pattern:
 
 
 @part
-def no_pattern() -> Pattern:
-    """Return that of no contacts."""
-    none, nothing = np.empty(0, np.int64), np.empty((0, 4))
-    return Pattern(none, none, none, none, nothing, nothing, nothing)
-
-
-@part
 def _longer(array: Ints, needed: int) -> Ints:
     """Return a copy with place for twice as much as is needed."""
     result = np.empty(2 * needed, np.int64)

@@ -24,10 +24,10 @@ from contacts.solvers.contact_rows import (
     slope,
 )
 from contacts.solvers.saddle_point import eliminated, substitute
-from contacts.solvers.sparse_blocks import Pattern, factored, no_pattern, pattern_of, solved
+from contacts.solvers.status_equations import OPEN, SLIDES, STICKS
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put_rows
-from statechart.kernels.jit import part
+from statechart.kernels.jit import late, part
 
 # So many steps, and for each contact; and at most.
 _STEPS, _STEPS_EACH, _MOST = 12, 4, 48
@@ -37,8 +37,6 @@ _PROXIMAL, _CORRECTIONS = 1e-10, 4
 _REST = 1e-12
 # What is as near as this to the edge of its cone slides.
 _EDGE = 1e-9
-
-_OPEN, _STICKS, _SLIDES = 0, 1, 2
 
 
 @part
@@ -51,17 +49,17 @@ def _guess(
         mu = slope(contacts.cones[i])
         if mu < 0.0:
             # What is guided slides without friction.
-            status[i], edges[i] = _STICKS if mu == HELD else _SLIDES, 0.0
+            status[i], edges[i] = STICKS if mu == HELD else SLIDES, 0.0
             continue
         if not pn > 0.0:
             normal, slip = seen(contacts, i, least, rates)
             pn, pt = one_contact(contacts.own[i], mu, normal, slip)
         if not pn > 0.0:
-            status[i] = _OPEN
+            status[i] = OPEN
         elif abs(pt) < mu * pn * (1.0 - _EDGE):
-            status[i] = _STICKS
+            status[i] = STICKS
         else:
-            status[i], edges[i] = _SLIDES, mu if pt > 0.0 else -mu
+            status[i], edges[i] = SLIDES, mu if pt > 0.0 else -mu
 
 
 @part
@@ -83,18 +81,18 @@ def _changed(
             continue
         normal, slip = seen(contacts, i, least, rates)
         new = status[i]
-        if new == _OPEN:
+        if new == OPEN:
             if normal < -rest:
                 first, beside = one_contact(contacts.own[i], mu, normal, slip)
-                new = _STICKS if abs(beside) < mu * first else _SLIDES
+                new = STICKS if abs(beside) < mu * first else SLIDES
                 edges[i] = mu if beside > 0.0 else -mu
         elif pn < 0.0:
-            new = _OPEN
-        elif new == _STICKS:
+            new = OPEN
+        elif new == STICKS:
             if abs(pt) > mu * pn:
-                new, edges[i] = _SLIDES, mu if pt > 0.0 else -mu
+                new, edges[i] = SLIDES, mu if pt > 0.0 else -mu
         elif mu > 0.0 and edges[i] * slip > abs(edges[i]) * rest:
-            new = _STICKS
+            new = STICKS
         different = different or new != status[i]
         status[i] = new
     return different
@@ -107,11 +105,11 @@ def _solve(
     """Solve the equations that a status makes; impulses and rates are changed in place."""
     count = 0
     for i in range(len(impulses)):
-        count += status[i] if status[i] != _SLIDES else 1
-        count += 1 if status[i] == _STICKS else 0
-        if status[i] == _OPEN:
+        count += status[i] if status[i] != SLIDES else 1
+        count += 1 if status[i] == STICKS else 0
+        if status[i] == OPEN:
             impulses[i, 0] = impulses[i, 1] = 0.0
-        elif status[i] == _SLIDES:
+        elif status[i] == SLIDES:
             impulses[i, 1] = edges[i] * impulses[i, 0]
     moved(contacts, impulses, rates)
     if count == 0:
@@ -119,7 +117,7 @@ def _solve(
     whose, which = np.empty(count, np.int64), np.empty(count, np.int64)
     at = 0
     for i in range(len(impulses)):
-        for d in range(2 if status[i] == _STICKS else 1 if status[i] == _SLIDES else 0):
+        for d in range(2 if status[i] == STICKS else 1 if status[i] == SLIDES else 0):
             whose[at], which[at] = i, d
             at += 1
     scales = np.empty(count)
@@ -128,7 +126,7 @@ def _solve(
     matrix, felt, width = np.empty((count, count)), np.zeros_like(rates), contacts.places.shape[1]
     for b in range(count):
         j = whose[b]
-        slides = status[j] == _SLIDES
+        slides = status[j] == SLIDES
         normal = 1.0 if slides or which[b] == 0 else 0.0
         tangential = edges[j] if slides else 1.0 if which[b] == 1 else 0.0
         add(contacts, j, normal, tangential, felt)
@@ -151,77 +149,10 @@ def _solve(
         for a in range(count):
             i = whose[a]
             impulses[i, which[a]] += scales[a] * step[a]
-            if status[i] == _SLIDES:
+            if status[i] == SLIDES:
                 impulses[i, 1] = edges[i] * impulses[i, 0]
         moved(contacts, impulses, rates)
     return True
-
-
-@part
-def _solve_sparse(
-    contacts: ContactRows, pattern: Pattern, least: Array, impulses: Array, rates: Array,
-    status: Ints, edges: Array,
-) -> bool:  # fmt: skip
-    """Solve the equations that a status makes, as `_solve` does, by a sparse elimination.
-
-    What a contact has no unknown for is an unknown of its own, zero.
-    """
-    count = len(impulses)
-    diagonal, after, before = pattern.diagonal.copy(), pattern.after.copy(), pattern.before.copy()
-    scales = np.empty((count, 2))
-    for i in range(count):
-        scales[i, 0] = 1.0 / np.sqrt(max(contacts.own[i, 0], 1e-300))
-        scales[i, 1] = 1.0 / np.sqrt(max(contacts.own[i, 1], 1e-300))
-        if status[i] == _OPEN:
-            impulses[i, 0] = impulses[i, 1] = 0.0
-        elif status[i] == _SLIDES:
-            impulses[i, 1] = edges[i] * impulses[i, 0]
-    moved(contacts, impulses, rates)
-    for p in range(count):
-        i = pattern.order[p]
-        _as_status(diagonal[p], i, i, status, edges, scales)
-        for k in range(2):
-            diagonal[p, 3 * k] += _PROXIMAL if _has(status, i, k) else 1.0
-        for at in range(pattern.begins[p], pattern.begins[p + 1]):
-            j = pattern.others[at]
-            _as_status(after[at], i, j, status, edges, scales)
-            _as_status(before[at], j, i, status, edges, scales)
-    if not factored(pattern, diagonal, after, before, np.empty(count, np.int64)):
-        return False
-    right = np.empty((count, 2))
-    for _ in range(_CORRECTIONS):
-        for i in range(count):
-            normal, slip = seen(contacts, i, least, rates)
-            right[i, 0] = -scales[i, 0] * normal if _has(status, i, 0) else 0.0
-            right[i, 1] = -scales[i, 1] * slip if _has(status, i, 1) else 0.0
-        solved(pattern, diagonal, after, before, right)
-        for i in range(count):
-            if _has(status, i, 0):
-                impulses[i, 0] += scales[i, 0] * right[i, 0]
-            if _has(status, i, 1):
-                impulses[i, 1] += scales[i, 1] * right[i, 1]
-            elif status[i] == _SLIDES:
-                impulses[i, 1] = edges[i] * impulses[i, 0]
-        moved(contacts, impulses, rates)
-    return True
-
-
-@part
-def _has(status: Ints, i: int, k: int) -> bool:
-    """Whether a contact has an unknown along its normal (0) or its tangent (1)."""
-    return status[i] == _STICKS or (k == 0 and status[i] == _SLIDES)
-
-
-@part
-def _as_status(block: Array, i: int, j: int, status: Ints, edges: Array, scales: Array) -> None:
-    """Make velocities of contact i per unit impulses of j those of their unknowns, scaled."""
-    if status[j] == _SLIDES:
-        block[0] += edges[j] * block[1]
-        block[2] += edges[j] * block[3]
-    for a in range(2):
-        for b in range(2):
-            have = _has(status, i, a) and _has(status, j, b)
-            block[2 * a + b] = scales[i, a] * block[2 * a + b] * scales[j, b] if have else 0.0
 
 
 @part
@@ -232,13 +163,13 @@ def _blocked(contacts: ContactRows, begin: Array, end: Array, status: Ints, edge
     """
     share, first, opens = 1.0, -1, False
     for i in range(len(begin)):
-        if status[i] == _OPEN or slope(contacts.cones[i]) < 0.0:
+        if status[i] == OPEN or slope(contacts.cones[i]) < 0.0:
             continue
         if end[i, 0] < 0.0:
             part_way = begin[i, 0] / (begin[i, 0] - end[i, 0])
             if part_way < share:
                 share, first, opens = part_way, i, True
-        if status[i] != _STICKS:
+        if status[i] != STICKS:
             continue
         mu = slope(contacts.cones[i])
         for edge in (-mu, mu):
@@ -253,13 +184,13 @@ def _blocked(contacts: ContactRows, begin: Array, end: Array, status: Ints, edge
     for i in range(len(begin)):
         for d in range(2):
             end[i, d] = begin[i, d] + share * (end[i, d] - begin[i, d])
-    status[first] = _OPEN if opens else _SLIDES
+    status[first] = OPEN if opens else SLIDES
     return True
 
 
-@part
+@late
 def by_status(
-    contacts: ContactRows, least: Array, impulses: Array, allowed: float, sparse: bool
+    contacts: ContactRows, least: Array, impulses: Array, allowed: float
 ) -> tuple[float, int]:
     """Improve impulses by Newton's method; return the residual of the best ones, and the steps.
 
@@ -270,8 +201,6 @@ def by_status(
         See `contacts.solvers.contact_rows.swept`.
     allowed : float
         What is as near as this is taken, if its status is its own or not.
-    sparse : bool
-        Whether they are contacts of bodies, and many.
     """
     rates = np.zeros(contacts.places.max() + 1)
     moved(contacts, impulses, rates)
@@ -285,14 +214,9 @@ def by_status(
         size = max(size, abs(least[i, 0]) if held else -least[i, 0])
     begin = now.copy()
     most = min(_STEPS + _STEPS_EACH * len(now), _MOST)
-    pattern = pattern_of(contacts) if sparse else no_pattern()
     for step in range(most):
         put_rows(now, begin)
-        if sparse:
-            good = _solve_sparse(contacts, pattern, least, now, rates, status, edges)
-        else:
-            good = _solve(contacts, least, now, rates, status, edges)
-        if not good:
+        if not _solve(contacts, least, now, rates, status, edges):
             return lowest, step + 1
         if _blocked(contacts, begin, now, status, edges):
             moved(contacts, now, rates)

@@ -19,7 +19,7 @@ from contacts.solvers.contact_lcp_kernels import (
 from contacts.solvers.redundancy import connected
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import beside, kernel, late, part
 
 # Of the terms of a work: what it is known to.
 _WORK_ROUNDING = 64.0 * 2.0**-52
@@ -61,7 +61,9 @@ def coupled_contacts(delassus: Array) -> Ints:
     linked = np.zeros((m, m), np.bool_)
     for i in range(m):
         for k in range(i):
-            felt = (delassus[2 * i : 2 * i + 2, 2 * k : 2 * k + 2] != 0).any()
+            felt = False
+            for d in range(4):
+                felt = felt or delassus[2 * i + d // 2, 2 * k + d % 2] != 0.0
             linked[i, k] = linked[k, i] = felt
     return connected(linked)
 
@@ -130,18 +132,27 @@ def solve_impacts(
         calm, plastic, _ = _known(delassus, soft, cones, guess, limit, given)
         if not calm:
             return False, z, basis, pushes, soft
-        rest, full = impulses_of(plastic), pushes.copy()
-        slower, faster = moved_by(delassus, rest), moved_by(delassus, full)
-        for label in range(len(cones)):
-            group = groups == label
-            if (rebounds & group).any():
-                own = indices(group)
-                found, _ = capped(
-                    before[own], free[own], rest[own], full[own], slower[own], faster[own]
-                )
-                for a in range(len(own)):
-                    put(found[a], pushes[own[a]])
+        _cap(delassus, groups, before, free, rebounds, impulses_of(plastic), pushes)
     return good, z, basis, pushes, least
+
+
+@late
+def _cap(
+    delassus: Array, groups: Ints, before: Array, free: Array, rebounds: Bools, rest: Array,
+    pushes: Array,
+) -> None:  # fmt: skip
+    """Reduce impulses that rebound, in place, group by group: see `capped`."""
+    full = pushes.copy()
+    slower, faster = moved_by(delassus, rest), moved_by(delassus, full)
+    for label in range(len(groups)):
+        group = groups == label
+        if (rebounds & group).any():
+            own = indices(group)
+            found, _ = capped(
+                before[own], free[own], rest[own], full[own], slower[own], faster[own]
+            )
+            for a in range(len(own)):
+                put(found[a], pushes[own[a]])
 
 
 def smoothed(cones: Array) -> Array:
@@ -154,7 +165,23 @@ def smoothed(cones: Array) -> Array:
 @part
 def _work_at(before: Array, free: Array, impulses: Array, moved: Array) -> float:
     """Return the work of impulses that change the velocities of the contacts by `moved`."""
-    return 0.5 * (impulses * (before + free + moved)).sum()
+    # In the place of sums and products of whole arrays, which take seconds to compile.
+    work = 0.0
+    for i in range(len(impulses)):
+        for d in range(2):
+            work += impulses[i, d] * (before[i, d] + free[i, d] + moved[i, d])
+    return 0.5 * work
+
+
+@part
+def _sizes(before: Array, free: Array, impulses: Array) -> float:
+    """Return the sizes of what the work of impulses is summed from."""
+    begin = end = 0.0
+    for i in range(len(impulses)):
+        for d in range(2):
+            begin += abs(impulses[i, d] * before[i, d])
+            end += abs(impulses[i, d] * free[i, d])
+    return begin + end
 
 
 @part
@@ -200,10 +227,13 @@ def part_within(impulses: Array, before: Array, free: Array, moved: Array, bound
     bound : float
         Not below zero.
     """
-    curvature = 0.5 * (impulses * moved).sum()
+    curvature = 0.0
+    for i in range(len(impulses)):
+        for d in range(2):
+            curvature += impulses[i, d] * moved[i, d]
+    curvature *= 0.5
     end = _work_at(before, free, impulses, moved)
-    sizes = np.abs(impulses * before).sum() + np.abs(impulses * free).sum()
-    limit = bound + _WORK_ROUNDING * sizes
+    limit = bound + _WORK_ROUNDING * _sizes(before, free, impulses)
     return shares(-limit, end - limit, curvature)[1] if end > limit else 1.0
 
 
@@ -230,14 +260,28 @@ def capped(
     """
     begin = _work_at(before, free, plastic, moved_plastic)
     end = _work_at(before, free, elastic, moved_elastic)
-    sizes = np.abs(elastic * before).sum() + np.abs(elastic * free).sum()
-    limit = max(begin, 0.0) + _WORK_ROUNDING * sizes
+    limit = max(begin, 0.0) + _WORK_ROUNDING * _sizes(before, free, elastic)
     if end <= limit:
         return elastic, 1.0
-    further = elastic - plastic
-    curvature = 0.5 * (further * (moved_elastic - moved_plastic)).sum()
-    _, share = shares(begin - limit, end - limit, curvature)
-    return plastic + share * further, share
+    curvature, chosen = 0.0, np.empty_like(elastic)
+    for i in range(len(elastic)):
+        for d in range(2):
+            further = elastic[i, d] - plastic[i, d]
+            curvature += further * (moved_elastic[i, d] - moved_plastic[i, d])
+    _, share = shares(begin - limit, end - limit, 0.5 * curvature)
+    for i in range(len(elastic)):
+        for d in range(2):
+            chosen[i, d] = plastic[i, d] + share * (elastic[i, d] - plastic[i, d])
+    return chosen, share
+
+
+@part
+def of_group(chosen: Bools, groups: Ints, label: int) -> bool:
+    """Whether one of those chosen (m,) is of a group."""
+    found = False
+    for a in range(len(groups)):
+        found = found or (chosen[a] and groups[a] == label)
+    return found
 
 
 @part
@@ -269,7 +313,7 @@ def into_cone(impulse: Array, cone: Array) -> Array:
     return result
 
 
-@kernel
+@beside
 def steady_impulses(
     delassus: Array, least: Array, cones: Array, z: Array, pushes: Array, sudden: Bools
 ) -> tuple[Array, Bools]:
@@ -313,7 +357,7 @@ def relieve(
     An impact takes off a contact no more than what that bears; what feels none bears forces alone.
     """
     for a in range(len(cones)):
-        if not (sudden & (groups == groups[a])).any():
+        if not of_group(sudden, groups, groups[a]):
             steady[a], slides[a] = pushes[a], z[UNKNOWNS * a + 3] > 0.0
         elif not sudden[a]:
             steady[a] *= _part_left(pushes[a], steady[a], cones[a])

@@ -5,6 +5,7 @@ quantities and not from the guards that were run; `assertions` is what they shar
 mirrors and rescales scenes, `violations` measures by how much a run misses what must hold.
 """
 
+from contacts.dynamics.mechanics import Mechanics
 from contacts.testing.assertions import (
     assert_in_cone,
     largest_of,
@@ -19,8 +20,10 @@ from contacts.testing.scene_properties import (
     assert_no_force_when_free,
     properties,
 )
+from contacts.testing.symmetry import mirrored, rescaled
 
 __all__ = [
+    "Mechanics",
     "assert_cone",
     "assert_energy",
     "assert_gaps",
@@ -28,7 +31,9 @@ __all__ = [
     "assert_in_cone",
     "assert_no_force_when_free",
     "largest_of",
+    "mirrored",
     "no_growth",
     "properties",
+    "rescaled",
     "step_ends",
 ]

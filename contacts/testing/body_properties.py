@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from contacts.collisions.body_numbers import BodyNumbers
-from contacts.collisions.outlines import body_numbers, owners_of
+from contacts.collisions.body_numbers import BodyNumbers, PieceNumbers
+from contacts.collisions.outlines import body_numbers
 from contacts.collisions.paths import Paths
 from contacts.collisions.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.scene.scene import Scene
@@ -46,20 +46,23 @@ def assert_depths(
     times = np.concatenate(
         [*(arc.start.high + arc.times[:-1] for arc in trace.arcs), [trace.t_end]]
     )
-    outlines = [_placed(numbers, states[:, b], b) for b in range(count)]
+    pieces = numbers.pieces
+    outlines = [_placed(pieces, states[:, b], p) for p, b in enumerate(pieces.bodies.tolist())]
     frames = None if paths is None else paths(times, memories)
     allowed = trace.tolerances["gap"] * (1.0 + _ROUNDING)
-    for b, other in _meeting(numbers):
-        if other < count:
+    for p, q in _meeting(numbers):
+        b = int(pieces.bodies[p])
+        if q < len(pieces.bodies):
+            other = int(pieces.bodies[q])
             reach = numbers.sizes[b] + numbers.sizes[other]
             away = np.hypot(*(states[:, b, :2] - states[:, other, :2]).T)
             if (away > reach).all():
                 continue
-            gaps = _between(outlines[b], numbers.radii[b], outlines[other], numbers.radii[other])
+            gaps = _between(outlines[p], pieces.radii[p], outlines[q], pieces.radii[q])
             what = trace.regions[other]
         else:
-            s = other - count
-            carrier, outline = numbers.surfaces.carriers[s], outlines[b]
+            s = q - len(pieces.bodies)
+            carrier, outline = numbers.surfaces.carriers[s], outlines[p]
             if carrier == b:
                 continue
             if carrier >= 0:
@@ -67,7 +70,7 @@ def assert_depths(
             elif numbers.surfaces.moves[s]:
                 assert frames is not None
                 outline = _seen(frames[:, s], outline)
-            gaps = _above(numbers.surfaces, s, outline, numbers.radii[b])
+            gaps = _above(numbers.surfaces, s, outline, pieces.radii[p])
             what = "a surface"
         k = int(np.argmin(gaps))
         if gaps[k] < -allowed:
@@ -78,22 +81,22 @@ def assert_depths(
 
 
 def _meeting(numbers: BodyNumbers) -> Iterator[tuple[int, int]]:
-    """Yield bodies, each with others, and with surfaces behind them, that they touch by a law."""
-    count, kinds = len(numbers.sizes), numbers.laws.shape[0]
-    for b in range(count):
+    """Yield pieces, each with others, and with surfaces behind them, that they touch by a law."""
+    bodies, kinds = numbers.pieces.bodies, numbers.laws.shape[0]
+    for p, b in enumerate(bodies.tolist()):
         laws = numbers.laws[numbers.kinds[b]]
-        for other in np.flatnonzero(laws[numbers.kinds] >= 0).tolist():
-            if other > b:
-                yield b, other
+        for q in np.flatnonzero(laws[numbers.kinds[bodies]] >= 0).tolist():
+            if bodies[q] > b:
+                yield p, q
         for surface in np.flatnonzero(laws[kinds:] >= 0).tolist():
-            yield b, count + surface
+            yield p, len(bodies) + surface
 
 
-def _placed(numbers: BodyNumbers, states: Array, b: int) -> Array:
+def _placed(pieces: PieceNumbers, states: Array, p: int) -> Array:
     """Return the corners (m, k, 2) of a polygon, or the centre (m, 1, 2) of a disc."""
-    own = numbers.vertices[numbers.firsts[b] : numbers.firsts[b + 1]]
+    own = pieces.vertices[pieces.firsts[p] : pieces.firsts[p + 1]]
     if not len(own):
-        return states[:, None, :2]
+        own = pieces.middles[p : p + 1]
     cos, sin = np.cos(states[:, 2, None]), np.sin(states[:, 2, None])
     turned = np.stack([cos * own[:, 0] - sin * own[:, 1], sin * own[:, 0] + cos * own[:, 1]], -1)
     return turned + states[:, None, :2]
@@ -165,7 +168,7 @@ def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
         free = np.array([state == "free" for state in arc.mode])
         # The halves of a step with an impact show one mode each, and the forces of the step.
         whole = step_ends(trace, arc)
-        off = np.abs(arc.solved[whole].reshape(-1, count, 3)[:, free] - fall)
+        off = np.abs(arc.solved[whole, : 3 * count].reshape(-1, count, 3)[:, free] - fall)
         rates = arc.coefficients[whole, 3 * count : 6 * count, 0]
         speeds = np.abs(rates).reshape(-1, count, 3)[:, free]
         allowed = _ROUNDING * (np.abs(fall).max() + speeds / trace.step)
@@ -181,7 +184,10 @@ def assert_impulses_of_bodies(numbers: BodyNumbers, trace: Trace) -> None:
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
         for name, impulse in jump.impulse.items():
-            laws = numbers.laws[numbers.kinds[trace.regions.index(name)]]
+            b, kinds = trace.regions.index(name), len(numbers.laws)
+            # What carries a surface feels those who touch that, too.
+            carried = np.flatnonzero(numbers.surfaces.carriers == b)
+            laws = np.append(numbers.laws[numbers.kinds[b]], numbers.laws[:, kinds + carried])
             edges = numbers.materials[np.unique(laws[laws >= 0])]
             n, t, _ = min(edges, key=lambda edge: float(edge[0]))
             assert_in_cone(impulse, (n, t), largest, f"on {name} at t = {jump.t:.17g}")
@@ -208,8 +214,7 @@ def _numbers(subject: Subject, trace: Trace) -> BodyNumbers:
     model = subject.model
     assert isinstance(model, Scene)
     values = {name: trace.parameters[name] for name in model.parameters}
-    single = model.model_copy(update={"bodies": model.single_bodies()})
-    return body_numbers(single, owners_of(model), model.values(values))
+    return body_numbers(model, model.values(values))
 
 
 def _depths(subject: Subject, trace: Trace) -> None:

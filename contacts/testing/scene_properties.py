@@ -34,7 +34,22 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that no contact point is inside its surface, unless off, by more than gap_tol."""
+    """Check that no contact point is inside its surface, unless off, by more than gap_tol.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
+    subject : Subject
+        The same, compiled.
+    trace : Trace
+        A run of it.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     gaps = [subject.automaton.observables[f"{name}.gap"] for name in scene.contacts]
     for arc, tau, times in _points(trace):
         values = subject.values(trace, gaps, arc.states(tau), times)
@@ -51,7 +66,22 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that V >= 0 and |H| <= mu V wherever a contact is closed."""
+    """Check that ``V >= 0`` and ``|H| <= mu V`` wherever a contact is closed.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
+    subject : Subject
+        The same, compiled.
+    trace : Trace
+        A run of it.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     for arc, times, forces in _forces(scene, subject, trace):
         edges = cone_edges(scene, trace, arc.mode)
         for k, (name, state) in enumerate(_states(scene, arc)):
@@ -67,7 +97,22 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that a contact that is free has no force."""
+    """Check that a contact that is free has no force.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
+    subject : Subject
+        The same, compiled.
+    trace : Trace
+        A run of it.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     for arc, times, forces in _forces(scene, subject, trace):
         for k, (name, state) in enumerate(_states(scene, arc)):
             if state in OPEN and (forces[:, 2 * k : 2 * k + 2] != 0.0).any():
@@ -75,7 +120,22 @@ def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> N
 
 
 def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that impulses push, and stay in the cone of friction."""
+    """Check that impulses push, and stay in the cone of friction.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
+    subject : Subject
+        The same, compiled.
+    trace : Trace
+        A run of it.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
         edges = cone_edges(scene, trace, jump.source)
@@ -84,7 +144,22 @@ def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
-    """Check that energy, less the work of forces and drives, never grows; impacts included."""
+    """Check that energy, less the work of forces and drives, never grows; impacts included.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        Of the scene: `contacts.testing.Mechanics(scene)`.
+    subject : Subject
+        The same, compiled.
+    trace : Trace
+        A run of it.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     energy = mechanics.energy
     rates = {name: mechanics.surface_rate(name) for name in mechanics.scene.contacts}
     led = any(row.path_rate != 0 for row in mechanics.joint_rows)
@@ -202,7 +277,13 @@ def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
 
 
 def properties(scene: Scene) -> tuple[Property, ...]:
-    """Return what holds for every scene, besides what holds for every automaton."""
+    """Return what holds for every scene, besides what holds for every automaton.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
+    """
     if scene.collisions:
         from contacts.testing.body_properties import body_properties
 

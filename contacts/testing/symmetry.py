@@ -20,8 +20,9 @@ from contacts.scene.parts import Body, Contact, Pair, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import Shape
 from statechart.charts.transitions import Transition
-from statechart.documents.declaration import TIME, Stop
+from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
+from statechart.documents.settings import Stop
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
 from statechart.formulas.tree import names_in
 from statechart.testing.agreement import Reading
@@ -35,6 +36,11 @@ MASS = 2.0**-20
 
 def mirrored(scene: Scene) -> tuple[Scene, Reading]:
     """Return the scene seen in a mirror, x -> -x, and how to read its runs.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
 
     Raises
     ------
@@ -67,6 +73,11 @@ def rescaled(scene: Scene) -> tuple[Scene, Reading]:
     """Return the scene in units `LENGTH`, `TIMES` and `MASS` smaller, and how to read its runs.
 
     Coordinates that the scene names keep their values: what their unit is only positions say.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
 
     Raises
     ------
@@ -221,14 +232,14 @@ class _Change:
             position=None if body.position is None else self._pair(body.position),
             angle=None if body.angle is None else _times(body.angle, self.angle),
             start={key: _times(text, factors[key]) for key, text in body.start.items()},
-            shape=None if body.shape is None else self._shape(body.shape),
+            shape=tuple(map(self._shape, body.shape)),
             copies=body.copies,
         )
 
     def _shape(self, shape: Shape) -> Shape:
         if shape.polygon is None:
             assert shape.disc is not None
-            return Shape(disc=_times(shape.disc, abs(self.x)))
+            return Shape(disc=_times(shape.disc, abs(self.x)), at=self._pair(shape.at))
         corners = [self._pair(corner) for corner in shape.polygon]
         # In a mirror they go round the other way.
         return Shape(polygon=tuple(corners if self.x > 0.0 else corners[::-1]))
@@ -265,7 +276,9 @@ class _Change:
 
     def _contact(self, contact: Contact) -> Contact:
         enabled = tuple(self._read(parse_relation(t), self._factors) for t in contact.enabled)
-        return contact.model_copy(update={"point": self._point(contact.point), "enabled": enabled})
+        radius = None if contact.radius is None else _times(contact.radius, abs(self.x))
+        changes = {"point": self._point(contact.point), "radius": radius, "enabled": enabled}
+        return contact.model_copy(update=changes)
 
     def _point(self, point: Point) -> Point:
         return Point(body=point.body, at=self._pair(point.at))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.time_stepping.chunk import Chunk
-from statechart.automaton.laws import Impulses
+from statechart.automaton.time_stepper import Impulses
 from statechart.errors import SimulationError, UnsolvedImpulses
 
 

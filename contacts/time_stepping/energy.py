@@ -41,7 +41,7 @@ def energy_added(
     rows : (m,) array of int
         Where the Jacobians of contacts are among the numbers.
     groups : (m,) array of int
-        Equal for contacts that feel each other's impulses.
+        Equal for contacts that feel each other's impulses; below m.
     work : (m,) array
         P (U+ + U-) of contacts.
     moving : (m,) array
@@ -51,7 +51,7 @@ def energy_added(
     """
     n, worst = len(rates), 0.0
     moved = np.empty(n, np.bool_)
-    for group in np.unique(groups):
+    for group in range(len(groups)):
         gained, had, kinetic = 0.0, 0.0, 0.0
         moved[:] = False
         for a in range(len(rows)):

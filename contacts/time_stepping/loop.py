@@ -22,37 +22,40 @@ that is. Where restitution with friction would add more, it is reduced (`capped`
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
-from contacts.dynamics.setup import SceneSetup
+from contacts.time_stepping.begun import Begun, Span, Stepping
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.effort import Effort
 from contacts.time_stepping.energy import MOST_ADDED
-from contacts.time_stepping.recorder import TERMS, Recorder
-from contacts.time_stepping.stepped import Control, Stepped
+from contacts.time_stepping.polynomials import TERMS
+from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stops import StopConditions
+from contacts.time_stepping.track import Track
 from statechart import interrupts
-from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.laws import Impulses
+from statechart.arrays import Array
 from statechart.automaton.trace import (
     FAR_TOO_MANY,
     LARGEST,
-    Key,
+    Arc,
+    Jump,
     Outcome,
     Trace,
     check_size,
 )
+from statechart.documents.setting import Record
 from statechart.errors import NonFinite, SimulationError, StepTooLarge, TooLong
-from statechart.formulas.tape import Tape
 
 # Steps at once, in which no signal is seen, and iterations times contacts in them, some tenths of
 # a second: after more, half as many steps are taken, after less than a quarter of it twice as many.
 # A clock would make the last bits of instants depend on what else the machine does.
 _CHUNK, _WORK = 512, 300_000
+# Bytes of the polynomials of steps at once: more would be much beside what a run keeps.
+_ROOM = 2**23
 DEEPEST = 0.1
 """Deeper than this part of the scene in one step: the step does not see its surfaces."""
 
@@ -60,86 +63,6 @@ DEEPEST = 0.1
 _COUNTED = 2.0**53
 # After so many steps it is known what each takes.
 _KNOWN = 2**15
-
-
-@dataclass(frozen=True, eq=False)
-class Stepping:
-    """What a run of a scene is made from.
-
-    Attributes
-    ----------
-    name : str
-        Of the model.
-    names, parameter_names : tuple of str
-        Of the variables and the parameters.
-    regions : tuple of str
-    controls : Key
-        States at the start of those of them, the last, that no step recognises.
-    again : str
-        Cause of an impact on a region that is not free.
-    forces : int or None
-        See `Recorder`.
-    sticks : (r,) array of bool
-        See `Recorder`.
-    angles : (n,) array of bool
-        Which coordinates are angles.
-    stops : Tape
-        Margins of the stop conditions, over variables and unknowns.
-    stop_names : tuple of str
-    energy : Tape
-    """
-
-    name: str
-    names: tuple[str, ...]
-    parameter_names: tuple[str, ...]
-    regions: tuple[str, ...]
-    controls: Key
-    again: str
-    forces: int | None
-    sticks: Bools
-    angles: Bools
-    stops: Tape
-    stop_names: tuple[str, ...]
-    energy: Tape
-
-
-class Begun(NamedTuple):
-    """A run that can start, or why it cannot.
-
-    Attributes
-    ----------
-    setup : SceneSetup
-    stepped : Stepped
-    codes : (r,) array of int
-        Modes at the start, as `contacts.states` numbers them.
-    warnings : tuple of str
-        Besides those of the setup.
-    control : Control or None
-        What acts at the ends of steps.
-    failure : SimulationError or None
-        Why not even one step can be made.
-    change : callable or None
-        Lets it go on with other values of parameters; returns the numbers. None where it cannot.
-    """
-
-    setup: SceneSetup
-    stepped: Stepped
-    codes: Ints
-    warnings: tuple[str, ...]
-    control: Control | None = None
-    failure: SimulationError | None = None
-    change: Callable[[Mapping[str, float]], SceneSetup] | None = None
-
-
-class Span(NamedTuple):
-    """How far a run goes, by which steps, who is told; after what time at most it is looked at."""
-
-    step: float
-    until: float
-    max_jumps: int
-    impulses: Impulses
-    show: Callable[[float, int, int], None]
-    every: float = math.inf
 
 
 def made_ready(stepping: Stepping, begun: Begun, span: Span) -> SteppedRun:
@@ -154,6 +77,10 @@ def made_ready(stepping: Stepping, begun: Begun, span: Span) -> SteppedRun:
         stepping.forces,
         lambda state, time: float(stepping.energy.values(state, values, time)[0]),
         len(stepping.angles),
+        # Controllers wait for the events of regions.
+        span.keeping.record is Record.MODES
+        or begun.control is not None
+        or (span.keeping.watch is not None and span.keeping.watch.events),
     )
     return SteppedRun(stepping, begun, recorder, span)
 
@@ -176,6 +103,8 @@ class SteppedRun:
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
         self.effort = Effort(span.impulses)
+        poses = span.keeping.record is Record.POSES
+        self._track = Track(len(stepping.angles)) if poses else None
 
     def end(self, outcome: Outcome, message: str) -> None:
         """Let the run end, and say why."""
@@ -215,7 +144,8 @@ class SteppedRun:
         else:
             # Forces are impulses over a step: in a very short one they would be rounding.
             counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
-        most = max(1, _CHUNK // max(1, len(self.stepping.regions)))
+        largest = max(1, min(_CHUNK, _ROOM // (TERMS * self.state.nbytes)))
+        most = min(largest, max(1, _CHUNK // max(1, len(self.stepping.regions))))
         each = max(1, round(min(self.span.every / step, _COUNTED)))
         for count, h in counts:
             # A step may be taken in parts, of which there are a power of two.
@@ -234,14 +164,14 @@ class SteppedRun:
                 if work > _WORK:
                     most = max(1, most // 2)
                 elif work < 0.25 * _WORK and len(chunk.codes) == most:
-                    most = min(2 * most, _CHUNK)
+                    most = min(2 * most, largest)
                 if self.control is not None:
                     chunk = self.control.cut(chunk, begin, self.recorder)
-                jumps = len(self.recorder.jumps)
+                jumps = self.recorder.count
                 if self._accept(chunk, begin):
                     return
                 if self.control is not None:
-                    fresh = self.recorder.jumps[jumps:]
+                    fresh = self.recorder.since(jumps)
                     self.state = self.control.turn(
                         self.recorder, fresh, self.state, chunk.solved[-1], h
                     )
@@ -274,26 +204,48 @@ class SteppedRun:
         if stopped is not None:
             chunk = chunk.first(stopped[0] + 1)
         if len(chunk.codes):
+            self._hand_on()
+            if self._track is not None:
+                recorder = self.recorder
+                self._track.add(chunk, recorder.clock, len(recorder.told), recorder.controls)
             self.recorder.add(chunk)
             self.effort.add(chunk, start)
             self.fastest = max(self.fastest, float(chunk.approach.max()))
         self.taken += len(chunk.codes)
         self.state = chunk.states[-1]
         self.time = start + len(chunk.codes) * chunk.h
-        self.span.show(self.time, len(self.recorder.jumps), self.taken)
+        self.span.show(self.time, self.recorder.count, self.taken)
         if stopped is not None:
             self.state = self.stops.locate(self.recorder, stopped[1])
             self._stop(stopped[1])
             return True
         if failure is not None:
             raise failure
-        if len(self.recorder.jumps) >= self.span.max_jumps:
+        if self.span.keeping.record is Record.NOTHING:
+            return False
+        modes = self.span.keeping.record is Record.MODES
+        jumps = self.recorder.count if modes else len(self.recorder.told)
+        if jumps >= self.span.max_jumps:
             self.end(Outcome.TOO_MANY_JUMPS, f"{self.span.max_jumps} jumps")
             return True
-        self.size += TERMS * chunk.states[1:].nbytes + chunk.solved.nbytes
-        check_size(self.size, len(self.recorder.jumps), self.time)
+        self.size += (TERMS if modes else 1) * chunk.states[1:].nbytes + chunk.solved.nbytes
+        if modes:  # of poses there is as much as the disk takes
+            check_size(self.size, jumps, self.time)
         self._check_pace()
         return False
+
+    def _hand_on(self) -> None:
+        """Tell those who watch what has happened; keep no more of it than is asked for."""
+        record, watch = self.span.keeping
+        if record is not Record.MODES:
+            arcs, jumps = self.recorder.taken()
+            if watch is not None and (arcs or jumps):
+                watch.add(replace(self._piece, arcs=arcs, jumps=jumps))
+
+    @cached_property
+    def _piece(self) -> Trace:
+        """What a piece of the run has of a trace but arcs and jumps: names and numbers."""
+        return self._trace(Record.MODES, (), ())
 
     def _check_pace(self) -> None:
         """Raise `TooLong` where the steps of a run that nothing else ends cannot all be kept."""
@@ -356,40 +308,65 @@ class SteppedRun:
 
     def trace(self) -> Trace:
         """Return what was made."""
-        recorder, stepping, warnings = self.recorder, self.stepping, self._begun.warnings
+        recorder, (record, watch) = self.recorder, self.span.keeping
         recorder.close()
+        self._hand_on()
+        if record is Record.MODES:
+            return self._trace(record, tuple(recorder.arcs), tuple(recorder.jumps))
+        # The end comes after all jumps, those of which nothing was told, too.
+        outputs = {} if watch is None else watch.end(self._trace(Record.MODES, (), ()))
+        if self._track is None:
+            return replace(self._trace(record, (), ()), outputs=outputs)
+        arcs = self._track.arcs(self.time)
+        return replace(self._trace(record, arcs, tuple(recorder.told)), outputs=outputs)
+
+    def _trace(self, record: Record, arcs: Sequence[Arc], jumps: Sequence[Jump]) -> Trace:
+        recorder, stepping, warnings = self.recorder, self.stepping, self._begun.warnings
+        regions, start, final = stepping.regions, recorder.start_key, recorder.key
+        if record is Record.POSES:
+            controlled = len(regions) - len(stepping.controls)
+            regions, start, final = regions[controlled:], stepping.controls, recorder.controls
+        elif record is Record.NOTHING:
+            regions, start, final = (), (), ()
         tolerances = dict(self.setup.tolerances)
         # A contact lands within a step, and stays as deep as it has landed.
         tolerances["gap"] = max(tolerances["gap"], self.span.step * self.fastest)
         return Trace(
             name=stepping.name,
-            regions=stepping.regions,
+            regions=regions,
             variables=stepping.names,
             parameters=dict(zip(stepping.parameter_names, self.setup.values.tolist(), strict=True)),
-            arcs=tuple(recorder.arcs),
-            jumps=tuple(recorder.jumps),
+            arcs=arcs,
+            jumps=jumps,
             initial=self.setup.initial,
             final=self.state,
-            start_mode=recorder.start_key,
-            final_mode=recorder.key,
+            start_mode=start,
+            final_mode=final,
             t_end=self.time,
             outcome=self.outcome,
             message=self.message,
             certified=False,
-            evidence=dict.fromkeys(stepping.regions, "recognised at every step"),
+            evidence=dict.fromkeys(regions, "recognised at every step"),
             tolerances=tolerances,
             engine="impulse",
             tolerance=math.nan,
-            warnings=(*self.setup.warnings, *warnings, *self.effort.remarks, *self.stepped.remarks),
+            warnings=(
+                *self.setup.warnings,
+                *warnings,
+                *self.effort.remarks,
+                *self.stepped.remarks,
+                *recorder.remarks,
+            ),
             counts={
                 "steps": self.taken,
                 "evaluations": self.taken,
                 "boxes": 0,
-                "jumps": len(recorder.jumps),
+                "jumps": recorder.count,
                 "modes_built": 0,
                 **self.effort.counts,
             },
             step=self.span.step,
             margins=self.stepped.margins,
-            undetermined=recorder.indeterminate,
+            undetermined=recorder.indeterminate if record is Record.MODES else {},
+            record=record,
         )

@@ -1,28 +1,36 @@
 """From time steps to a trace: the mode of every region at every step, arcs and jumps.
 
-A step in which nothing strikes is one polynomial: positions of the second degree, rates of the
-first, which is what the midpoint rule's positions and velocities at its ends amount to. One with
-impacts has them in its middle, with the lasting forces on both sides. A mode that begins without
-an impact begins with its step; sticking begins with the step after the one that ended the slip.
-A step that holds an impulse has no force, nor have those after it that still carry the landing:
-what is shown is that of the nearest other step of the mode.
+Impacts are in the middle of their step. A mode that begins without an impact begins with its step;
+sticking begins with the step after the one that ended the slip. A step that holds an impulse has no
+force, nor have those after it that still carry the landing: what is shown is that of the nearest
+other step of the mode.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES, cause_of
+from contacts.states import (
+    FREE,
+    OFF_CODE,
+    PIN,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    STATES,
+    cause_of,
+    undetermined,
+)
 from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.polynomials import defined, smooth, struck
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import roles_in
 from statechart.automaton.trace import Arc, Clock, Jump, Key
 
-TERMS = 3
-"""Terms of the polynomial of a step."""
+# An arc longer than so many bytes goes on as another one.
+_LONGEST = 2**23
 
 
 @dataclass(eq=False)
@@ -47,6 +55,16 @@ class Recorder:
         (state, time) -> energy.
     coordinates : int
         How many there are; behind them and their rates stands what controllers remember.
+    modes : bool
+        Whether modes and jumps of regions are told; else it is counted how many jumps there are,
+        and arcs end where they would.
+
+    Attributes
+    ----------
+    arcs, jumps : list
+        Since they were last taken.
+    told : list of Jump
+        Those of further regions, as a trace tells them that has no others, and the stop.
     """
 
     regions: Sequence[str]
@@ -57,9 +75,12 @@ class Recorder:
     forces: int | None
     energy: Callable[[Array, float], float]
     coordinates: int
+    modes: bool = True
     clock: Clock = field(default_factory=Clock)
     arcs: list[Arc] = field(default_factory=list)
     jumps: list[Jump] = field(default_factory=list)
+    told: list[Jump] = field(default_factory=list)
+    count: int = 0
     indeterminate: dict[Key, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -69,6 +90,7 @@ class Recorder:
         self.start_key = self.key
         self._began = self.clock
         self._open: list[tuple[Array, Array, Array]] = []
+        self._size = 0
 
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
@@ -93,6 +115,16 @@ class Recorder:
         """Return the steps (k,) in which `add` will record jumps."""
         return self._changed(self._shown(chunk.codes)) | np.any(chunk.struck, axis=1)
 
+    def taken(self) -> tuple[list[Arc], list[Jump]]:
+        """Hand over the arcs that have ended, and the jumps, since the last time."""
+        found = self.arcs, self.jumps
+        self.arcs, self.jumps = [], []
+        return found
+
+    def since(self, count: int) -> list[Jump]:
+        """Return the jumps after so many."""
+        return self.jumps[len(self.jumps) - (self.count - count) :] if self.modes else []
+
     def turn(
         self,
         region: str,
@@ -104,24 +136,38 @@ class Recorder:
         """Append a jump of a further region, from one state to another; return it."""
         self.close()
         target = (*self.key[: len(self.row)], *controls)
-        jump = Jump(
-            self.clock.high, len(self.jumps), region, cause, self.key, target, *states, fired
-        )
-        self.jumps.append(jump)
+        jump = Jump(self.clock.high, self.count, region, cause, self.key, target, *states, fired)
+        self._note(jump)
+        self.told.append(replace(jump, j=len(self.told), source=self.controls, target=controls))
         self.controls, self.key = controls, target
         return jump
 
-    def rewind(self, key: Key) -> None:
-        """Go back to the mode of the last arc, its end cut off."""
-        self.key, self.clock = key, self.arcs[-1].end
+    def drop(self) -> Arc:
+        """Take back the last arc, and the jumps before it; return the one that is the last now."""
+        self.arcs.pop()
+        last = self.arcs[-1]
+        if self.modes:
+            del self.jumps[len(self.jumps) - (self.count - last.j) :]
+        self.count = last.j
+        return last
+
+    def rewind(self, last: Arc) -> None:
+        """Go back to the end of the last arc, cut off, which stands in its place."""
+        self.arcs[-1] = last
+        self.key, self.clock = last.mode, last.end
 
     def stop(self, name: str, state: Array) -> None:
         """Append the jump of a stop condition."""
         self.close()
-        stopped = Jump(
-            self.clock.high, len(self.jumps), "", "stop", self.key, self.key, state, state, (name,)
-        )
-        self.jumps.append(stopped)
+        key, controls = self.key, self.controls
+        stopped = Jump(self.clock.high, self.count, "", "stop", key, key, state, state, (name,))
+        self._note(stopped)
+        self.told.append(replace(stopped, j=len(self.told), source=controls, target=controls))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is told of forces that the motion leaves open, once each."""
+        return tuple(dict.fromkeys(map(undetermined, self.indeterminate.values())))
 
     def _key(self, row: Ints) -> Key:
         return (*[STATES[code] for code in row.tolist()], *self.controls)
@@ -137,53 +183,39 @@ class Recorder:
         return found
 
     def _note_shared(self, shared: Bools) -> None:
-        if shared.any():
+        if shared.any() and self.modes:
             names = {self.regions[i] for i in np.flatnonzero(shared.any(axis=0)).tolist()}
             names.update(self.indeterminate.get(self.key, ()))
             self.indeterminate[self.key] = tuple(n for n in self.regions if n in names)
 
     def _flow(self, chunk: Chunk, first: int, last: int) -> None:
         """Append steps of one mode as one arc, or to the last arc."""
-        h, n = chunk.h, self.coordinates
-        left, right = chunk.states[first:last], chunk.states[first + 1 : last + 1]
-        coefficients = np.zeros((*left.shape, TERMS))
-        coefficients[:, :, 0] = left
-        coefficients[:, :n, 1] = h * left[:, n : 2 * n]
-        coefficients[:, n:, 1] = right[:, n:] - left[:, n:]
-        coefficients[:, :n, 2] = 0.5 * h * coefficients[:, n : 2 * n, 1]
+        h, left, right = chunk.h, chunk.states[first:last], chunk.states[first + 1 : last + 1]
+        coefficients = smooth(left, right, h, self.coordinates)
         times: Array = h * np.arange(last - first + 1, dtype=float)
         self._arc(times, coefficients, chunk.solved[first:last])
 
     def _strike(self, chunk: Chunk, k: int, row: Ints) -> None:
         """Append a step with impacts in its middle: one jump, whose impulses all regions feel."""
         h, n = chunk.h, self.coordinates
-        left, right = chunk.states[k], chunk.states[k + 1]
-        middle = 0.5 * (left + right)[2 * n :]
-        acceleration = chunk.solved[k : k + 1, :n]
-        # Of the velocities as they were and will be, so that the ends of the step are exact.
-        halves = []
-        for state, sign in ((left, 1.0), (right, -1.0)):
-            half = np.zeros((1, len(state), TERMS))
-            rates = state[n : 2 * n]
-            near = rates + sign * 0.25 * h * acceleration[0]
-            other = state[:n] + sign * 0.5 * h * near
-            fast = rates + sign * 0.5 * h * acceleration[0]
-            begin = (state[:n], rates) if sign > 0.0 else (other, fast)
-            half[0, :n, 0], half[0, n : 2 * n, 0] = begin
-            half[0, :n, 1] = 0.5 * h * begin[1]
-            half[0, :n, 2] = 0.125 * h**2 * acceleration[0]
-            half[0, n : 2 * n, 1] = 0.5 * h * acceleration[0]
-            half[0, 2 * n :, 0] = state[2 * n :] if sign > 0.0 else middle
-            half[0, 2 * n :, 1] = sign * (middle - state[2 * n :])
-            halves.append(half)
+        halves = struck(
+            chunk.states[k : k + 1], chunk.states[k + 1 : k + 2], chunk.solved[k : k + 1, :n], h, n
+        )
         times = np.array([0.0, 0.5 * h])
         self._arc(times, halves[0], self._held(chunk.solved[k]))
-        before, after = halves[0][0].sum(axis=1), halves[1][0, :, 0]
+        self.close()
+        if self.modes:
+            self._struck(chunk, k, row, halves[0][0].sum(axis=1), halves[1][0, :, 0])
+        else:
+            self.row, self.count = row, self.count + 1
+        self._arc(times, halves[1], self._held(chunk.solved[k]))
+
+    def _struck(self, chunk: Chunk, k: int, row: Ints, before: Array, after: Array) -> None:
+        """Append the jump of a step with impacts, at the state before and after it."""
         impulses = {
             self.regions[i]: (float(chunk.impulses[k, i, 0]), float(chunk.impulses[k, i, 1]))
             for i in np.flatnonzero(chunk.impulses[k].any(axis=1)).tolist()
         }
-        self.close()
         place = int(np.argmax(chunk.struck[k]))
         time = self.clock.high
         self._jump(
@@ -195,7 +227,6 @@ class Recorder:
             impulses,
             (self.energy(before, time), self.energy(after, time)),
         )
-        self._arc(times, halves[1], self._held(chunk.solved[k]))
 
     def _held(self, solved: Array) -> Array:
         """Return the unknowns (1, u) without forces where the mode at hand is open."""
@@ -209,12 +240,15 @@ class Recorder:
     def _arc(self, times: Array, coefficients: Array, solved: Array) -> None:
         self._open.append((times, coefficients, solved))
         self.clock = self.clock.later(float(times[-1]))
+        self._size += coefficients.nbytes
+        if self._size > _LONGEST:
+            self.close()
 
     def close(self) -> None:
         """End the arc at hand."""
         if not self._open:
             return
-        pieces, self._open = self._open, []
+        pieces, self._open, self._size = self._open, [], 0
         ends, reached = [np.zeros(1)], 0.0
         for times, _, _ in pieces:
             ends.append(reached + times[1:])
@@ -224,17 +258,22 @@ class Recorder:
                 self.key,
                 roles_in(self.key),
                 self._began,
-                len(self.jumps),
+                self.count,
                 np.concatenate(ends),
                 np.concatenate([piece[1] for piece in pieces]),
-                _defined(np.concatenate([piece[2] for piece in pieces])),
+                defined(np.concatenate([piece[2] for piece in pieces])),
             )
         )
         self._began = self.clock
 
     def _jumps(self, row: Ints, state: Array) -> None:
         """Append a jump for every region that changes."""
-        for i in np.flatnonzero(row != self.row).tolist():
+        changed = np.flatnonzero(row != self.row).tolist()
+        if not self.modes and changed:
+            self.close()
+            self.row, self.count = row, self.count + len(changed)
+            return
+        for i in changed:
             self.close()
             following = self.row.copy()
             following[i] = row[i]
@@ -252,10 +291,10 @@ class Recorder:
         energy: tuple[float, float] | None,
     ) -> None:
         target = self._key(row)
-        self.jumps.append(
+        self._note(
             Jump(
                 self.clock.high,
-                len(self.jumps),
+                self.count,
                 self.regions[place],
                 cause,
                 self.key,
@@ -268,25 +307,11 @@ class Recorder:
         )
         self.row, self.key = row, target
 
+    def _note(self, jump: Jump) -> None:
+        self.jumps.append(jump)
+        self.count += 1
+
     def _cause(self, before: int, after: int, struck: bool) -> str:
         found = cause_of(STATES[before], STATES[after])
         lasting = found in ("liftoff", "stick", "slip", "reverse")
         return self.again if struck and lasting else found
-
-
-def _defined(rows: Array) -> Array:
-    """Put in the place of what is not a number what the nearest row has, the later of two."""
-    unknown = np.isnan(rows)
-    if not unknown.any():
-        return rows
-    result = rows.copy()
-    for column in np.flatnonzero(unknown.any(axis=0)).tolist():
-        known = np.flatnonzero(~unknown[:, column])
-        if not len(known):
-            continue
-        blank = np.flatnonzero(unknown[:, column])
-        after = np.minimum(np.searchsorted(known, blank), len(known) - 1)
-        before = np.maximum(after - 1, 0)
-        later = np.abs(known[after] - blank) <= np.abs(known[before] - blank)
-        result[blank, column] = rows[np.where(later, known[after], known[before]), column]
-    return result

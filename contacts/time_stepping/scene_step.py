@@ -17,6 +17,7 @@ from contacts.solvers.step_impulses import (
     AS_ASKED,
     coupled_contacts,
     into_cone,
+    of_group,
     relieve,
     solve_impacts,
     steady_impulses,
@@ -41,7 +42,7 @@ from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
 from contacts.time_stepping.forces import borne_mode, jammed, resting
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, part
 from statechart.kernels.tapes import tape_values
 
 # A contact that lands slower than this part of what a step without contact would make of rest
@@ -50,6 +51,15 @@ _LATE = 1e-9
 # So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
 # its level in the landing's; and the one after that, which ends what the next began.
 _SETTLING = 3
+
+
+@part
+def _alone(groups: Ints, a: int) -> bool:
+    """Whether a contact is the only one of its group."""
+    alone = True
+    for b in range(len(groups)):
+        alone = alone and (b == a or groups[b] != groups[a])
+    return alone
 
 
 @kernel
@@ -244,14 +254,23 @@ def step_scene(
                             value += numbers[row + d * n + j] * columns[b, j]
                         delassus[2 * a + d, b] = value
             groups = coupled_contacts(delassus)
-            rebounds = hit[which] & (restitution[which] > 0.0)
+            rebounds, sudden = np.empty(m, np.bool_), np.empty(m, np.bool_)
+            for a in range(m):
+                rebounds[a] = hit[which[a]] and restitution[which[a]] > 0.0
+                sudden[a] = hit[which[a]]
             if plastic:
                 for a in range(m):
-                    if rebounds[a] and (groups == groups[a]).sum() > 1:
+                    if rebounds[a] and not _alone(groups, a):
                         rebounds[a] = False
                         wanted[which[a], 0] = 0.0
-            ours, start_at = cones[which], before[which]
-            least = free[which] + wanted[which]
+            ours, start_at, unforced = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
+            asked, least = np.empty((m, 2)), np.empty((m, 2))
+            for a in range(m):
+                for d in range(2):
+                    i = which[a]
+                    ours[a, d], start_at[a, d] = cones[i, d], before[i, d]
+                    unforced[a, d], asked[a, d] = free[i, d], wanted[i, d]
+                    least[a, d] = free[i, d] + wanted[i, d]
             guess = np.zeros(UNKNOWNS * m, np.bool_)
             for a in range(m):
                 for u in range(UNKNOWNS):
@@ -260,12 +279,11 @@ def step_scene(
                     mine = guess[UNKNOWNS * a : UNKNOWNS * (a + 1)]
                     pressed_guess(mine, least[a, 1], ours[a, 1] > 0.0)
             good, z, basis, pushes, least = solve_impacts(
-                delassus, groups, start_at, free[which], wanted[which], ours, rebounds, guess,
+                delassus, groups, start_at, unforced, asked, ours, rebounds, guess,
                 given if k == 0 else given[:0], how if k == 0 else AS_ASKED,
             )  # fmt: skip
             if not good:
                 return k, HARD, delassus, least, ours
-            sudden = hit[which]
             for a in range(m):
                 i = which[a]
                 corner = delassus[2 * a : 2 * a + 2, 2 * a : 2 * a + 2]
@@ -274,9 +292,9 @@ def step_scene(
                     sudden[a] = sudden[a] or jammed(corner, least[a], start_at[a, 1], ours[a])
             steady, slides = steady_impulses(delassus, least, ours, z, pushes, sudden)
             relieve(groups, ours, z, pushes, sudden, steady, slides)
-            work, moving = np.empty(m), np.empty(m)
+            work, moving, rows = np.empty(m), np.empty(m), np.empty(m, np.int64)
             for a in range(m):
-                work[a] = 0.0
+                work[a], rows[a] = 0.0, first + per * which[a]
                 for d in range(2):
                     both = start_at[a, d] + free[which[a], d]
                     for b in range(2 * m):
@@ -284,9 +302,7 @@ def step_scene(
                     work[a] += pushes[a, d] * both
                 speed = max(math.hypot(start_at[a, 0], start_at[a, 1]), slowest)
                 moving[a] = speed * speed / delassus[2 * a, 2 * a]
-            made = energy_added(
-                numbers, state[n:], first + per * which, groups, work, moving, negligible
-            )
+            made = energy_added(numbers, state[n:], rows, groups, work, moving, negligible)
             gained[k] = max(gained[k], made)
             modes = np.full(m, FREE)
             # Whose impulses of this step are not those of forces alone.
@@ -297,10 +313,13 @@ def step_scene(
                 bias = 0.5 * h * numbers[first + per * i + 2 * n]
                 arrives = before[i, 0] < -late or abs(wanted[i, 0] - bias) > late
                 if pushes[a, 0] > 0.0 and (sudden[a] or (not closed[i] and arrives)):
-                    fresh[which[groups == groups[a]]] = _SETTLING
+                    for b in range(m):
+                        if groups[b] == groups[a]:
+                            fresh[which[b]] = _SETTLING
             for a in range(m):
                 if fresh[which[a]] > 0:
-                    mixed |= groups == groups[a]
+                    for b in range(m):
+                        mixed[b] = mixed[b] or groups[b] == groups[a]
             for a in range(m):
                 i = which[a]
                 for u in range(UNKNOWNS):
@@ -308,8 +327,10 @@ def step_scene(
                 slip = least[a, 1]
                 for b in range(2 * m):
                     slip += delassus[2 * a + 1, b] * pushes[b // 2, b % 2]
-                if (sudden & (groups == groups[a])).any():
-                    put(into_cone(pushes[a] - steady[a], ours[a]), impulses[k, i])
+                if of_group(sudden, groups, groups[a]):
+                    for d in range(2):
+                        impulses[k, i, d] = pushes[a, d] - steady[a, d]
+                    put(into_cone(impulses[k, i], ours[a]), impulses[k, i])
                 for d in range(2):
                     for j in range(size):
                         total[j] += columns[2 * a + d, j] * pushes[a, d]

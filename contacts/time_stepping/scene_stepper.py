@@ -1,4 +1,4 @@
-"""The time stepper of scenes (see `statechart.automaton.laws.TimeStepper`)."""
+"""The time stepper of scenes (see `statechart.automaton.time_stepper.TimeStepper`)."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_joints, check_start
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS
+from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.control import StepControl, SteppedTapes
-from contacts.time_stepping.loop import Begun
 from contacts.time_stepping.scene_steps import SteppedScene
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Bools, Ints

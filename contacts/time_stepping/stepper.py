@@ -12,20 +12,25 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.other_laws import replaced
 from contacts.states import STATES
-from contacts.time_stepping.loop import Begun, Span, Stepping, made_ready
+from contacts.time_stepping.begun import Begun, Span, Stepping
+from contacts.time_stepping.loop import made_ready
 from contacts.time_stepping.streaming import stream
 from statechart.arrays import Bools
-from statechart.automaton.laws import USUAL, Impulses
+from statechart.automaton.keeping import EVERYTHING, Keeping
 from statechart.automaton.regions import Margin
 from statechart.automaton.sampling import Sampling
+from statechart.automaton.time_stepper import USUAL, Impulses
 from statechart.automaton.trace import Arc, Jump, Key, Trace
+from statechart.errors import DeclarationProblem
+
+_EPS = float(np.finfo(float).eps)
 
 RELATIVE = 1e-9
 """Tolerances at the start, relative to the scene."""
 
 
 class Stepper(ABC):
-    """Steps a scene (see `statechart.automaton.laws.TimeStepper`).
+    """Steps a scene (see `statechart.automaton.time_stepper.TimeStepper`).
 
     Parameters
     ----------
@@ -86,10 +91,11 @@ class Stepper(ABC):
         max_jumps: int,
         show: Callable[[float, int, int], None],
         impulses: Impulses = USUAL,
+        keeping: Keeping = EVERYTHING,
     ) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
-        begun = self._begin(overrides, step, impulses.tolerance)
-        span = Span(step, until, max_jumps, impulses, show)
+        begun = self._able(overrides, step, until, impulses.tolerance)
+        span = Span(step, until, max_jumps, impulses, show, keeping=keeping)
         return made_ready(self._stepping, begun, span).whole()
 
     def stream(
@@ -103,9 +109,25 @@ class Stepper(ABC):
         impulses: Impulses = USUAL,
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they come; see `TimeStepper.stream`."""
-        begun = self._begin(overrides, step, impulses.tolerance)
+        begun = self._able(overrides, step, until, impulses.tolerance)
         span = Span(step, until, max_jumps, impulses, lambda time, jumps, steps: None)
         return stream(self._stepping, begun, span, sampling, overrides)
+
+    def _able(
+        self, overrides: Mapping[str, float], step: float, until: float, allowed: float
+    ) -> Begun:
+        """Return a run by steps that are long enough to move anything."""
+        begun = self._begin(overrides, step, allowed)
+        scales = begun.setup.scales
+        least = _EPS * scales.length / scales.speed
+        if step < min(least, until):
+            raise DeclarationProblem(
+                f"in a step of {step:g} what moves at {scales.speed:.3g} goes less far than the "
+                f"rounding of {scales.length:.3g}, the size of the scene",
+                advice=f"take {least:.1g} or more",
+                loc=("settings", "step"),
+            )
+        return begun
 
     @abstractmethod
     def _begin(self, overrides: Mapping[str, float], step: float, allowed: float) -> Begun:

@@ -69,14 +69,13 @@ class StopConditions:
     def locate(self, recorder: Recorder, condition: int) -> Array:
         """Cut what is recorded where a condition is met in its last step; return that state."""
         recorder.close()
+        arc = recorder.arcs[-1]
         while True:
-            arc = recorder.arcs[-1]
             begin = arc.times[-2]
             if len(arc.times) > 2 or self._margin(arc, float(begin), condition) >= 0.0:
                 break
             # It was met in the half of the step before an impact.
-            recorder.arcs.pop()
-            del recorder.jumps[recorder.arcs[-1].j :]
+            arc = recorder.drop()
         low, high = float(begin), arc.duration
         if self._margin(arc, low, condition) < 0.0:
             high = low
@@ -86,9 +85,9 @@ class StopConditions:
                 high = middle
             else:
                 low = middle
-        recorder.arcs[-1] = _cut(arc, high)
-        recorder.rewind(arc.mode)
-        state: Array = recorder.arcs[-1].coefficients[-1].sum(axis=1)
+        last = cut(arc, len(arc.times) - 2, high)
+        recorder.rewind(last)
+        state: Array = last.coefficients[-1].sum(axis=1)
         return state
 
     def _margin(self, arc: Arc, local: float, condition: int) -> float:
@@ -113,11 +112,13 @@ def first_lost(margins: Array, inputs: Array) -> tuple[int, int] | None:
     return (lost[0][0], lost[0][1]) if lost else None
 
 
-def _cut(arc: Arc, end: float) -> Arc:
-    """Return an arc that ends at local time `end`, in its last step."""
-    begin = arc.times[-2]
-    s = (end - begin) / (arc.times[-1] - begin)
-    times, coefficients = arc.times.copy(), arc.coefficients.copy()
+def cut(arc: Arc, step: int, end: float) -> Arc:
+    """Return an arc that ends at local time `end`, in one of its steps."""
+    begin = arc.times[step]
+    s = (end - begin) / (arc.times[step + 1] - begin)
+    times, coefficients = arc.times[: step + 2].copy(), arc.coefficients[: step + 1].copy()
     times[-1] = end
     coefficients[-1] *= s ** np.arange(coefficients.shape[2])
-    return Arc(arc.mode, arc.roles, arc.start, arc.j, times, coefficients, arc.solved)
+    assert arc.solved is not None
+    solved = arc.solved[: step + 1]
+    return Arc(arc.mode, arc.roles, arc.start, arc.j, times, coefficients, solved)

@@ -1,10 +1,11 @@
-"""A run by steps as it comes; see `statechart.automaton.laws.TimeStepper.stream`."""
+"""A run by steps as it comes; see `statechart.automaton.time_stepper.TimeStepper.stream`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from contacts.time_stepping.loop import Begun, Span, Stepping, made_ready
+from contacts.time_stepping.begun import Begun, Span, Stepping
+from contacts.time_stepping.loop import made_ready
 from contacts.time_stepping.stops import StopConditions
 from statechart.automaton.sampling import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Outcome

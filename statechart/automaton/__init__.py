@@ -7,5 +7,5 @@ gives the others back, and `constraints` are what states satisfy besides. `produ
 graph, `feasibility` a verdict on its modes. `trace` is what a run leaves: arcs of `dense_output`,
 jumps, outcome, in the arrays of a `recording`, of which what is `deferred` is made; `events` says
 for which jumps others wait, and `course` which way a margin leaves its boundary; `sampling` is when
-a run is looked at from outside.
+a run is looked at from outside. A `time_stepper` goes by steps, `keeping` what it is asked to keep.
 """

@@ -15,16 +15,22 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
-from statechart.automaton.laws import Laws, Setup, TimeStepper
+from statechart.automaton.laws import Laws, Setup
 from statechart.automaton.reduction import Coordinates
 from statechart.automaton.regions import Margin, Mode, Region
+from statechart.automaton.time_stepper import TimeStepper
 from statechart.automaton.trace import Key
 from statechart.errors import Unsupported
 from statechart.formulas.formula import parse_relation
+from statechart.palette import region_colours
 
 if TYPE_CHECKING:
     from statechart.documents.declaration import Declaration
     from statechart.formulas.tape import Tape
+
+
+UNTOLD = "not recorded"
+"""What is shown as the state of a region whose modes a run does not keep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +138,15 @@ class Automaton:
         return tuple(region.name for region in self.regions)
 
     @cached_property
+    def colours(self) -> Mapping[str, Mapping[str, str]]:
+        """Region -> state, also as declared -> its colour in every picture."""
+        names = [
+            (*region.innermost, *region.states, *map(region.declared, region.states))
+            for region in self.regions
+        ]
+        return dict(zip(self.region_names, region_colours(names), strict=True))
+
+    @cached_property
     def invariants(self) -> tuple[Margin, ...]:
         """What the declaration asserts of all of a run; no run looks at them."""
         return tuple(
@@ -139,10 +154,19 @@ class Automaton:
             for label, text in self.declaration.invariants.items()
         )
 
+    def told(self, key: Key) -> tuple[Region, ...]:
+        """Return the regions whose states a key has: all, or where poses are kept controllers."""
+        return self.regions[len(self.regions) - len(key) :]
+
+    def states_told(self, key: Key) -> list[tuple[str, ...]]:
+        """Return the states of all regions; of those that a key has not, `UNTOLD`."""
+        untold = len(self.regions) - len(key)
+        return [(UNTOLD,)] * untold + [region.states for region in self.told(key)]
+
     def label(self, key: Key) -> str:
         """Return the name of a mode: ``tip:slide+``, or ``A:free B:pin``."""
         return " ".join(
-            f"{region.name}:{state}" for region, state in zip(self.regions, key, strict=True)
+            f"{region.name}:{state}" for region, state in zip(self.told(key), key, strict=True)
         )
 
     def tape(self, expressions: Sequence[sp.Expr], mode: Mode | None = None) -> Tape:

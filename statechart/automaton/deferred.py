@@ -52,6 +52,8 @@ class Recorded(Sequence[T], Generic[T]):
         Makes what stands at a place.
     count : callable
         How many there are.
+    kept : bool
+        Whether the first that were looked at are not made again.
 
     Attributes
     ----------
@@ -59,8 +61,10 @@ class Recorded(Sequence[T], Generic[T]):
         What all of them stand in, for those who read that; does not travel.
     """
 
-    def __init__(self, make: Callable[[int], T], count: Callable[[], int]) -> None:
-        self._make, self._count = make, count
+    def __init__(
+        self, make: Callable[[int], T], count: Callable[[], int], *, kept: bool = True
+    ) -> None:
+        self._make, self._count, self._keeps = make, count, kept
         self.source: object = None
         self._seen: dict[int, T] = {}
 
@@ -90,7 +94,7 @@ class Recorded(Sequence[T], Generic[T]):
         found = self._seen.get(place)
         if found is None:
             found = self._make(place)
-            if place < _SHORT:
+            if self._keeps and place < _SHORT:
                 self._seen[place] = found
         return found
 

@@ -279,30 +279,10 @@ class Recording:
     def _keep(self, block: Block) -> None:
         self._bytes += sum(array.nbytes for array in block)
         if self._bytes > IN_MEMORY:
-            block = self._on_disk(block)
+            block = Block._make(on_disk(block, self._bytes))
         self._blocks.append(block)
         self._arcs.append(self._arcs[-1] + int(block.used[ARCS]))
         self._events.append(self._events[-1] + int(block.used[EVENTS]))
-
-    def _on_disk(self, block: Block) -> Block:
-        """Write a block to a file that is gone once nobody reads it."""
-        arrays = []
-        try:
-            with tempfile.TemporaryFile(prefix="statechart-") as file:
-                for array in block:
-                    at = file.tell()
-                    file.write(array.tobytes())
-                    file.flush()
-                    # Nothing cannot be mapped.
-                    if array.size:
-                        array = np.memmap(file, array.dtype, "r", at, array.shape)
-                    arrays.append(array)
-        except OSError as error:
-            raise TooLong(
-                f"a trace of {self._bytes >> 20} MB is more than is kept in memory, and the disk "
-                f"does not take it ({error.strerror}); end the run earlier"
-            ) from None
-        return Block._make(arrays)
 
     def _arc(self, place: int) -> Arc:
         block, row = self._found(self._arcs, place)
@@ -334,3 +314,36 @@ def _width(terms: Array) -> int:
     while width > 1 and not terms[:, :, width - 1].any():
         width -= 1
     return width
+
+
+def on_disk(held: Iterable[NDArray[Any]], size: int) -> list[NDArray[Any]]:
+    """Write arrays to a file that is gone once nobody reads them; return them as they lie there.
+
+    Parameters
+    ----------
+    held : iterable of arrays
+    size : int
+        Bytes of the trace that they belong to.
+
+    Raises
+    ------
+    TooLong
+        If the disk does not take them.
+    """
+    arrays = []
+    try:
+        with tempfile.TemporaryFile(prefix="statechart-") as file:
+            for array in held:
+                at = file.tell()
+                file.write(array.tobytes())
+                file.flush()
+                # Nothing cannot be mapped.
+                if array.size:
+                    array = np.memmap(file, array.dtype, "r", at, array.shape)
+                arrays.append(array)
+    except OSError as error:
+        raise TooLong(
+            f"a trace of {size >> 20} MB is more than is kept in memory, and the disk does not "
+            f"take it ({error.strerror}); end the run earlier"
+        ) from None
+    return arrays

@@ -217,6 +217,12 @@ class Region:
         """Return what a cause of jumps stands for: itself, or transitions taken together."""
         return self.nesting.joint.get(cause, (cause,))
 
+    @property
+    def innermost(self) -> tuple[str, ...]:
+        """The states that hold no others, as declared."""
+        configurations = self.nesting.configurations
+        return tuple(dict.fromkeys(n for s in self.states for n in configurations.get(s, (s,))))
+
     def within(self, name: str) -> tuple[str, ...]:
         """Return the states in which a state or superstate is active."""
         return tuple(state for state in self.states if name in self.active(state))

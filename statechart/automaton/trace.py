@@ -6,11 +6,12 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from statechart.arrays import Array
+from statechart.documents.setting import Record
 from statechart.errors import TooLong
 
 LARGEST = 2**28
@@ -91,7 +92,8 @@ def check_size(size: int, jumps: int, time: float) -> None:
     if size + _JUMP * jumps > LARGEST:
         raise TooLong(
             f"the trace up to t = {time:.17g} takes {LARGEST >> 20} MB, as much as it may; end the "
-            "run there, or look for what makes its steps so short or its jumps so many"
+            "run there, or look for what makes its steps so short or its jumps so many; time steps "
+            "are kept on disk with record: poses"
         )
 
 
@@ -306,6 +308,10 @@ class Trace:
         `indeterminate`, where the run has noted it.
     motion : Motion or None
         What is proved of the steps, where that was asked for.
+    record : Record
+        What was kept: with poses regions are those of controllers, with nothing there are none.
+    outputs : mapping or None
+        Those that the model declares, where they were computed on the way.
     """
 
     name: str
@@ -332,6 +338,8 @@ class Trace:
     margins: Mapping[str, float] | None = None
     undetermined: Mapping[Key, tuple[str, ...]] | None = None
     motion: Motion | None = None
+    record: Record = Record.MODES
+    outputs: Mapping[str, Any] | None = None
 
     @property
     def values(self) -> Array:
@@ -366,6 +374,8 @@ class Trace:
     @property
     def modes(self) -> tuple[Key, ...]:
         """The modes in the order visited, zero-length ones included, repeats merged."""
+        if not self.regions:  # none were kept
+            return ()
         sequence = [self.start_mode]
         for jump in self.jumps:
             if jump.target != sequence[-1]:

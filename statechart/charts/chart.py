@@ -8,7 +8,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from statechart.charts.flat_region import FlatRegion
+from statechart.charts.flat_region import FlatRegion, timed
 from statechart.charts.flatten import flatten
 from statechart.charts.transitions import (
     BaseRegion,
@@ -29,6 +29,7 @@ from statechart.documents.fields import (
     unit,
     value_of,
 )
+from statechart.documents.quantities import Quantity
 from statechart.documents.uses import check_uses
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
@@ -99,6 +100,11 @@ class Chart(Declaration):
     def flat(self) -> Mapping[str, FlatRegion]:
         """The regions as the executor knows them."""
         return {name: flatten(name, r, "regions", name) for name, r in self.regions.items()}
+
+    def stated(self, name: str) -> Quantity:
+        """Return what a name of the chart measures: a variable that transitions wait by, too."""
+        dimension = timed(self.flat.values(), name)
+        return Quantity(name, dimension) if dimension else super().stated(name)
 
     def check_values(self, values: Mapping[str, float]) -> None:
         """Check the initial values and the times that transitions wait for, too."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -14,6 +14,7 @@ from statechart.charts.transitions import BaseState, Transition
 from statechart.charts.tree import HISTORIES, Tree
 from statechart.documents.fields import FiniteText
 from statechart.documents.outputs import Event
+from statechart.documents.quantities import Dimension
 
 Updates = Mapping[str, FiniteText]
 
@@ -172,3 +173,11 @@ class FlatRegion:
         """Return the place of the transition taken where an event enables some arrows."""
         active, memory = self._configurations[state]
         return self._places[state, selected(self._tree, active, memory, enabled)]
+
+
+def timed(regions: Iterable[FlatRegion], name: str) -> Dimension:
+    """Return what a variable measures by which transitions wait; empty for another."""
+    for region in regions:
+        if name in region.timers:
+            return "time" if name in region.clocks else "1"
+    return ""

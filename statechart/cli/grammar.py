@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import math
 
+# A count that no machine comes to.
+_UNCOUNTABLE = 10**18 + 1
+
 SHELLS = ("bash", "zsh", "fish")
 """Those whose commands can be completed."""
 
@@ -55,6 +58,12 @@ def parser() -> argparse.ArgumentParser:
         help="of the same: what is above it ends the run",
     )
     run.add_argument(
+        "--record",
+        choices=("modes", "poses", "nothing"),
+        help="what is kept of a run of the engine impulse: modes and their events, the states at "
+        "every step, or start, end and outputs alone",
+    )
+    run.add_argument(
         "--max-step", metavar="H", type=_number, help="longest step of the other engines, in time"
     )
     run.add_argument(
@@ -79,7 +88,14 @@ def parser() -> argparse.ArgumentParser:
         "--explain", action="store_true",
         help="of every event: what fired, the margins, what else was considered, the energy",
     )  # fmt: skip
-    run.add_argument("--output", metavar="DIR", help="write tables, data set and figure there")
+    run.add_argument(
+        "-o", "--output", metavar="DIR",
+        help="write tables, data set and figure there; to STORE.zarr the states at every step",
+    )  # fmt: skip
+    run.add_argument(
+        "--samples", action=argparse.BooleanOptionalAction,
+        help="write samples.csv there, too, which says what trace.nc says",
+    )  # fmt: skip
     run.add_argument(
         "--animate", metavar="FILM", help="draw the bodies in motion: .gif, or .mp4 with ffmpeg"
     )
@@ -146,6 +162,10 @@ def parser() -> argparse.ArgumentParser:
     new = verb("new", "write a commented scene to start from", file=False)
     new.add_argument("name", metavar="NAME")
     completion = verb("completion", "print what completes commands in a shell", file=False)
+    completion.epilog = (
+        'source <(statechart completion bash); eval "$(statechart completion zsh)"; '
+        "statechart completion fish | source"
+    )
     completion.add_argument("shell", choices=SHELLS)
     return whole
 
@@ -227,25 +247,28 @@ def _range(text: str) -> tuple[str, str]:
 
 
 def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise argparse.ArgumentTypeError("no name is written; leave the option out for all")
+    return names
 
 
 def _place(text: str) -> tuple[str, float]:
-
     name, value = _assignment(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r}: must be finite")
     return name, value
 
 
-def _count(text: str) -> int:
-    if not text.isdecimal() or len(text) > 18:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
-    return int(text)
+def _count(text: str, least: int = 0) -> int:
+    try:
+        count = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, such as 20") from None
+    if not least <= count < _UNCOUNTABLE:
+        raise argparse.ArgumentTypeError(f"must be from {least} to 10**18, not {text}")
+    return count
 
 
 def _positive(text: str) -> int:
-    count = _count(text)
-    if count == 0:
-        raise argparse.ArgumentTypeError("at least 1 is needed")
-    return count
+    return _count(text, least=1)

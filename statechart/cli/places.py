@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,11 @@ def check_folder(output: str | None) -> None:
     if not output.strip():
         raise DeclarationError("--output: the name is empty", advice="name a folder; . is this one")
     path = Path(output).absolute()
+    if is_store(output) and path.exists():
+        raise DeclarationError(
+            f"--output {output}: there is something of this name",
+            advice="name another store: runs are not written over each other",
+        )
     place = next(known for known in (path, *path.parents) if known.exists())
     if not place.is_dir():
         raise DeclarationError(f"--output {output}: {place} is a file", advice="name a folder")
@@ -34,6 +40,11 @@ def check_folder(output: str | None) -> None:
         raise DeclarationError(
             f"--output {output}: {place} is not writable", advice="name another folder"
         )
+
+
+def is_store(output: str) -> bool:
+    """Return whether a run is to be written to a Zarr store."""
+    return Path(output).suffix == ".zarr"
 
 
 def kept_study(arguments: argparse.Namespace) -> Study | None:
@@ -55,14 +66,29 @@ def check_file(option: str, output: str | None) -> None:
     """
     if output is None:
         return
+    if not output.strip():
+        raise DeclarationError(f"{option}: the name is empty", advice="name a file")
     path = Path(output).absolute()
-    if not output.strip() or path.is_dir():
-        raise DeclarationError(f"{option} {output}: that is no file", advice="name a file")
+    if path.is_dir():
+        raise DeclarationError(f"{option} {output}: that is a folder", advice="name a file in it")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK | os.X_OK):
         raise DeclarationError(
             f"{option} {output}: there is no folder {path.parent} that is writable",
             advice="name another folder, or make this one",
         )
+
+
+def check_drawing(output: str, suffixes: Collection[str]) -> None:
+    """Check that a drawing can be written, before what it shows is made.
+
+    Raises
+    ------
+    DeclarationError
+        If its suffix is none of these, or its place is not writable.
+    """
+    check_file("-o", output)
+    if Path(output).suffix.lower() not in suffixes:
+        raise DeclarationError(f"-o {output}: the suffix must be one of {', '.join(suffixes)}")
 
 
 def check_page(option: str, output: str | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 
-from statechart.reporting.text import Block, Table, plain
+from statechart.tabular import Block, Table, plain
 
 
 def show(blocks: Iterable[Block]) -> None:

@@ -14,7 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
-from statechart.cli.places import check_animation, check_folder, check_page, kept_study
+from statechart.cli.places import (
+    check_animation,
+    check_drawing,
+    check_folder,
+    check_page,
+    is_store,
+    kept_study,
+)
 from statechart.cli.terminal import show
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.pieces import Pieces
@@ -28,6 +35,10 @@ if TYPE_CHECKING:
     from statechart.running.runner import Runner
 
 
+_SAMPLES = (
+    "samples.csv is written from version 0.3 on only where it is asked for: say --samples, or "
+    "--no-samples; trace.nc has the same"
+)
 # Seconds after a signal in which what was computed is saved, but for what is always saved.
 _PATIENCE = 0.9
 
@@ -94,10 +105,20 @@ def _tell(
         return report
 
     if arguments.output is not None:
+        from statechart.documents.setting import Record
+        from statechart.reporting.run_store import write_store
         from statechart.reporting.tables import write_run
 
+        store, samples = is_store(arguments.output), arguments.samples
+        if samples is None and not store and result.trace.record is Record.MODES:
+            samples = True
+            _warn([_SAMPLES])
         try:
-            write_run(arguments.output, result.observer, result.trace, made, pieces)
+            if store:
+                write_store(arguments.output, result.observer, result.trace, made())
+            else:
+                run, asked = (result.observer, result.trace), bool(samples)
+                write_run(arguments.output, *run, made, pieces, asked)
         except StatechartError as error:
             failure = str(error)
     report = made()
@@ -111,9 +132,9 @@ def _tell(
 
         show(told(report))
         if arguments.explain and report["events"]:
-            from statechart.reporting.text import explanation
+            from statechart.reporting.text import explained
 
-            print(f"\n{explanation(report)}", end="")
+            show(["\n", *explained(report)])
     sys.stdout.flush()
     if arguments.animate is not None:
         shown = not arguments.quiet
@@ -204,7 +225,7 @@ def sweep(arguments: argparse.Namespace) -> int:
         if arguments.json:
             _print_json(told)
         else:
-            print(summary.text(told), end="")
+            show(summary.text(told))
         _say_left_out(pieces)
     if made.ended:
         again = "--resume goes on" if target.store else "-o STORE.zarr keeps what is done"
@@ -275,14 +296,13 @@ def draw(arguments: argparse.Namespace) -> int:
 
     path = Path(arguments.output)
     if arguments.scene:
+        from statechart.reporting.figure import SUFFIXES as FIGURES
         from statechart.running.drawing import draw_scene
 
+        check_drawing(arguments.output, FIGURES)
         print(draw_scene(_runner(arguments.file), path))
         return 0
-    if path.suffix.lower() not in SUFFIXES:
-        raise DeclarationError(
-            f"-o {arguments.output}: the suffix must be one of {', '.join(SUFFIXES)}"
-        )
+    check_drawing(arguments.output, SUFFIXES)
     runner = _runner(arguments.file, progress=not arguments.quiet)
     diagram, trace = drawn(runner, visited=arguments.visited)
     code = 0
@@ -321,7 +341,7 @@ def check(arguments: argparse.Namespace) -> int:
     if arguments.json:
         _print_json({**report.to_json(), "reproduction": written})
     else:
-        print(report.text(), end="")
+        show(report.told())
         if written is not None:
             print(f"{written} reproduces it")
     _say_left_out(pieces)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,6 @@ from statechart.automaton.trace import Key, Trace
 from statechart.diagram.layout.ring import MOST_STEPS
 from statechart.diagram.model import Chart, Diagram, Link, Node
 from statechart.diagram.region import alike, cut, mode_label, region_chart
-from statechart.palette import state_colours
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -110,6 +109,25 @@ def _charts(automaton: Automaton, start: Key | None) -> tuple[Chart, ...]:
     return tuple(charts)
 
 
+def active_states(automaton: Automaton) -> Callable[[Key], tuple[str, ...]]:
+    """Return what gives the nodes of regions' own charts that are active in a mode."""
+    moving = _moving(automaton)
+    groups = [[region.name for region in regions] for regions in alike(moving)]
+    nesting = {region.name: region.nesting.configurations for region in moving}
+
+    def active(key: Key) -> tuple[str, ...]:
+        states = dict(zip(automaton.region_names, key, strict=True))
+        found: dict[str, None] = {}
+        for names in groups:
+            prefix = "" if len(moving) == 1 else f"{names[0]}:"
+            for name in names:
+                for state in nesting[name].get(states[name], (states[name],)):
+                    found[prefix + state] = None
+        return tuple(found)
+
+    return active
+
+
 def _judged(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
     """Return a chart with why states are impossible."""
     nodes = (replace(node, infeasible=reasons.get(node.name) or None) for node in chart.nodes)
@@ -123,7 +141,7 @@ def _grid(automaton: Automaton, start: Key, modes: nx.MultiDiGraph) -> Chart:
     names = [region.name for region in regions]
     moving = {region.name for region in _moving(automaton)}
     shown = [k for k, name in enumerate(names) if name in moving]
-    colours = [state_colours((*r.states, *_declared(r))) for r in regions]
+    colours = [automaton.colours[name] for name in names]
     nodes = tuple(
         Node(
             _name(key),
@@ -167,10 +185,6 @@ def _of(region: Region, chart: Chart) -> Chart:
     return replace(chart, nodes=tuple(nodes), links=tuple(links))
 
 
-def _declared(region: Region) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(map(region.declared, region.states)))
-
-
 def _links(modes: nx.MultiDiGraph) -> tuple[Link, ...]:
     return tuple(
         Link(
@@ -196,14 +210,14 @@ def _run(
     changing = changing or list(range(len(regions)))
     nodes = []
     for key in shown:
-        label, colours = mode_label([(automaton.regions[k], key[k]) for k in changing])
+        label, lines = mode_label([(automaton.regions[k], key[k]) for k in changing])
         nodes.append(
             Node(
                 _name(key),
                 label,
                 initial=key == trace.start_mode,
                 visits=modes.nodes[key]["visits"],
-                colours=colours,
+                colours=tuple(automaton.colours[r.name][state] for r, state in lines),
             )
         )
     notes = list(_notes(automaton))

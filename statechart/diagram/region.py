@@ -11,7 +11,6 @@ from statechart.automaton.nesting import HierarchicalEdge
 from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Role
 from statechart.diagram.model import Chart, Link, Node
-from statechart.palette import state_colours
 
 # Of more regions alike than this not all are named; a mode is named by so many lines.
 _MOST_NAMES, _MOST_LINES = 8, 4
@@ -41,13 +40,13 @@ def region_chart(
     start : str, optional
         The state that it starts in.
     """
-    leaves = _innermost(region)
+    leaves = region.innermost
     edges = hierarchical_edges(region)
     linked = {end for edge in edges for end in (edge.source, edge.target)}
     holding = {n: _held(region, leaves, n) for n in _superstates(region) if n not in leaves}
     # A frame round a single state would repeat what its label says.
     frames = {name for name, held in holding.items() if len(held) > 1 or name in linked - {*held}}
-    colours = state_colours(leaves)
+    colours = automaton.colours[region.name]
     begun = region.nesting.configurations.get(start or "", (start,))[0]
 
     def node(name: str) -> Node:
@@ -91,12 +90,6 @@ def _begun(region: Region, name: str) -> str:
     return name
 
 
-def _innermost(region: Region) -> tuple[str, ...]:
-    """Return the states that hold no others, as declared."""
-    configurations = region.nesting.configurations
-    return tuple(dict.fromkeys(n for s in region.states for n in configurations.get(s, (s,))))
-
-
 def _around(region: Region, name: str) -> list[str]:
     """Return the states that enclose one, inner first."""
     found: list[str] = []
@@ -122,22 +115,26 @@ def alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
     return found.values()
 
 
-def mode_label(states: Sequence[tuple[Region, str]]) -> tuple[str, tuple[str, ...]]:
-    """Return a mode's name, by what is not at its default, and the colour of every line of it."""
+def mode_label(
+    states: Sequence[tuple[Region, str]],
+) -> tuple[str, tuple[tuple[Region, str], ...]]:
+    """Return a mode's name, by what is not at its default, and whose state every line of it is."""
     told = [(region, state) for region, state in states if state != region.default]
     if not told:
         default = states[0][0].default
-        return f"all {default}" if len(states) > 1 else default, _colours(states[:1])
+        return f"all {default}" if len(states) > 1 else default, (states[0],)
     if len(states) == 1:
-        return told[0][1], _colours(told)
+        return told[0][1], tuple(told)
     if len(told) <= _MOST_LINES:
-        lines = [f"{region.name} {state}" for region, state in told]
-        return "\n".join(lines), _colours(told)
+        return "\n".join(f"{region.name} {state}" for region, state in told), tuple(told)
     together: dict[str, list[tuple[Region, str]]] = {}
     for region, state in told:
         together.setdefault(state, []).append((region, state))
-    lines = [f"{s}: {', '.join(cut([r.name for r, _ in of]))}" for s, of in together.items()]
-    return "\n".join(lines), tuple(_colours(of[:1])[0] for of in together.values())
+    lines = []
+    for state, of in together.items():  # many names make boxes of which few are beside each other
+        which = of[0][0].name if len(of) == 1 else f"{len(of)} of {len(states)}"
+        lines.append(f"{state}: {which}")
+    return "\n".join(lines), tuple(of[0] for of in together.values())
 
 
 def cut(names: list[str]) -> list[str]:
@@ -145,10 +142,6 @@ def cut(names: list[str]) -> list[str]:
     if len(names) <= _MOST_NAMES:
         return names
     return [*names[:3], f"... {names[-1]} ({len(names)} in all)"]
-
-
-def _colours(states: Iterable[tuple[Region, str]]) -> tuple[str, ...]:
-    return tuple(state_colours(region.states)[state] for region, state in states)
 
 
 def _superstates(region: Region) -> Iterator[str]:

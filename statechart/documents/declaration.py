@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, StrictInt, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from statechart.documents.dimensions import Fact, fields_of, inferred
 from statechart.documents.fields import (
     FormulaText,
     Label,
@@ -22,9 +24,17 @@ from statechart.documents.fields import (
     unit,
     value_of,
 )
-from statechart.documents.outputs import Count, Maximum, Minimum, Output, Value
-from statechart.documents.quantities import Quantity, unit_of
-from statechart.documents.setting import Setting
+from statechart.documents.outputs import Count, Integral, Maximum, Minimum, Output, Value
+from statechart.documents.quantities import (
+    POWERS,
+    SYSTEMS,
+    Powers,
+    Quantity,
+    named,
+    unit_of,
+    written,
+)
+from statechart.documents.settings import Settings, Stop
 from statechart.documents.validation import located
 from statechart.errors import (
     DeclarationError,
@@ -35,95 +45,32 @@ from statechart.errors import (
 )
 from statechart.formulas.constants import Constants
 from statechart.formulas.formula import parse
+from statechart.formulas.tree import Binary, Name, names_in
+
+
+def _units(value: Any) -> Any:
+    """Return the units that a word stands for."""
+    if isinstance(value, str):
+        if value not in SYSTEMS:
+            raise DeclarationProblem(
+                f"no units are called {value!r}",
+                advice=close_matches(value, SYSTEMS) + ", or each by itself as in "
+                "{length: mm, time: s, mass: g}",
+            )
+        return dict(SYSTEMS[value])
+    return value
+
+
+Units = Annotated[
+    dict[str, Label],
+    BeforeValidator(
+        _units, json_schema_input_type=Literal["SI", "dimensionless"] | dict[str, Label]
+    ),
+]
+"""Units of bases and of names; a word stands for those of all bases."""
 
 TIME = "time"
 """What formulas call the time since the start."""
-
-
-class Stop(Part):
-    """When a run ends: at a time, or when a condition becomes true."""
-
-    time: FormulaText | None = Field(
-        default=None,
-        description="When it ends at the latest: a formula of parameters.",
-        examples=[10, "2*pi/omega"],
-        json_schema_extra=unit("time"),
-    )
-    conditions: dict[Label, RelationText] = Field(
-        default={},
-        description="Words to a relation: the run ends as soon as one becomes true.",
-        examples=[{"fallen": "stick.angle <= -pi/2"}],
-    )
-
-
-class Settings(Part):
-    """How a run is computed; everything has a sensible default."""
-
-    engine: Literal["auto", "taylor", "scipy", "impulse"] = Field(
-        default="auto",
-        description="What integrates: taylor or scipy, which locate events; impulse, which takes "
-        "fixed steps; auto chooses.",
-        examples=["impulse"],
-    )
-    method: Literal["RK45", "DOP853", "Radau", "LSODA"] | None = Field(
-        default=None, description="Of the engine scipy; DOP853 by default.", examples=["Radau"]
-    )
-    tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
-        default=None,
-        description="Relative tolerance of every step.",
-        examples=[1e-9],
-        json_schema_extra=unit("1"),
-    )
-    accuracy: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
-        default=None,
-        description="Relative error allowed in the result: tolerances are tightened, or steps of "
-        "the engine impulse shortened, until the estimated error is below it.",
-        examples=[1e-6],
-        json_schema_extra=unit("1"),
-    )
-    step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        default=None,
-        description="Length of every step in time, of the engine impulse; of the longest where an "
-        "accuracy is asked for.",
-        examples=[0.001],
-        json_schema_extra=unit("time"),
-    )
-    max_step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        default=None,
-        description="Length of the longest step in time, of an engine that chooses its own.",
-        examples=[0.01],
-        json_schema_extra=unit("time"),
-    )
-    impulse_tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
-        default=None,
-        description="By how much the impulses of a step of the engine impulse may miss the contact "
-        "laws, in parts of the step's fastest approach: 1e-6. What misses by more is told.",
-        examples=[1e-8],
-        json_schema_extra=unit("1"),
-    )
-    impulse_bound: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        default=None,
-        description="What misses by more than this ends the run; nothing does by itself.",
-        examples=[0.01],
-        json_schema_extra=unit("1"),
-    )
-    max_jumps: Annotated[StrictInt, Field(gt=0)] = Field(
-        default=100_000, description="A run ends after so many jumps.", examples=[1000]
-    )
-
-    @model_validator(mode="after")
-    def _compatible(self) -> Self:
-        Setting(
-            self.engine,
-            self.method,
-            self.tolerance,
-            self.accuracy,
-            self.step,
-            max_step=self.max_step,
-            impulse_tolerance=self.impulse_tolerance,
-            impulse_bound=self.impulse_bound,
-        ).check()
-        return self
 
 
 class Declaration(Part):
@@ -165,11 +112,11 @@ class Declaration(Part):
         description="What a run reports: name to a value, integral, count, minimum or maximum.",
         examples=[{"t_slip": {"value": "time", "at": "first tip.slip"}}],
     )
-    units: dict[str, Label] = Field(
+    units: Units = Field(
         default={},
-        description="For tables and axes: length, time, mass, force, or a name of the model, to "
-        "its unit. Nothing is converted.",
-        examples=[{"length": "m", "time": "s", "mass": "kg"}],
+        description="For tables and axes: SI, dimensionless, or length, time, mass, force, or a "
+        "name of the model, to its unit. Nothing is converted.",
+        examples=["SI", {"length": "mm", "time": "s", "mass": "g"}],
     )
     settings: Settings = Field(
         default=Settings(),
@@ -205,9 +152,42 @@ class Declaration(Part):
         """Return the model that runs with `overrides`: another where they change what it has."""
         return self
 
-    def quantity(self, name: str) -> Quantity:
-        """Return what a variable, an observable or an output measures, as far as is known."""
+    def stated(self, name: str) -> Quantity:
+        """Return what a variable or an observable measures, as far as its name alone tells."""
         return Quantity(name, "time" if name == TIME else "")
+
+    def facts(self) -> Iterator[Fact]:
+        """Yield what formulas measure, and which measure the same."""
+        yield from fields_of(self)
+        for name, output in self.outputs.items():
+            match output:
+                case Value(value=text) | Minimum(minimum=text) | Maximum(maximum=text):
+                    yield Name(_of_output(name)), parse(text).root
+                case Integral(integral=text):
+                    yield Name(_of_output(name)), Binary("*", parse(text).root, Name(TIME))
+                case Count():
+                    yield Name(_of_output(name)), POWERS["1"]
+
+    @cached_property
+    def dimensions(self) -> Mapping[str, Powers]:
+        """What names measure, as far as the formulas that they stand in tell."""
+        facts = list(self.facts())
+        trees = [part for fact in facts for part in fact if not isinstance(part, Powers)]
+        names = {name.name for tree in trees for name in names_in(tree)}
+        stated = {name: self.stated(name).dimension for name in names}
+        known = {name: POWERS[dimension] for name, dimension in stated.items() if dimension}
+        for name in names.intersection(self.units):
+            for powers in POWERS.values():
+                if written(powers, self.units) == self.units[name]:
+                    known.setdefault(name, powers)
+        return inferred(facts, known)
+
+    def quantity(self, name: str) -> Quantity:
+        """Return what a variable, an observable or a parameter measures, as far as is known."""
+        stated = self.stated(name)
+        if stated.dimension:
+            return stated
+        return stated._replace(dimension=named(self.dimensions.get(name)))
 
     def unit(self, name: str) -> str:
         """Return the unit of a variable, an observable or an output; empty where it is unknown.
@@ -217,7 +197,7 @@ class Declaration(Part):
         >>> from statechart import load
         >>> model = load("toppling_stick")
         >>> model.unit("stick.angle"), model.unit("stick.x")
-        ('rad', '')
+        ('rad', '1')
         >>> model.model_copy(update={"units": {"length": "m"}}).unit("stick.x")
         'm'
         """
@@ -227,10 +207,13 @@ class Declaration(Part):
             case Value(value=text) | Minimum(minimum=text) | Maximum(maximum=text):
                 # Of a formula that is one name the unit is that of the name.
                 same = str(text).strip()
-                return self.unit(same) if same in parse(text).names and same != name else ""
-            case Count():
-                return "1"
-        return unit_of(self.quantity(name).dimension, self.units)
+                if same in parse(text).names and same != name:
+                    return self.unit(same)
+        if name in self.outputs:
+            return written(self.dimensions.get(_of_output(name)), self.units)
+        if dimension := self.stated(name).dimension:
+            return unit_of(dimension, self.units)
+        return written(self.dimensions.get(name), self.units)
 
     def with_(self, **values: FormulaText) -> Self:
         """Return the model with other values of parameters.
@@ -351,7 +334,10 @@ class Declaration(Part):
     def _parameters_have_values(self) -> Self:
         if TIME in self.parameters:
             raise DeclarationProblem(
-                f"{TIME!r} is the time of the run", loc=("parameters", TIME), key=True
+                f"{TIME!r} is the time of the run",
+                advice="choose another name",
+                loc=("parameters", TIME),
+                key=True,
             )
         found = Findings()
         for name, text in self.parameters.items():
@@ -387,6 +373,11 @@ class Declaration(Part):
                     )
         found.check()
         return self
+
+
+def _of_output(name: str) -> str:
+    """Return what an output is called among names, of which one may be the same."""
+    return f"outputs.{name}"
 
 
 def _public(name: str) -> Any:

@@ -21,12 +21,15 @@ class Document:
         The file's path, or a name in angle brackets.
     data : dict
         Mappings, lists, text, numbers, booleans and None.
+    empty : frozenset
+        Where a key has nothing behind it, which reads as None.
     """
 
     source: str
     data: dict[str, Any]
     _values: Mapping[Loc, Position]
     _keys: Mapping[Loc, Position]
+    empty: frozenset[Loc] = frozenset()
 
     def position(self, loc: Loc, *, key: bool = False) -> Position:
         """Return where the value at `loc` stands, or its nearest ancestor that exists.

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic_core import PydanticCustomError
 
 from statechart.documents.documented import Documented, own_words
 from statechart.errors import DeclarationProblem, FormulaError
@@ -31,7 +32,7 @@ def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
 
 def _formula(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, str | int | float):
-        raise DeclarationProblem("must be a number or a formula")
+        raise PydanticCustomError("formula_type", "must be a number or a formula")
     try:
         parse(value)
     except FormulaError as error:

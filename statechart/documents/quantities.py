@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from fractions import Fraction
 from typing import Literal, NamedTuple
 
 Dimension = Literal[
@@ -13,6 +14,37 @@ Dimension = Literal[
 
 BASES = ("length", "time", "mass", "force")
 """What a model may give units to besides its own names; that of forces follows from the others."""
+
+SYSTEMS: Mapping[str, Mapping[str, str]] = {
+    "SI": {"length": "m", "time": "s", "mass": "kg"},
+    "dimensionless": dict.fromkeys(BASES, "1"),
+}
+"""Words that stand for units of all bases; of what is dimensionless every unit is 1."""
+
+
+class Powers(NamedTuple):
+    """What a quantity is measured in, as powers of length, time and mass.
+
+    Attributes
+    ----------
+    length, time, mass : Fraction
+        Their exponents.
+    angle : bool
+        Whether it is an angle, or one per time.
+    """
+
+    length: Fraction = Fraction(0)
+    time: Fraction = Fraction(0)
+    mass: Fraction = Fraction(0)
+    angle: bool = False
+
+    def times(self, other: Powers, exponent: Fraction | int = 1) -> Powers:
+        """Return what the product with a power of another quantity is measured in."""
+        length = self.length + exponent * other.length
+        time = self.time + exponent * other.time
+        mass = self.mass + exponent * other.mass
+        # An arc is an angle times a length: of rad nothing is left.
+        return Powers(length, time, mass, (self.angle != other.angle) and not (length or mass))
 
 
 class Quantity(NamedTuple):
@@ -29,10 +61,35 @@ class Quantity(NamedTuple):
     dimension: Dimension = ""
 
 
+_LENGTH, _TIME, _MASS = Powers(Fraction(1)), Powers(time=Fraction(1)), Powers(mass=Fraction(1))
+_FORCE = _MASS.times(_LENGTH).times(_TIME, -2)
+POWERS: Mapping[str, Powers] = {
+    "1": Powers(),
+    "rad": Powers(angle=True),
+    "angle": Powers(angle=True),
+    "length": _LENGTH,
+    "time": _TIME,
+    "mass": _MASS,
+    "length/time": _LENGTH.times(_TIME, -1),
+    "angle/time": Powers(angle=True).times(_TIME, -1),
+    "force": _FORCE,
+    "impulse": _FORCE.times(_TIME),
+    "energy": _FORCE.times(_LENGTH),
+}
+"""Of every dimension that has a name."""
+
+
 def per_time(dimension: Dimension) -> Dimension:
     """Return what the rate of a quantity is measured in."""
     rates: Mapping[Dimension, Dimension] = {"length": "length/time", "angle": "angle/time"}
     return rates.get(dimension, "")
+
+
+def named(powers: Powers | None) -> Dimension:
+    """Return the name of a dimension that is told by its powers; empty where it has none."""
+    found: Iterable[Dimension] = ("1", "angle", "length", "time", "mass", "length/time",
+                                  "angle/time", "force", "impulse")  # fmt: skip
+    return next((name for name in found if POWERS[name] == powers), "")
 
 
 def unit_of(dimension: Dimension, units: Mapping[str, str]) -> str:
@@ -49,32 +106,68 @@ def unit_of(dimension: Dimension, units: Mapping[str, str]) -> str:
     str
         Empty where it does not follow.
     """
-    length, time = units.get("length", ""), units.get("time", "")
-    force = _force(units)
-    match dimension:
-        case "length" | "time" | "mass":
-            return units.get(dimension, "")
-        case "1":
-            return "1"
-        case "angle":
-            return "rad"
-        case "length/time":
-            return f"{length}/{time}" if length and time else ""
-        case "angle/time":
-            return f"rad/{time}" if time else ""
-        case "force":
-            return force
-        case "impulse":
-            return f"{force} {time}" if force and time else ""
-        case "energy":
-            return "J" if (force, length) == ("N", "m") else f"{force} {length}" if force else ""
-    return ""
+    if dimension == "energy" and (_force(units), units.get("length")) == ("N", "m"):
+        return "J"
+    return written(POWERS.get(dimension), units)
+
+
+def written(powers: Powers | None, units: Mapping[str, str]) -> str:
+    """Return the unit of what is measured in powers of length, time and mass.
+
+    Parameters
+    ----------
+    powers : Powers or None
+        None where they are unknown.
+    units : mapping of str to str
+        Those of `BASES` that are declared.
+
+    Returns
+    -------
+    str
+        Such as m/s or N m; empty where it does not follow.
+    """
+    if all(units.get(base) == "1" for base in ("length", "time", "mass")):
+        return "rad" if powers == POWERS["angle"] else "1"
+    if powers is None:
+        return ""
+    length, time, mass, angle = powers
+    texts = {base: units.get(base, "") for base in BASES} | {"force": _force(units)}
+    plain = {"mass": mass, "length": length, "time": time}
+    forces = {"force": mass, "length": length - mass, "time": time + 2 * mass}
+    ways = [
+        way
+        for way in (plain, forces)
+        if all(texts[base] for base, exponent in way.items() if exponent)
+    ]
+    if not ways:
+        return ""
+    # The shorter one: a spring has N/m, a moment of inertia kg m2.
+    way = min(ways, key=lambda way: sum(map(abs, way.values())))
+    above = ["rad"] if angle else []
+    above += [_power(texts[base], n) for base, n in way.items() if n > 0]
+    below = [_power(texts[base], -n) for base, n in way.items() if n < 0]
+    return "/".join([" ".join(above) or "1", *below])
+
+
+def beside(unit: str) -> str:
+    """Return a unit as it stands beside a number: a ratio has none."""
+    return "" if unit == "1" else unit
+
+
+def entitled(what: str, unit: str) -> str:
+    """Return what stands at an axis, such as height in m."""
+    return f"{what} in {beside(unit)}" if beside(unit) else what
+
+
+def _power(unit: str, exponent: Fraction) -> str:
+    if exponent == 1:
+        return unit
+    if exponent.denominator == 1:
+        return unit + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(digit)] for digit in str(exponent))
+    return f"{unit}^({exponent})"
 
 
 def _force(units: Mapping[str, str]) -> str:
-    length, time, mass = (units.get(base, "") for base in ("length", "time", "mass"))
-    if "force" in units:
-        return units["force"]
-    if (mass, length, time) == ("kg", "m", "s"):
-        return "N"
-    return f"{mass} {length}/{time}\u00b2" if mass and length and time else ""
+    """Return the unit of forces where it has a name of its own."""
+    known = tuple(units.get(base, "") for base in ("mass", "length", "time"))
+    return units.get("force", "N" if known == ("kg", "m", "s") else "")

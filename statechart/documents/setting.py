@@ -4,11 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 
-from statechart.errors import DeclarationProblem
+from statechart.errors import DeclarationProblem, close_matches
 
 LONG_DOUBLE = "long double"
 """Method of the engine taylor that integrates in the processor's extended precision."""
+
+
+class Record(Enum):
+    """What is kept of a run between its start and its end.
+
+    MODES: the modes of all regions, as arcs and jumps. POSES: states, and what steps solve for, at
+    every step, and the jumps of controllers. NOTHING: none of it.
+    """
+
+    MODES = "modes"
+    POSES = "poses"
+    NOTHING = "nothing"
 
 
 @dataclass(frozen=True)
@@ -35,6 +48,8 @@ class Setting:
     impulse_tolerance, impulse_bound : float or None
         By how much the impulses of a step of impulse may miss the contact laws, in parts of the
         step's fastest approach: more is told, and beyond the bound ends the run.
+    record : str or None
+        What is kept of a run of impulse: modes, poses or nothing.
     """
 
     engine: str | None = None
@@ -46,6 +61,7 @@ class Setting:
     max_step: float | None = None
     impulse_tolerance: float | None = None
     impulse_bound: float | None = None
+    record: str | None = None
 
     def check(self) -> None:
         """Check that the parts go together, and their numbers.
@@ -87,6 +103,7 @@ class Setting:
                 f"the engine taylor has no method {self.method!r}",
                 "leave the method out, or take the engine scipy",
             )
+        self._check_record(engine)
         if len(named) > 1:
             raise _misplaced(
                 named[1],
@@ -111,6 +128,34 @@ class Setting:
                 raise DeclarationProblem(
                     f"the {what} must be a positive {kind}, not {value:g}", loc=(what,)
                 )
+
+    def _check_record(self, engine: str) -> None:
+        kinds = [kind.value for kind in Record]
+        if self.record is None or self.record == Record.MODES.value:
+            return
+        if self.record not in kinds:
+            raise DeclarationProblem(
+                f"record must be one of {', '.join(kinds)}, not {self.record!r}",
+                advice=close_matches(self.record, kinds),
+                loc=("record",),
+            )
+        if engine not in ("impulse", "auto"):
+            raise _misplaced(
+                "record",
+                f"the engine {engine} records modes: its runs are made of them",
+                "leave record out, or take the engine impulse",
+            )
+        if self.accuracy is not None:
+            raise _misplaced(
+                "record",
+                "an accuracy compares the events of runs, which are recorded with their modes",
+                "leave record out, or give a step",
+            )
+
+    @property
+    def kept(self) -> Record:
+        """What is kept of runs."""
+        return Record(self.record or Record.MODES.value)
 
     @property
     def stepped(self) -> bool:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import difflib
-import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, Tag, ValidationError
+from pydantic import BaseModel, ValidationError
 
+from statechart.documents.annotations import elsewhere, example, known_keys
 from statechart.documents.document import Document, Loc
 from statechart.documents.yaml_reader import Model
 from statechart.documents.yaml_text import flow
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
 
 if TYPE_CHECKING:
-    from pydantic.fields import FieldInfo
     from pydantic_core import ErrorDetails
 
 
@@ -32,6 +31,7 @@ _EXPECTED: Mapping[str, str] = {
     "int_type": "a whole number",
     "bool_type": "true or false",
     "none_required": "null",
+    "formula_type": "a number or a formula",
 }
 
 
@@ -88,12 +88,21 @@ def declaration_error(
         What it should have been.
     """
     errors = error.errors(include_url=False)
+    empty = frozenset[Loc]() if isinstance(document, Built) else document.empty
     found = [
         one
         for details in errors
-        if not _implied(details, errors)
+        if not _implied(details, errors) and not _follows(details, empty, document)
         for one in _all(details, document, model)
     ]
+    if isinstance(document, Document):
+        unknown = {_key(details) for details in errors}
+        found += _empty(document, model, unknown)
+    return _together(found)
+
+
+def _together(found: list[DeclarationError]) -> DeclarationError:
+    """Return errors as one, in the order of their places."""
     found.sort(key=lambda one: (one.line or 0, one.column or 0))
     found[0].others = tuple(found[1:])
     return found[0]
@@ -101,6 +110,9 @@ def declaration_error(
 
 def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
     """Whether an error is no news beside the others."""
+    if _short(details):
+        # A list without two of its items is told so once.
+        return any(_short(other) and other["loc"] == _next(details["loc"]) for other in errors)
     if details["type"] == "too_short":
         # A list whose items are all wrong is empty to pydantic.
         return any(other["loc"][:-1] == details["loc"] for other in errors)
@@ -114,6 +126,57 @@ def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
             for other in errors
         )
     return False
+
+
+def _empty(
+    document: Document, model: type[BaseModel], unknown: Collection[str | int | None] = ()
+) -> Iterator[DeclarationError]:
+    """Yield of every key with nothing behind it what could stand there; unknown ones are told."""
+    for loc in document.empty:
+        if loc[-1] in unknown:
+            continue
+        shown = example(model, loc, built=False)
+        at = document.position(loc, key=True)
+        yield DeclarationError(
+            f"{'.'.join(map(str, loc))}: nothing is written",
+            advice=f"write a value{f', such as {shown}' if shown else ''}, or remove the key",
+            source=at.source,
+            line=at.line,
+            column=at.column,
+        )
+
+
+def _follows(details: ErrorDetails, empty: Collection[Loc], document: Document | Built) -> bool:
+    """Whether what is wrong may come of a key with nothing behind it: there, above or beside."""
+    if _key(details) is not None:
+        return False
+    cause = details.get("ctx", {}).get("error")
+    loc = details["loc"] + (cause.loc if isinstance(cause, DeclarationProblem) else ())
+    at = document.existing(loc)
+    return any(
+        at[: len(place)] == place
+        or place[: len(at)] == at
+        or (len(place) > 1 and at[: len(place) - 1] == place[:-1])
+        for place in empty
+    )
+
+
+def _next(loc: Loc) -> Loc:
+    """Return the place of the item behind one."""
+    return *loc[:-1], int(loc[-1]) + 1
+
+
+def _key(details: ErrorDetails) -> str | int | None:
+    """Return the key that is wrong itself, not what stands behind it; None where none is."""
+    loc = details["loc"]
+    if loc[-1:] == ("[key]",):
+        return loc[-2]
+    return loc[-1] if details["type"] == "extra_forbidden" else None
+
+
+def _short(details: ErrorDetails) -> bool:
+    """Whether an item is missing at the end of a list."""
+    return details["type"] == "missing" and isinstance(details["loc"][-1], int)
 
 
 def _all(
@@ -131,24 +194,28 @@ def _one(
     details: ErrorDetails, cause: object, document: Document | Built, model: type[BaseModel]
 ) -> DeclarationError:
     loc, kind = details["loc"], details["type"]
+    if _short(details):
+        kind, loc = "too_short", loc[:-1]
     key, offset = kind == "extra_forbidden" or loc[-1:] == ("[key]",), 0
     if isinstance(cause, DeclarationProblem):
         loc = (*loc, *cause.loc)
         key, offset = key or cause.key, cause.offset
         message, advice = cause.message, cause.advice
     else:
-        names = _known_keys(model, loc[:-1])
-        example = _example(model, loc, document)
+        names = known_keys(model, loc[:-1])
         built = isinstance(document, Built)
-        if built:  # in Python a field goes by its own name
+        shown = example(model, loc, built=built)
+        if built and not _short(details):  # in Python a field goes by its own name
             details = {**details, "loc": (*loc[:-1], names.get(str(loc[-1]), loc[-1]))}
         known = names.values() if built else names
-        message, advice = _words(details, list(known))
-        if kind == "missing" and isinstance(loc[-1], str) and example:
+        message, advice = _words(details, list(known), built=built)
+        if kind == "extra_forbidden":
+            advice = elsewhere(model, loc, known) or advice
+        if kind == "missing" and isinstance(loc[-1], str) and shown:
             name = details["loc"][-1]
-            advice = f"such as {name}={example}" if built else f"such as {name}: {example}"
-        elif kind in _SHAPES and example:
-            advice = f"such as {example}"
+            advice = f"such as {name}={shown}" if built else f"such as {name}: {shown}"
+        elif kind in _SHAPES and shown:
+            advice = f"such as {shown}"
     path = ".".join(str(part) for part in document.existing(loc))
     if isinstance(document, Built):
         # Nothing else tells where it is: what is missing or unknown has the path of its part.
@@ -164,16 +231,18 @@ def _one(
     )
 
 
-def _words(details: ErrorDetails, known: Sequence[str]) -> tuple[str, str]:
+def _words(details: ErrorDetails, known: Sequence[str], *, built: bool) -> tuple[str, str]:
     kind, last, given = details["type"], details["loc"][-1:], details["input"]
     context: Mapping[str, Any] = details.get("ctx", {})
+    if kind == "extra_forbidden" and ":" in str(last[0]):
+        return f"unknown key {last[0]!r}", "a colon has a blank behind it: key: value"
     if kind == "extra_forbidden":
         return f"unknown key {last[0]!r}", close_matches(str(last[0]), known).replace(
             "known:", "known keys:"
         )
     if kind == "missing":
         if isinstance(last[0], int):
-            return f"must have {last[0] + 1} items", ""
+            return f"must have {last[0] + 1} items, not {len(given)}", ""
         return f"{last[0]!r} is missing", ""
     if kind == "too_long":
         return f"must have {context['max_length']} items, not {context['actual_length']}", ""
@@ -182,100 +251,19 @@ def _words(details: ErrorDetails, known: Sequence[str]) -> tuple[str, str]:
     shown = repr(given) if isinstance(given, str | int | float | None) else type(given).__name__
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
     shown = {"dict": "a mapping", "list": "a list", "None": "nothing"}.get(shown, shown)
+    if isinstance(given, bool) and not built:
+        shown = flow(given)
     if kind in _EXPECTED:
         return f"must be {_EXPECTED[kind]}, not {shown}", ""
     if kind == "union_tag_invalid":
         return f"must be one of {context['expected_tags']}, not {context['tag']!r}", ""
     if kind == "too_short":
-        return f"must have at least {context['min_length']} item(s)", ""
+        least = context["min_length"]
+        given = context["actual_length"] or "none"
+        return f"must have at least {least} item{'s' if least != 1 else ''}, not {given}", ""
     if kind == "literal_error":
         return f"must be {context['expected']}, not {shown}", ""
     return f"{details['msg'].replace('Input should', 'must', 1)}; got {shown}", ""
-
-
-def _example(model: type[BaseModel], loc: Sequence[str | int], document: Document | Built) -> str:
-    """Return an example of what stands at `loc`, as it is written there; empty where none is told.
-
-    That of a whole has those of its parts.
-    """
-    annotations: list[Any] = [model]
-    example: Any = None
-    for part in loc:
-        found = _field(annotations, part)
-        below = list(_below(annotations, part)) or list(_tagged(annotations, part))
-        if found is not None:
-            example = found.examples[0] if found.examples else None
-        elif isinstance(example, Mapping):
-            example = next(iter(example.values()), None)
-        elif isinstance(example, list) and isinstance(part, int):
-            example = example[min(part, len(example) - 1)]
-        annotations = below or annotations
-    if example is None:
-        return ""
-    return repr(example) if isinstance(document, Built) else flow(example)
-
-
-def _field(annotations: Sequence[Any], part: str | int) -> FieldInfo | None:
-    """Return the field that a part of a place is."""
-    for annotation in _members(annotations):
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            for name, field in annotation.model_fields.items():
-                if part in (name, field.alias):
-                    return field
-    return None
-
-
-def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, str]:
-    """Return the keys that the mapping at `loc` may have, and what Python calls these fields."""
-    annotations: list[Any] = [model]
-    for part in loc:
-        annotations = (
-            list(_below(annotations, part)) or list(_tagged(annotations, part)) or annotations
-        )
-    return {
-        field.alias or name: name
-        for annotation in _members(annotations)
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel)
-        for name, field in annotation.model_fields.items()
-    }
-
-
-def _members(annotations: Sequence[Any]) -> Iterator[Any]:
-    """Yield every alternative of the annotations, without what is only attached to them."""
-    for annotation in annotations:
-        if get_origin(annotation) is Annotated:
-            yield from _members(get_args(annotation)[:1])
-        elif get_origin(annotation) in (Union, types.UnionType):
-            yield from _members(get_args(annotation))
-        else:
-            yield annotation
-
-
-def _tagged(annotations: Sequence[Any], part: str | int) -> Iterator[Any]:
-    """Yield the member of a union that pydantic calls `part` in the place of an error."""
-    for annotation in annotations:
-        if get_origin(annotation) is Annotated:
-            member, *attached = get_args(annotation)
-            if Tag(str(part)) in attached:
-                yield member
-            else:
-                yield from _tagged([member], part)
-        elif get_origin(annotation) in (Union, types.UnionType):
-            yield from _tagged(get_args(annotation), part)
-
-
-def _below(annotations: Sequence[Any], part: str | int) -> Iterator[Any]:
-    for annotation in _members(annotations):
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            for name, field in annotation.model_fields.items():
-                if part in (name, field.alias):
-                    yield field.annotation
-        elif isinstance(origin := get_origin(annotation), type):
-            arguments = get_args(annotation)
-            if issubclass(origin, Mapping):
-                yield arguments[1]
-            elif issubclass(origin, Sequence) and isinstance(part, int):
-                yield arguments[0]
 
 
 def validate(document: Document, model: type[Model]) -> Model:
@@ -295,9 +283,12 @@ def validate(document: Document, model: type[Model]) -> Model:
     """
     try:
         # A document uses the documented spelling of a field (`from`), never its Python name.
-        return model.model_validate(document.data, by_alias=True, by_name=False)
+        made = model.model_validate(document.data, by_alias=True, by_name=False)
     except ValidationError as error:
         raise declaration_error(error, document, model) from None
+    if empty := list(_empty(document, model)):
+        raise _together(empty)
+    return made
 
 
 class located:  # noqa: N801 - used as a statement, and in every run: cheaper than a generator

@@ -111,7 +111,13 @@ def read_text(text: str, source: str = "<text>") -> Document:
 # What is said of text that is no YAML -> what to do about it.
 _ADVICE = {
     r"'\t'": "indent by spaces, not by tabs",
-    "mapping values are not allowed": "write key: value, and keys of one mapping below each other",
+    "mapping values are not allowed": "write key: value, and keys of one mapping below each other; "
+    "text with a colon stands in quotes",
+    "found character '|' that cannot start": "write abs(...)",
+    "found character '%' that cannot start": "write a comment after #",
+    "found character '`' that cannot start": "put text in quotes",
+    "found character '@' that cannot start": "put text in quotes",
+    "expected the node content, but found ','": "there is a comma too many",
     "could not find expected ':'": "write key: value",
     "expected ',' or '}'": "close with } what { opened, and put commas between",
     "expected ',' or ']'": "close with ] what [ opened, and put commas between",
@@ -127,6 +133,7 @@ class _Builder:
         self._source = source
         self._values: dict[Loc, Position] = {}
         self._keys: dict[Loc, Position] = {}
+        self._empty: set[Loc] = set()
 
     def build(self, text: str) -> Document:
         try:
@@ -153,7 +160,7 @@ class _Builder:
                 line=text.count("\n", 0, at) + 1,
                 column=at - text.rfind("\n", 0, at),
             ) from None
-        return Document(self._source, data, self._values, self._keys)
+        return Document(self._source, data, self._values, self._keys, frozenset(self._empty))
 
     def _document(self, events: Iterator[Event]) -> dict[str, Any]:
         first = next(events, None)
@@ -210,6 +217,7 @@ class _Builder:
             elif not event.value and loc in self._keys:
                 # What is left out stands nowhere: YAML's own mark is already on the next line.
                 self._values[loc] = self._keys[loc]
+                self._empty.add(loc)
             return event.value if event.style else self._plain(event)
         if isinstance(event, SequenceStartEvent):
             items: list[Any] = []

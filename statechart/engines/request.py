@@ -7,7 +7,7 @@ from typing import Protocol
 
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import Declaration
-from statechart.documents.setting import Setting
+from statechart.documents.setting import Record, Setting
 from statechart.errors import DeclarationError, DeclarationProblem
 
 TIGHTER = 1.0 / 20.0
@@ -114,6 +114,11 @@ def planned(
         raise DeclarationError(problem.message, advice=problem.advice) from None
     if asked.engine == "impulse":
         return _stepping(asked, model, automaton, steps_only)
+    if asked.kept is not Record.MODES:
+        raise DeclarationError(
+            f"runs of {model.name!r} are made of modes, as their events are located",
+            advice="leave record out, or take the engine impulse",
+        )
     if asked.method is None and asked.engine != "taylor":
         asked = replace(asked, method=settings.method)
     if asked.max_step is None:
@@ -157,6 +162,8 @@ def _stepping(asked: Setting, model: Declaration, automaton: Automaton, steps_on
         asked,
         impulse_tolerance=asked.impulse_tolerance or settings.impulse_tolerance,
         impulse_bound=asked.impulse_bound or settings.impulse_bound,
+        # What is compared to reach an accuracy are events, too.
+        record=asked.record or ("modes" if asked.accuracy is not None else settings.record),
     )
     step, basis = asked.step or model.settings.step, "as given"
     searched = asked.accuracy is not None

@@ -37,8 +37,11 @@ the integration began and its rounding, series (n, d + 1), tolerance, longest st
 
 
 @part
-def stray(row: Array, h: float, series: Array) -> float:
-    """How far the slope at the end of a step is off the rate there, in parts of the motion."""
+def stray(row: Array, h: float, series: Array, offs: Array, reaches: Array) -> float:
+    """How far the slope at the end of a step is off the rate there, in parts of the motion.
+
+    Writes how far it is of each variable (n,), and how large each is and moves in the step.
+    """
     worst, size = 0.0, LEAST_MOTION
     for v in range(row.shape[0]):
         slope, reach = 0.0, abs(row[v, 0])
@@ -46,6 +49,7 @@ def stray(row: Array, h: float, series: Array) -> float:
             slope += k * row[v, k]
             reach += k * abs(row[v, k])
         off = abs(slope - h * series[v, 1])
+        offs[v], reaches[v] = off, reach
         if off != off:
             return math.inf
         worst, size = max(worst, off), max(size, reach)
@@ -113,6 +117,7 @@ def _taylor_steps(
     address, state, parameters, clock, series, tolerance, max_step = integrator
     n, allowed = series.shape[0], max(STRAY, ORDERS * tolerance)
     step, here, begun = np.empty(1), np.empty(n), np.empty(n)
+    offs, reaches = np.empty(n), np.empty(n)
     left, total, taken = duration, 0.0, 0
     longest, off, halvings, done, again = max_step, math.inf, 0, False, False
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
@@ -124,7 +129,7 @@ def _taylor_steps(
         # The step before the one that is made again has been looked at.
         if taken > 0 and not again:
             last = first + taken - 1
-            before, off = off, stray(coeffs[last], h, series)
+            before, off = off, stray(coeffs[last], h, series, offs, reaches)
             falls = halvings == 0 or off > _ROUGH or off <= _ROUNDING * before
             if off > allowed and falls:
                 halvings += 1

@@ -12,19 +12,28 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from statechart.arrays import Array, Ints32
+from statechart.arrays import Array, Bools, Ints32
 from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR, Pace
 from statechart.engines.event_location import BOXES
 from statechart.engines.heyoka_step import call_step
 from statechart.engines.taylor_loop import ORDERS, STRAY, expand, let_pass, stray
+from statechart.kernels.boxes import Along
 from statechart.kernels.constraints import off_by
 from statechart.kernels.copies import put
-from statechart.kernels.defect import unseen
+from statechart.kernels.defect import rough_in, unseen
 from statechart.kernels.jit import part
 from statechart.kernels.lift import Program as Following
 from statechart.kernels.lift import lift_any
 from statechart.kernels.polynomials import cut_steps, horner
-from statechart.kernels.search import CROSSING, NONE, ready_along, search, search_along
+from statechart.kernels.resolution import roughen
+from statechart.kernels.search import (
+    CROSSING,
+    NONE,
+    clear_whole,
+    ready_along,
+    search,
+    search_along,
+)
 from statechart.kernels.tapes import tape_values
 
 ENDED, EVENT, UNUSUAL = range(3)
@@ -36,8 +45,8 @@ TAPE = 9
 
 (ADDRESS, PARS, MARGINS_AT, MARGINS, STOPS, LAWS_AT) = range(6)
 FIXED = 6
-GUARDS = FIXED + TAPE
-RATES = GUARDS + TAPE
+WATCHED = FIXED + TAPE
+RATES = WATCHED + TAPE
 WITHIN = RATES + TAPE
 LIFT = WITHIN + TAPE
 ANCHORS = LIFT + TAPE
@@ -46,8 +55,9 @@ COLUMNS = PLACES_AT + 1
 """Columns of a mode in a table. Address of heyoka's step; how many parameters it takes, the time
 among them; where the kinds of its margins are listed, each with the place of a tolerance of its
 own, how many, and which is the first stop; where the laws list what they know of it; tapes of these
-parameters, of the margins, of the rates, of what is to stay above the room, of what follows from
-other variables, of its anchors; where the places of what follows are listed."""
+parameters, of the margins and the rates behind them, of the rates alone, of what is to stay above
+the room, of what follows from other variables, of its anchors; where the places of what follows are
+listed."""
 
 PLAIN, GAP, SPEED, FORCE = range(4)
 KINDS = ("plain", "gap", "speed", "force")
@@ -221,11 +231,13 @@ def flow_to_event(
     times, coeffs, ended = memory.times, memory.coefficients, memory.ended
     state, clock, series = memory.state, memory.clock, memory.series
     parameters, address = watch.parameters, row[ADDRESS]
-    code, constants, outputs, reads, n_fixed = tape_of(program, row[GUARDS : GUARDS + TAPE])
+    code, constants, outputs, reads, n_fixed = tape_of(program, row[WATCHED : WATCHED + TAPE])
     off_code, off_constants, off_outputs, _, _ = tape_of(program, watch.off)
     pars, h = memory.pars[: row[PARS]], np.empty(1)
     margins, n = row[MARGINS], initial.shape[0]
-    tolerances = np.empty(margins)
+    guards, rates = outputs[:margins], outputs[margins:]
+    tolerances, offs, sizes = np.empty(margins), np.empty(n), np.empty(n)
+    doubtful = np.zeros(coeffs.shape[0], np.bool_)
     for i in range(margins):
         own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
         tolerances[i] = own if own >= 0.0 else watch.kinds[program.ints[row[MARGINS_AT] + 2 * i]]
@@ -237,6 +249,8 @@ def flow_to_event(
     follows = _following(program, row, watch, initial, start)
     lift_any(follows, initial, parameters, start)
     ready = ready_along(code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start)
+    jets = ready[4].copy()
+    jets[:, 2:] = 0.0
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:
@@ -246,10 +260,16 @@ def flow_to_event(
         lift_any(follows, state, parameters, start + times[made])
         call_step(address, state, pars, clock, h, series)
         if pending:
-            if stray(coeffs[made - 1], length, series) > allowed:
+            if stray(coeffs[made - 1], length, series, offs, sizes) > allowed:
                 return UNUSUAL, -1, 0, boxes
-            found = search_along(ready, outputs, tolerances, made - 1, made, BOXES)
-            boxes += found[6]
+            if clear_whole(ready[0], guards, tolerances, made - 1, jets):
+                boxes += 1
+            else:
+                found = search_along(ready, guards, tolerances, made - 1, made, BOXES)
+                boxes += found[6]
+            doubtful[made - 1] = not _followed(
+                ready[0], rates, watch, pace, offs, sizes, length, jets
+            )
             if found[0] != NONE:
                 break
             if left == 0.0:
@@ -291,8 +311,9 @@ def flow_to_event(
             base, total, left = times[made], 0.0, end - times[made]
     verdict, guard, step, _, at, crossed, _ = found
     if verdict not in (NONE, CROSSING) or _missed(
-        program, row, pace, watch, times, coeffs, start, made if verdict == NONE else step + 1
-    ):
+        program, row, pace, watch, times, coeffs, start,
+        doubtful[: made if verdict == NONE else step + 1],
+    ):  # fmt: skip
         return UNUSUAL, -1, 0, boxes
     if verdict == NONE:
         put(ended, initial)
@@ -300,13 +321,37 @@ def flow_to_event(
     kind = program.ints[row[MARGINS_AT] + 2 * guard]
     if kind == PLAIN:
         begun = np.empty(margins)
-        tape_values(code, constants, outputs, initial, parameters, start, begun)
+        tape_values(code, constants, guards, initial, parameters, start, begun)
         if abs(begun[guard]) <= tolerances[guard]:
             return UNUSUAL, -1, 0, boxes
     cut = crossed if kind == FORCE else at
     count = cut_steps(times, coeffs, made, cut, initial)
     lift_any(follows, initial, parameters, start + times[count])
     return EVENT, guard, count, boxes
+
+
+@part
+def _followed(
+    along: Along,
+    rates: Ints32,
+    watch: Watch,
+    pace: Pace,
+    offs: Array,
+    reaches: Array,
+    length: float,
+    jets: Array,
+) -> bool:
+    """Whether a step is known to follow its rates, from where it ends and its ranges.
+
+    Where all rates are resolved on the whole of it, they are as smooth as it is long: what it
+    leaves out grows towards its end, by a power above its order.
+    """
+    roughen(along, jets)
+    followed = True
+    for v in range(offs.shape[0]):
+        reaches[v] = max(reaches[v], watch.floors[v])
+        followed = followed and offs[v] <= pace.allowed * reaches[v]
+    return followed and not rough_in(rates, jets, length, pace.allowed, reaches)
 
 
 @part
@@ -318,21 +363,30 @@ def _missed(
     times: Array,
     coeffs: Array,
     start: float,
-    upto: int,
+    doubtful: Bools,
 ) -> bool:
-    """Whether the first so many steps may have missed something of their surfaces, or rates."""
+    """Whether steps may have missed something of their surfaces or, the doubtful, their rates."""
     code, constants, outputs, reads, n_fixed = tape_of(program, row[WITHIN : WITHIN + TAPE])
     if outputs.shape[0] > 0:
         rooms = np.full(outputs.shape[0], watch.room)
         found = search(
             code, constants, outputs, reads, n_fixed, rooms, times, coeffs,
-            watch.parameters, start, 0, upto, BOXES,
+            watch.parameters, start, 0, doubtful.shape[0], BOXES,
         )  # fmt: skip
         if found[0] != NONE:
             return True
     code, constants, outputs, reads, n_fixed = tape_of(program, row[RATES : RATES + TAPE])
-    found_at = unseen(
-        code, constants, outputs, reads, n_fixed, watch.parameters, start, times, coeffs,
-        0, upto, watch.floors, pace.allowed, LOOKS,
-    )[0]  # fmt: skip
-    return bool(found_at >= 0)
+    first = 0
+    while first < doubtful.shape[0]:
+        last = first
+        while last < doubtful.shape[0] and doubtful[last]:
+            last += 1
+        if last > first:
+            found_at = unseen(
+                code, constants, outputs, reads, n_fixed, watch.parameters, start, times, coeffs,
+                first, last, watch.floors, pace.allowed, LOOKS,
+            )[0]  # fmt: skip
+            if found_at >= 0:
+                return True
+        first = last + 1
+    return False

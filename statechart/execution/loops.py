@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from statechart.arrays import Array, Ints, Ints32
+from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Flow, Ordinary, Setup, roles_in
 from statechart.automaton.recording import Block, Event, Kind
 from statechart.automaton.trace import Jump, Key, Roles
@@ -46,8 +47,8 @@ class Modes:
     ordinary : Ordinary
         Of the laws.
     engine : Engine
-    stops : int
-        Margins that end a run; they stand last.
+    automaton : Automaton
+        Whose modes they are.
 
     Attributes
     ----------
@@ -55,9 +56,10 @@ class Modes:
         Of every row; those of other flows of the runs stand between them.
     """
 
-    def __init__(self, ordinary: Ordinary, engine: Engine, stops: int) -> None:
+    def __init__(self, ordinary: Ordinary, engine: Engine, automaton: Automaton) -> None:
         self.kinds: list[Kind] = []
-        self._ordinary, self._engine, self._stops = ordinary, engine, stops
+        self._ordinary, self._engine, self._automaton = ordinary, engine, automaton
+        self._watched: dict[Kind, Tape] = {}
         self._compiled: dict[Kind, CompiledMode] = {}
         self._entries: dict[Kind, Entry] = {}
         self._bands: dict[str, int] = {}
@@ -156,10 +158,11 @@ class Modes:
                 entry.takes,
                 packed.ints(np.ravel(margins)),
                 len(margins),
-                len(margins) - self._stops,
+                # Those that end a run stand last.
+                len(margins) - len(self._automaton.stops),
                 packed.ints(listed),
                 *packed.tape(entry.fixed),
-                *packed.tape(compiled.guards),
+                *packed.tape(self._watched_of(kind)),
                 *packed.tape(compiled.rates),
                 *(packed.tape(within) if within is not None else _NO_TAPE),
                 *packed.tape(compiled.lifting.tape),
@@ -178,6 +181,15 @@ class Modes:
         return Loop(
             packed.program(rows), tapes, pace, memory, tuple(self._bands), tuple(self.kinds)
         )
+
+    def _watched_of(self, kind: Kind) -> Tape:
+        """Return the margins of a mode and its rates as one tape, which share most operations."""
+        found = self._watched.get(kind)
+        if found is None:
+            mode = self._compiled[kind].mode
+            margins = [margin.expression for margin in mode.margins]
+            found = self._watched[kind] = self._automaton.tape([*margins, *mode.rates], mode)
+        return found
 
 
 class RowCall(Protocol):

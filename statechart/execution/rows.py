@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,8 +17,8 @@ from numpy.typing import NDArray
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import Setup
-from statechart.automaton.recording import Block, polynomials
-from statechart.automaton.trace import Outcome
+from statechart.automaton.recording import Block, event_of, polynomials
+from statechart.automaton.trace import Jump, Outcome
 from statechart.execution.ahead import N_JUMPS, N_MODE, T_HIGH, Begun, Made
 from statechart.execution.finding import closing
 from statechart.kernels.polynomials import summands
@@ -223,9 +224,9 @@ class RowRunner:
             batch = self._called(
                 modes, zeros, row, values[None], np.array([until]), max_jumps, alone=True
             )
-            how = UNUSUAL if batch is None else batch.found.ends.item(HOW)
+            how = OTHER if batch is None else batch.found.ends.item(HOW)
             if how != OTHER:
-                return None if batch is None or how == UNUSUAL else batch
+                return None if how == UNUSUAL else batch
         return None
 
     def _called(
@@ -297,6 +298,11 @@ class RowRunner:
             float(found.now[row, T_HIGH]),
         )
         return happens
+
+    def jump(self, batch: Batch, table: Array, row: int, j: int) -> Jump:
+        """Return a jump of a row of a batch, of the values `table`, before which there were `j`."""
+        event = event_of(batch.block, int(batch.found.spans[row, EVENTS]) + j, j, batch.kinds)
+        return batch.modes.jump(partial(self.setup, table[row]), event)
 
     def setup(self, values: Array) -> Setup:
         """Return the numbers of a row's run."""

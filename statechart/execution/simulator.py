@@ -209,8 +209,7 @@ class Simulator:
             return None
         modes = self._loops.get(zeros)
         if modes is None:
-            stops = len(self.automaton.stops)
-            modes = self._loops[zeros] = Modes(ordinary, self.engine, stops)
+            modes = self._loops[zeros] = Modes(ordinary, self.engine, self.automaton)
         return Ahead(ordinary, modes, setup)
 
     def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from statechart.automaton.laws import USUAL, Impulses, TimeStepper
+from statechart.automaton.keeping import Keeping, Watch
+from statechart.automaton.time_stepper import USUAL, Impulses, TimeStepper
+from statechart.documents.setting import Record
 from statechart.errors import SimulationError
 
 if TYPE_CHECKING:
@@ -24,6 +26,8 @@ class SteppingSimulator:
     step : float
         Length of a step; what is longer than a run is as long as it.
     impulses : Impulses
+    record : Record
+        What is kept of runs.
     progress : bool
         Whether runs above about a second report to stderr.
     """
@@ -33,6 +37,7 @@ class SteppingSimulator:
         automaton: Automaton,
         step: float,
         impulses: Impulses = USUAL,
+        record: Record = Record.MODES,
         *,
         progress: bool = False,
     ) -> None:
@@ -43,7 +48,9 @@ class SteppingSimulator:
                 "taylor or scipy"
             )
         self.automaton = automaton
-        self.step, self.impulses = step, impulses
+        self.step, self.impulses, self.record = step, impulses, record
+        # Who watches each run.
+        self.watched: Callable[[], Watch | None] = lambda: None
         self.stepper: TimeStepper = automaton.stepper()
         self.progress = progress
 
@@ -68,6 +75,7 @@ class SteppingSimulator:
                 max_jumps=max_jumps,
                 show=shown.show if shown else _silent,
                 impulses=self.impulses,
+                keeping=Keeping(self.record, self.watched()),
             )
         finally:
             if shown:

@@ -4,5 +4,5 @@
 fields, `constants` and `parameters` those of each other. Trees become SymPy expressions, `linear`
 solves equations in them (small systems by `determinants`), `writer` makes programs of them for the
 kernels, each a `tape`, and `series` expands such a program in time. `derivatives` says where a
-formula has none, or one too large to be built.
+formula has none, or one too large to be built, `words` what to write for what there is not.
 """

@@ -7,7 +7,8 @@ from collections.abc import Collection, Mapping
 
 from statechart.errors import FormulaError, close_matches
 from statechart.formulas.formula import Formula, parse
-from statechart.formulas.tree import names_in
+from statechart.formulas.tree import CONSTANTS, FUNCTIONS, names_in
+from statechart.formulas.words import meant
 
 
 def order_parameters(
@@ -33,7 +34,7 @@ def order_parameters(
                 formula._source.fail(
                     f"unknown name {used.name!r}",
                     used.offset,
-                    close_matches(used.name, formulas),
+                    meant(used.name, formulas, FUNCTIONS, CONSTANTS),
                     name=name,
                 )
     uses = {name: sorted(formula.names.difference(given)) for name, formula in formulas.items()}

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 
-from statechart.errors import close_matches
 from statechart.formulas.tree import (
     CONSTANTS,
     FUNCTIONS,
@@ -27,6 +26,7 @@ from statechart.formulas.tree import (
     evaluate,
     is_constant,
 )
+from statechart.formulas.words import CHARACTERS, TOKENS, meant
 
 MAX_LENGTH = 2000
 MAX_NODES = 500
@@ -65,15 +65,19 @@ def _tokens(source: Source) -> Iterator[_Token]:
             source.fail(
                 f"unexpected character {text[offset]!r}",
                 offset,
-                "a formula has numbers, names, + - * / **, parentheses and functions",
+                CHARACTERS.get(
+                    text[offset],
+                    "a formula has numbers, names, + - * / **, parentheses and functions",
+                ),
             )
         kind = match.lastgroup or ""
         offset, at = match.start(kind), match.end()
         if kind == "number" and at < len(text) and (text[at].isalnum() or text[at] in "._"):
+            advice = "write a product as 2*x, not 2x; units are not written"
+            if text[at] == "_":
+                advice = "digits of a number stand together: 10000, or 1e4"
             source.fail(
-                f"{match[kind]!r} runs into {text[at]!r}",
-                at,
-                "write a product as 2*x, not 2x; units are not written",
+                f"{match[kind]!r} runs into {text[at]!r}", at, CHARACTERS.get(text[at], advice)
             )
         yield _Token(kind, match[kind], offset)
         if kind == "end":
@@ -181,7 +185,7 @@ class Reader:
             self.source.fail(
                 f"unknown function {name.text!r}",
                 name.offset,
-                close_matches(name.text, FUNCTIONS),
+                meant(name.text, FUNCTIONS, FUNCTIONS),
             )
         opening = self.advance()
         arguments = [self.sum()]
@@ -226,12 +230,7 @@ class Reader:
     def _unexpected(self) -> NoReturn:
         token = self.token
         advice = {
-            "^": "write a power as **",
-            "=": "a formula is a value, not an assignment",
-            "==": "compare with <=, <, >= or >",
-            "!=": "compare with <=, <, >= or >",
-            "<": "a comparison stands only where a condition is expected, and once",
-            ",": "decimals have a point: 9.81",
+            **TOKENS,
             "name": "write a product as a*b; units are not written",
             "number": "write a product as a*b",
         }

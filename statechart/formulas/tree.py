@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
-from statechart.errors import FormulaError, Position, close_matches
+from statechart.errors import FormulaError, Position
+from statechart.formulas.words import meant
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,4 +229,6 @@ def _apply(node: Node, arguments: list[float]) -> float:
 
 def undeclared(node: Name, known: Iterable[str], source: Source) -> NoReturn:
     """Raise the error for a name that is not in `known`."""
-    source.fail(f"unknown name {node.name!r}", node.offset, close_matches(node.name, known))
+    source.fail(
+        f"unknown name {node.name!r}", node.offset, meant(node.name, known, FUNCTIONS, CONSTANTS)
+    )

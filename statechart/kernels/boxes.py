@@ -89,6 +89,43 @@ def place(
             row[4], row[5] = whole(wide((p2 - radius, p2 + radius), EPS))
 
 
+@part
+def place_whole(along: Along, step: int, jets: Array) -> bool:
+    """Values of the variables and of time over a whole step; False if one is not finite.
+
+    A polynomial lies within the sizes of its terms from the third power on of the parabola of
+    those below. Of a Taylor step, whose terms shrink by a factor of about exp(2) each, that is as
+    narrow as what `place` gives, and a fifth of the work.
+    """
+    reads, times, coeffs, start = along[4:]
+    finite = abs(start) < INF and abs(times[step]) < INF and abs(times[step + 1]) < INF
+    for r in range(reads.shape[0]):
+        v = reads[r]
+        row = jets[v]
+        if v == coeffs.shape[1]:
+            low, high = start + times[step], start + times[step + 1]
+            radius = 4.0 * EPS * (abs(start) + abs(times[step]) + abs(times[step + 1])) + TINY
+        else:
+            terms, rest = coeffs[step, v], 0.0
+            for k in range(3, coeffs.shape[2]):
+                rest += abs(terms[k])
+            slope = terms[1] if coeffs.shape[2] > 1 else 0.0
+            bend = terms[2] if coeffs.shape[2] > 2 else 0.0
+            size = abs(terms[0]) + abs(slope) + abs(bend)
+            if size + rest == 0.0:
+                row[0] = row[1] = 0.0
+                continue
+            end = terms[0] + (slope + bend)
+            low, high = min(terms[0], end), max(terms[0], end)
+            if slope * bend < 0.0 and abs(slope) < 2.0 * abs(bend):
+                turn = terms[0] - 0.25 * slope * (slope / bend)
+                low, high = min(low, turn), max(high, turn)
+            radius = rest * (1.0 + 64.0 * EPS) + 8.0 * EPS * size + TINY
+        row[0], row[1] = low - radius, high + radius
+        finite = finite and row[1] - row[0] < INF
+    return finite
+
+
 @kernel
 def enclose(
     along: Along, step: int, bounds: Array, m: float, w: float, order: int, jets: Array

@@ -7,6 +7,7 @@ of a function into each of its callers, where LLVM optimises it again, level by 
 - a function has one signature: a literal is a number, and a whole number has 64 bits;
 - the code of a part is taken into kernels as it was written, and LLVM sees it there alone;
 - a kernel that another kernel calls is called, not taken in: its machine code stands beside;
+- what most runs never do is compiled when one does (`statechart.kernels.later`);
 - references are counted to arrays that a function makes: whoever called it holds all others.
 
 The last makes what is on disk of a kernel depend on what is there of others (`Callee`).
@@ -15,7 +16,7 @@ The last makes what is on disk of a kernel depend on what is there of others (`C
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -28,8 +29,7 @@ from numba.core.environment import lookup_environment
 from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
 
-Signature = tuple[Any, ...]
-"""Types of arguments."""
+from statechart.kernels.later import Entered, Later, Signature
 
 
 def plain(signature: Signature) -> Signature:
@@ -88,15 +88,22 @@ class _KernelLibrary(JITCodeLibrary):
     ----------
     callees : list of Callee
         The kernels that it calls.
+    later : set of Later
+        Those that are compiled when they are entered.
     """
 
     callees: list[Callee]
+    later: set[Later]
     _linking_libraries: list[Any]
 
     def finalize(self) -> None:
         found = _callers_first(self._linking_libraries)
         self.callees = [library.callee for library in found if _is_kernel(library)]
         self._linking_libraries = [library for library in found if not _is_kernel(library)]
+        # Code of numba's own calls none.
+        self.later = self.later.union(
+            *(getattr(part, "later", ()) for part in self._linking_libraries)
+        )
         super().finalize()
 
 
@@ -235,10 +242,21 @@ class _Lowering(NativeLowering):
         return partial(_Borrowing, self._references)
 
     def run_pass(self, state: Any) -> bool:
+        state.library.later = set(_later(state))
+        for called in state.library.later:
+            called.note()
         self._references = _References(state, may_lend=self._may_lend)
         changed = bool(super().run_pass(state))
         state.library.lends = self._references.lends
         return changed
+
+
+def _later(state: Any) -> Iterator[Later]:
+    """Find the kernels that a function, that has been typed, calls when they are entered."""
+    for call, signature in state.calltypes.items():
+        kind = state.typemap[call.func.name] if getattr(call, "op", "") == "call" else None
+        if isinstance(kind, types.Function) and isinstance(kind.typing_key, Entered):
+            yield Later.of(kind.typing_key.function, signature.args)
 
 
 def _begin_library(state: Any, kind: type[JITCodeLibrary]) -> None:

@@ -20,11 +20,11 @@ _SHARE = 1.0 / 64.0
 
 
 @part
-def _rough(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Array) -> bool:
+def rough_in(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Array) -> bool:
     """Whether what is not resolved of rates may move a variable farther than is allowed."""
     rough = False
     for v in range(sizes.shape[0]):
-        rough = rough or not time * jets[outputs[v], 2] <= allowed * sizes[v]
+        rough = rough or not time * jets[outputs[v], 2] <= _SHARE * allowed * sizes[v]
     return rough
 
 
@@ -93,10 +93,10 @@ def unseen(
             a, b = lefts[top], rights[top]
             m, looked = 0.5 * (a + b), looked + 1
             look(along, step, bounds, a, b, jets)
-            rough = _rough(outputs, jets, h * (b - a), _SHARE * allowed, sizes)
+            rough = rough_in(outputs, jets, h * (b - a), allowed, sizes)
             if rough:
                 look_closer(along, step, bounds, a, b, jets)
-                rough = _rough(outputs, jets, h * (b - a), _SHARE * allowed, sizes)
+                rough = rough_in(outputs, jets, h * (b - a), allowed, sizes)
             if rough:
                 if b - a <= NARROW:
                     continue

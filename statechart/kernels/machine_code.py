@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+from numba import njit, typeof
 from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.compiler import compile_result
@@ -28,8 +28,9 @@ from numba.core.typing.typeof import typeof_impl
 from numba.extending import intrinsic
 
 from statechart import compiling, interrupts
-from statechart.kernels.compilation import Callee, KernelCompiler, PartCompiler, Signature, plain
-from statechart.kernels.jit import Compiled, Kernel
+from statechart.kernels.compilation import Callee, KernelCompiler, PartCompiler, plain
+from statechart.kernels.jit import Compiled, Kernel, Late
+from statechart.kernels.later import Signature, returned
 
 _DIGEST = 16  # bytes: damage is an accident, not an attack
 
@@ -81,20 +82,24 @@ class _Stored(CompileResultCacheImpl):
             for found in result._find_referenced_environments()
             if found.globals["__name__"].partition(".")[0] != "numba"
         ]
-        machine_code = library.name, library._get_compiled_object()
+        entries = {described.llvm_cpython_wrapper_name, described.mangled_name}
+        defined = {name for name in entries if library.codegen._engine.is_symbol_defined(name)}
+        machine_code = library.name, library._get_compiled_object(), defined
         own = described, result.environment, result.signature, objects
-        return library.callees, machine_code, own
+        return library.callees, library.later, machine_code, own
 
     def rebuild(self, target_context: Any, stored: Any) -> Any:
-        callees, (name, machine_code), (described, environment, signature, objects) = stored
+        callees, later, (name, machine_code, defined), own = stored
+        described, environment, signature, objects = own
         if not all(callee.load() for callee in callees):
             raise LookupError("a kernel that this one calls was compiled again")
+        for called in later:
+            called.note()
         library = target_context.codegen().create_library(name)
         library.enable_object_caching()
         library._set_compiled_object(machine_code)
         library._finalize_final_module()
-        entries = {described.llvm_cpython_wrapper_name, described.mangled_name}
-        library.codegen._engine._defined_symbols |= entries
+        library.codegen._engine._defined_symbols |= defined
         for found in objects:
             library.codegen.set_env(found.env_name, found)
         return compile_result(
@@ -121,6 +126,7 @@ class _Cache(FunctionCache):
         super().__init__(function)
         stamps: dict[str, tuple[float, int]] = {}
         _collect(plain, stamps)
+        _collect(returned, stamps)
         _collect(function, stamps)
         self._cache_file: Any = _DigestedFile(
             self._cache_path, self._impl.filename_base, tuple(sorted(stamps.items()))
@@ -162,10 +168,19 @@ def _digest(data: bytes) -> bytes:
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Return what compiles a function when it is first called; cached."""
+    return _kept(function)
+
+
+def beside(function: Callable[..., Any]) -> Any:
+    """Return what compiles a function that only kernels call, when they do; cached."""
+    return _kept(function, no_cpython_wrapper=True)
+
+
+def _kept(function: Callable[..., Any], **options: bool) -> Any:
     # Without what C would need to call it, it compiles sooner.
-    compiled = njit(error_model="numpy", no_cfunc_wrapper=True, pipeline_class=KernelCompiler)(
-        function
-    )
+    compiled = njit(
+        error_model="numpy", no_cfunc_wrapper=True, pipeline_class=KernelCompiler, **options
+    )(function)
     # Where no folder can be written numba has no cache to offer.
     with suppress(RuntimeError):
         compiled._cache = _Cache(function)
@@ -206,7 +221,14 @@ def native(function: Callable[..., Any]) -> Any:
 @typeof_impl.register(Compiled)
 def _type(value: Compiled, context: Any) -> Any:
     """Let kernels see in another kernel what numba made of it."""
+    if isinstance(value, Late):
+        return value.called
     return cpu_target.typing_context.resolve_value_type(value.made)
+
+
+def entry(made: Any, arguments: tuple[Any, ...]) -> Any:
+    """Return the machine code of a kernel for arguments of these types, compiled or loaded."""
+    return made.compile(tuple([typeof(argument) for argument in arguments]))
 
 
 def is_cached(made: Any) -> bool:
@@ -222,7 +244,7 @@ def _missing(compiled: Any, found: dict[Any, None]) -> dict[Any, None]:
     found[compiled] = None
     names = compiled.py_func.__globals__
     for name in compiled.py_func.__code__.co_names:
-        if isinstance(names.get(name), Kernel):
+        if isinstance(names.get(name), Kernel) and not isinstance(names[name], Late):
             _missing(names[name].made, found)
     return found
 

@@ -180,15 +180,22 @@ def ready(along: Along, regs: Array) -> Array:
 
 
 @part
-def look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
-    """Fill in ranges and roughness of all registers over the box [a, b] of a step."""
+def roughen(along: Along, jets: Array) -> None:
+    """Fill in the roughness of all registers, whose ranges are known."""
     code, base, first, last, reads = along[:5]
-    m = 0.5 * (a + b)
-    place(along, step, bounds, m, max(b - m, m - a), 0, jets)
     for v in reads:
         jets[v, 2] = 0.0
-    run_jets(code, first, last, base, jets, 0)
     _roughen(code, first, last, base, jets)
+
+
+@part
+def look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
+    """Fill in ranges and roughness of all registers over the box [a, b] of a step."""
+    code, base, first, last = along[:4]
+    m = 0.5 * (a + b)
+    place(along, step, bounds, m, max(b - m, m - a), 0, jets)
+    run_jets(code, first, last, base, jets, 0)
+    roughen(along, jets)
 
 
 @part
@@ -197,7 +204,7 @@ def look_closer(along: Along, step: int, bounds: Array, a: float, b: float, jets
 
     The determinant of a mode that nears its end is a small difference of large numbers.
     """
-    code, base, first, last, reads = along[:5]
+    code, base, first, last = along[:4]
     m = 0.5 * (a + b)
     w = max(b - m, m - a)
     place(along, step, bounds, m, 0.0, 0, jets)
@@ -213,9 +220,7 @@ def look_closer(along: Along, step: int, bounds: Array, a: float, b: float, jets
             jets[k, 0] = low
         if high < jets[k, 1]:
             jets[k, 1] = high
-    for v in reads:
-        jets[v, 2] = 0.0
-    _roughen(code, first, last, base, jets)
+    roughen(along, jets)
 
 
 @part

@@ -1,4 +1,4 @@
-"""Tapes on the points and the arcs of many runs at once, each with parameters of its own."""
+"""Tapes along the arcs of many runs at once, each with parameters of its own."""
 
 from __future__ import annotations
 
@@ -9,57 +9,11 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints, Ints32
 from statechart.kernels.extremes import widen
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import beside
 from statechart.kernels.quadrature import integrate_outputs
-from statechart.kernels.tapes import BLOCK, run_tape
 
 
-@kernel
-def tape_rows(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    states: Array,
-    values: Array,
-    owners: Ints,
-    times: Array,
-    result: Array,
-) -> None:
-    """Write the outputs (m, f) at points of runs.
-
-    Parameters
-    ----------
-    code, constants, outputs
-        A tape.
-    states : (m, n), times : (m,) array
-        The points.
-    values : (r, p) array
-        Parameters of the runs.
-    owners : (m,) array of int64
-        The run of each point.
-    """
-    m, n = states.shape
-    p, c = values.shape[1], constants.shape[0]
-    base = n + 1 + p + c
-    regs = np.empty((base + code.shape[0], BLOCK))
-    for i in range(c):
-        for j in range(BLOCK):
-            regs[n + 1 + p + i, j] = constants[i]
-    for begin in range(0, m, BLOCK):
-        count = min(BLOCK, m - begin)
-        for j in range(count):
-            for v in range(n):
-                regs[v, j] = states[begin + j, v]
-            regs[n, j] = times[begin + j]
-            for i in range(p):
-                regs[n + 1 + i, j] = values[owners[begin + j], i]
-        run_tape(code, 0, code.shape[0], base, regs, count)
-        for j in range(count):
-            for i in range(outputs.shape[0]):
-                result[begin + j, i] = regs[outputs[i], j]
-
-
-@kernel
+@beside
 def integrate_rows(
     ints: Ints32,
     floats: Array,
@@ -122,7 +76,7 @@ def integrate_rows(
                 totals[row, columns[arcs[arc, 0], i]] += found[i]
 
 
-@kernel
+@beside
 def extremes_rows(
     ints: Ints32,
     floats: Array,

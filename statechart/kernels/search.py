@@ -6,7 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.boxes import Along, enclose, judge, prepare, unclear_by_slopes
+from statechart.kernels.boxes import (
+    Along,
+    enclose,
+    judge,
+    place_whole,
+    prepare,
+    unclear_by_slopes,
+)
 from statechart.kernels.intervals import INF, LIBM
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel, part
@@ -196,6 +203,22 @@ def search(
 
 
 @part
+def clear_whole(along: Along, outputs: Ints32, tolerances: Array, step: int, jets: Array) -> bool:
+    """Whether no output falls in a step, as far as the ranges of the variables in it tell.
+
+    Leaves those of all registers in `jets`.
+    """
+    code, base, first, last = along[:4]
+    if not place_whole(along, step, jets):
+        return False
+    run_jets(code, first, last, base, jets, 0)
+    clear = True
+    for i in range(outputs.shape[0]):
+        clear = clear and jets[outputs[i], 0] + tolerances[i] > 0.0
+    return clear
+
+
+@part
 def _undecided(marks: NDArray[np.uint8]) -> int:
     """Return the set of the outputs that are marked."""
     outputs = 0
@@ -218,6 +241,9 @@ def search_along(
     lefts, rights = ends[0], ends[1]  # the leftmost on top
     boxes = 0
     for step in range(first, last):
+        if boxes < budget and clear_whole(along, outputs, tolerances, step, jets):
+            boxes += 1
+            continue
         finite = prepare(coeffs, step, reads, bounds) and abs(start) < INF
         if not (finite and abs(times[step]) < INF and abs(times[step + 1]) < INF):
             return NON_FINITE, -1, step, 0.0, times[step], times[step + 1], boxes

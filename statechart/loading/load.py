@@ -31,10 +31,14 @@ def interpret(document: Document) -> Declaration:
     name = document.data.get("kind")
     if not isinstance(name, str) or name not in kinds():
         at = document.position(("kind",))
-        given = "kind" in document.data
+        given = document.data.get("kind") is not None
         known = close_matches(str(name), kinds())
         raise DeclarationError(
-            f"unknown kind {name!r}" if given else "'kind' is missing",
+            f"unknown kind {name!r}"
+            if given
+            else "kind: nothing is written"
+            if "kind" in document.data
+            else "'kind' is missing",
             advice=known if given else f"begin with kind: scene; {known}",
             source=at.source,
             line=at.line,
@@ -72,6 +76,10 @@ def find(path_or_name: str) -> Path:
     DeclarationError
         If neither exists; with the names that it may have meant.
     """
+    if not path_or_name.strip():
+        raise DeclarationError(
+            "the name of the model is empty", advice=close_matches(path_or_name, shipped())
+        )
     path = Path(path_or_name)
     try:
         exists, is_file = path.exists(), path.is_file()

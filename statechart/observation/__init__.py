@@ -2,7 +2,9 @@
 
 `observer` evaluates formulas along a trace, by the equations that `flows` finds for an instant;
 `observers` keeps one for every setting of a model. `sampling` makes grids. `outputs` are what a
-model declares, `rows` those of many runs at once, by `row_formulas`. `difference` says how far two
-runs are apart, `condition` how events magnify errors, `zeno_tails` where runs resolved a Zeno
-sequence alike.
+model declares, `grouped` by what they are computed from; `rows` those of runs that loops have made,
+one or many, which `row_values` computes in one compiled call from what `row_formulas` puts on
+tapes; `on_the_way` those of a run whose pieces nobody keeps. `difference` says how far two runs are
+apart, `condition` how events magnify errors, `zeno_tails` where runs resolved a Zeno sequence
+alike.
 """

@@ -116,19 +116,16 @@ def instants(trace: Trace, jumps: Sequence[Jump], before: bool) -> tuple[Array, 
 def beside(trace: Trace, jumps: Sequence[Jump], before: bool, width: int) -> Points:
     """Return the instants just before some jumps of a run, or just after them."""
     times, states = instants(trace, jumps, before)
+    known = solved_rows(trace, [(jump.j + (not before), before) for jump in jumps], width)
+    if known is not None:
+        return Points(times, states, (), (), known)
     roles = [
         roles_at(trace, jump.j, jump.source, ends=True)
         if before
         else roles_at(trace, jump.j + 1, jump.target, ends=False)
         for jump in jumps
     ]
-    return Points(
-        times,
-        states,
-        roles,
-        range(1, len(jumps) + 1),
-        solved_rows(trace, [(jump.j + (not before), before) for jump in jumps], width),
-    )
+    return Points(times, states, roles, range(1, len(jumps) + 1))
 
 
 class PassedModes:

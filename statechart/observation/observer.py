@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.dense_output import integrals
+from statechart.automaton.keeping import check_kept
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
@@ -131,6 +132,7 @@ class Observer:
         ValueError
             If the times are outside the run or not in order.
         """
+        check_kept(trace)
         formulas = self.names if formulas is None else tuple(formulas)
         expressions = tuple(self.expression(formula) for formula in formulas)
         if times is None:
@@ -231,7 +233,7 @@ class Observer:
         for place, jump in enumerate(jumps):
             sources.setdefault(jump.source, []).append(place)
         for source, places in sources.items():
-            states = zip(self.automaton.regions, source, strict=True)
+            states = zip(self.automaton.told(source), source, strict=True)
             margins = [m for region, state in states for m in region.build(Role(state)).margins]
             rows = self.at(
                 trace, [m.expression for m in margins], [jumps[k] for k in places], before=True
@@ -245,6 +247,7 @@ class Observer:
         trace: Trace,
         formulas: Sequence[FormulaLike],
         during: Sequence[Mapping[str, str]] | None = None,
+        total: Array | None = None,
     ) -> Array:
         """Return the integrals (f,) of formulas over time.
 
@@ -258,10 +261,13 @@ class Observer:
             One per formula: region -> state, as the automaton or as the declaration names it
             (`slide` is `slide+` and `slide-`); only arcs in all these states count. All of the
             run by default.
+        total : (f,) array, optional
+            Those of what precedes; they are added to.
         """
+        check_kept(trace)
         expressions = self.expressions(formulas)
         where = wanted(during) if during else ((),) * len(expressions)
-        total = np.zeros(len(expressions))
+        total = np.zeros(len(expressions)) if total is None else total
         for arc, places, tape, coefficients, _ in self._pieces(trace, expressions, where):
             start, end = arc.start.high, arc.duration
             found, _ = integrals(tape, arc.times, coefficients, trace.values, start, 0.0, end)
@@ -302,12 +308,18 @@ class Observer:
         Places where the formula is undefined do not count; both are not a number if it is
         everywhere.
         """
+        check_kept(trace)
         expressions = (self.expression(formula),)
         if not trace.arcs:
             ends = self.initial(trace, expressions)[0], self.final(trace, expressions)[0]
             return float(min(ends)), float(max(ends))
-
         found = np.full(2, np.nan)
+        self.widened(trace, formula, found)
+        return found.item(0), found.item(1)
+
+    def widened(self, trace: Trace, formula: FormulaLike, found: Array) -> None:
+        """Let an interval (2,) hold the values of a formula over all arcs, too."""
+        expressions = (self.expression(formula),)
         for arc, _, tape, resolved, coefficients in self._pieces(trace, expressions, ((),)):
             widen(
                 *tape.program,
@@ -320,7 +332,6 @@ class Observer:
                 *arc.start,
                 found,
             )
-        return found.item(0), found.item(1)
 
     def expressions(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
         """Return formulas in the automaton's symbols."""
@@ -333,7 +344,7 @@ class Observer:
         known = self._actives.get((key, where, expressions))
         if known is not None:
             return known
-        places = places_in(self.automaton.regions, key, where)
+        places = places_in(self.automaton.told(key), key, where)
         chosen = tuple([expressions[i] for i in places])
         found = Active(places, chosen, self.needed(chosen))
         self._actives[key, where, expressions] = found

@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import USUAL, Impulses
-from statechart.documents.setting import Setting
+from statechart.automaton.time_stepper import USUAL, Impulses
+from statechart.documents.setting import Record, Setting
 from statechart.engines.budget import Allowance, Limited
 from statechart.engines.choice import choose
 from statechart.engines.engine import Engine
@@ -16,6 +16,7 @@ from statechart.execution.perturbation import nudged
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.observer import Observer
+from statechart.observation.on_the_way import OnTheWay
 from statechart.observation.outputs import Outputs
 
 
@@ -53,7 +54,10 @@ class Observers:
         """
         found = self._kept.get((setting, off))
         if found is None:
-            found = self._kept[setting, off] = Observer(self._simulator(setting, off))
+            simulator = self._simulator(setting, off)
+            observer = found = self._kept[setting, off] = Observer(simulator)
+            if isinstance(simulator, SteppingSimulator) and simulator.record is not Record.MODES:
+                simulator.watched = lambda: OnTheWay(self.outputs(observer))
         return found
 
     def outputs(self, observer: Observer) -> Outputs:
@@ -89,7 +93,9 @@ class Observers:
             asked = Impulses(
                 setting.impulse_tolerance or USUAL.tolerance, setting.impulse_bound or USUAL.bound
             )
-            return SteppingSimulator(self._automaton, setting.step, asked, progress=self._progress)
+            return SteppingSimulator(
+                self._automaton, setting.step, asked, setting.kept, progress=self._progress
+            )
         automaton = nudged(self._automaton) if off else self._automaton
         engine, solved = self.engine(setting), self._solved
         return Simulator(automaton, engine, solved=solved, progress=self._progress)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from functools import cached_property
 
 import numpy as np
@@ -11,64 +10,19 @@ from numpy.typing import NDArray
 from statechart.arrays import Array
 from statechart.automaton.events import happened
 from statechart.automaton.trace import Jump, Trace
-from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
+from statechart.documents.outputs import Event, Moment, Value
 from statechart.execution.rows import Batch
+from statechart.observation.grouped import Grouped
 from statechart.observation.observer import Observer
-from statechart.observation.row_formulas import RowFormulas
+from statechart.observation.rows import RowOutputs
 from statechart.observation.zeno_tails import last_resolved
 
 OutputValue = float | int | list[float] | None
 """A number; a list for a value at `each` event; None where the event never happened."""
 
 
-class Outputs:
-    """The declared outputs of a model, made ready once for many runs.
-
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that makes the runs.
-    names : collection of str, optional
-        Those to compute; all by default.
-
-    Attributes
-    ----------
-    names : tuple of str
-        In the order of the declaration.
-    at, counts, extremes, start, end, integrals
-        By what they are computed from, each with its name.
-    """
-
-    def __init__(self, observer: Observer, names: Collection[str] | None = None) -> None:
-        self.observer = observer
-        declared = observer.automaton.declaration.outputs
-        if names is not None:
-            declared = {name: output for name, output in declared.items() if name in names}
-        self.names = tuple(declared)
-        self.at: list[tuple[str, Value, Moment]] = []
-        self.counts: list[tuple[str, tuple[Event, ...]]] = []
-        self.extremes: list[tuple[str, str | int | float, int]] = []
-        # Taken together: one call of a kernel, not one each.
-        self.start: dict[str, str | int | float] = {}
-        self.end: dict[str, str | int | float] = {}
-        self.integrals: dict[str, Integral] = {}
-        for name, output in declared.items():
-            match output:
-                case Value():
-                    moment = output.moment
-                    if moment.events:
-                        self.at.append((name, output, moment))
-                    else:
-                        values = self.end if moment.when == "end" else self.start
-                        values[name] = output.value
-                case Integral():
-                    self.integrals[name] = output
-                case Count():
-                    self.counts.append((name, output.events))
-                case Minimum():
-                    self.extremes.append((name, output.minimum, 0))
-                case Maximum():
-                    self.extremes.append((name, output.maximum, 1))
+class Outputs(Grouped):
+    """The declared outputs of a model, made ready once for many runs."""
 
     def of(self, trace: Trace) -> dict[str, OutputValue]:
         """Return the outputs of a run, in the order of the declaration.
@@ -80,12 +34,17 @@ class Outputs:
         FormulaError, StatechartError
             If a formula cannot be evaluated.
         """
+        if trace.outputs is not None:
+            return {name: trace.outputs[name] for name in self.names}
+        batch = getattr(trace.arcs, "source", None)
+        if isinstance(batch, Batch):
+            return self._of_row(batch, trace)
         observer = self.observer
         found: dict[str, OutputValue] = {}
         for name, output, moment in self.at:
             found[name] = self._at_jumps(trace, output, moment)
         for name, events in self.counts:
-            found[name] = len(self._jumps(trace, events))
+            found[name] = len(self.jumps(trace, events))
         for name, formula, which in self.extremes:
             found[name] = observer.extremes(trace, formula)[which]
         if self.start:
@@ -95,22 +54,39 @@ class Outputs:
             values = observer.final(trace, list(self.end.values())).tolist()
             found |= zip(self.end, values, strict=True)
         if self.integrals:
-            found |= zip(self.integrals, self._integrated(trace).tolist(), strict=True)
+            found |= zip(self.integrals, self.integrated(trace).tolist(), strict=True)
         return {name: found[name] for name in self.names}
 
-    def _integrated(self, trace: Trace) -> Array:
-        """Return the declared integrals (f,)."""
-        batch = getattr(trace.arcs, "source", None)
-        if isinstance(batch, Batch):
-            return self.formulas.integrals(batch, self.integrals)[0]
+    def integrated(self, trace: Trace, total: Array | None = None) -> Array:
+        """Return the declared integrals (f,), beside the `total` of what precedes."""
         formulas = [output.integral for output in self.integrals.values()]
         during = [output.during for output in self.integrals.values()]
-        return self.observer.integrals(trace, formulas, during)
+        return self.observer.integrals(trace, formulas, during, total)
+
+    def _of_row(self, batch: Batch, trace: Trace) -> dict[str, OutputValue]:
+        """Return the outputs of a run that a loop has made from its start to its end."""
+        values = self.rows.values(batch, lambda _, j: trace.jumps[j])
+        found: dict[str, OutputValue] = {}
+        for (name, _, moment), listed, (count,) in zip(
+            self.at, values.listed.tolist(), values.tally.tolist(), strict=True
+        ):
+            one = listed[0] if count else None
+            found[name] = listed[:count] if moment.several else one
+        found |= zip([name for name, _ in self.counts], values.counted[:, 0].tolist(), strict=True)
+        for group, table in (
+            (self.start, values.start),
+            (self.end, values.end),
+            (self.integrals, values.integrals),
+        ):
+            found |= zip(group, table[0].tolist(), strict=True)
+        for name, formula, which in self.extremes:
+            found[name] = values.extremes.item(self.rows.place(formula), 0, which)
+        return {name: found[name] for name in self.names}
 
     @cached_property
-    def formulas(self) -> RowFormulas:
-        """What evaluates formulas of runs that loops have made from their start to their end."""
-        return RowFormulas(self.observer)
+    def rows(self) -> RowOutputs:
+        """What computes them of runs that loops have made from their start to their end."""
+        return RowOutputs(self)
 
     def endless(self, trace: Trace) -> frozenset[str]:
         """Return the outputs that count or list events of which a Zeno sequence has no end.
@@ -174,13 +150,13 @@ class Outputs:
 
     def _chosen(self, trace: Trace, moment: Moment) -> list[Jump]:
         """Return the first, the last or each of the jumps that are one of a moment's events."""
-        jumps = self._jumps(trace, moment.events)
+        jumps = self.jumps(trace, moment.events)
         if moment.when == "each":
             return jumps
         most = moment.most or 1
         return jumps[:most] if moment.when == "first" else jumps[-most:]
 
-    def _jumps(self, trace: Trace, events: tuple[Event, ...]) -> list[Jump]:
+    def jumps(self, trace: Trace, events: tuple[Event, ...]) -> list[Jump]:
         """Return the jumps that are one of `events`: by their cause, or by the state entered."""
         regions = self.observer.automaton.regions
         return [

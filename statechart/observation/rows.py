@@ -1,178 +1,182 @@
-"""Outputs of many runs at once: what `statechart.observation.outputs` gives of each."""
+"""Outputs of runs that loops have made, of one or of many at once."""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from statechart.arrays import Array, Bools, Ints
+from statechart.arrays import Array
 from statechart.automaton.events import happened
+from statechart.automaton.recording import Event as Recorded
 from statechart.automaton.recording import event_of
 from statechart.automaton.trace import Jump, Key
-from statechart.documents.outputs import Event, Moment
-from statechart.execution.ahead import N_JUMPS, N_MODE, T_HIGH
-from statechart.execution.rows import (
-    EVENTS,
-    EVENTS_END,
-    FIRST_MODE,
-    Batch,
-    RowRunner,
+from statechart.documents.outputs import Event
+from statechart.execution.ahead import N_JUMPS, N_MODE
+from statechart.execution.rows import EVENTS, EVENTS_END, FIRST_MODE, Batch
+from statechart.kernels.jit import entry
+from statechart.observation.grouped import Grouped
+from statechart.observation.row_formulas import RowFormulas
+from statechart.observation.row_values import (
+    MADE,
+    NO,
+    OWN,
+    TARGET,
+    UNSETTLED,
+    YES,
+    Told,
+    Values,
+    Wanted,
+    row_values,
 )
-from statechart.observation.outputs import Outputs
-from statechart.observation.row_formulas import Points
 
-# Columns of the events of a block.
-_SOURCE, _TARGET, _STRUCK, _GROUP = 0, 1, 4, 5
-# Columns of their numbers.
-_TIME, _NORMAL, _TANGENTIAL = 0, 4, 5
-_STOP = -1
-"""As the place of an event in its block: a stop, which stands in none."""
+_Made = Callable[[int, int], Jump]
+"""From a row and the number of jumps before it to one of its jumps."""
 
-_Zeros = frozenset[int]
-
-
-class _Events(NamedTuple):
-    """The events of all rows, in order, stops among them.
-
-    Attributes
-    ----------
-    owners : (e,) array of int64
-        The row of each.
-    places : (e,) array of int64
-        In the block; `_STOP` for a stop.
-    alike : (e,) array of int
-        Which of `examples` it is like, for all that outputs wait for.
-    examples : (k,) array of int
-        An event of each kind.
-    """
-
-    owners: Ints
-    places: Ints
-    alike: NDArray[np.intp]
-    examples: NDArray[np.intp]
+_NOWHERE = np.empty(0)
 
 
 class RowOutputs:
-    """Some outputs of a model, of batches of rows.
+    """The outputs of a model, of batches of rows.
 
     Parameters
     ----------
-    outputs : Outputs
-        Those of a run.
-    runner : RowRunner
-        What makes the rows.
+    outputs : Grouped
     """
 
-    def __init__(self, outputs: Outputs, runner: RowRunner) -> None:
-        self._outputs, self._runner = outputs, runner
+    def __init__(self, outputs: Grouped) -> None:
+        self._outputs, self._formulas = outputs, RowFormulas(outputs)
         self._regions = outputs.observer.automaton.regions
-        self._formulas = outputs.formulas
-        self._verdicts: dict[tuple[_Zeros, tuple[int, ...], tuple[Event, ...]], bool | None] = {}
+        self._known: dict[tuple[frozenset[int], int], tuple[Wanted, Told]] = {}
+        self._entry: Callable[..., tuple[int, int]] | None = None
 
-    def of(self, batch: Batch, table: Array) -> tuple[dict[str, Array], dict[str, list[Array]]]:
+    def of(self, batch: Batch, made: _Made) -> tuple[dict[str, Array], dict[str, list[Array]]]:
         """Return the outputs of rows: numbers (m,), and lists, a row of each.
+
+        A value at an event that never happened is not a number.
 
         Parameters
         ----------
         batch : Batch
-        table : (m, p) array
-            Values of the parameters that vary.
+        made : callable
+            From a row and the number of jumps before it to one of its jumps, which is asked for
+            where events that are alike are each one's own.
         """
-        outputs, found = self._outputs, batch.found
-        m = len(found.ends)
+        outputs, values = self._outputs, self.values(batch, made)
         numbers: dict[str, Array] = {}
         lists: dict[str, list[Array]] = {}
-        if outputs.at or outputs.counts:
-            events = _events(batch)
-            for name, output, moment in outputs.at:
-                happens = self._happened(batch, events, moment.events, table)
-                chosen = _chosen(events.owners, np.flatnonzero(happens), moment)
-                points = _at(batch, events, chosen, output.before)
-                values = self._formulas.values(batch, [output.value], points)[:, 0]
-                if moment.several:
-                    counts = np.bincount(points.owners, minlength=m)
-                    lists[name] = np.split(values, np.cumsum(counts)[:-1])
-                else:
-                    numbers[name] = np.full(m, np.nan)
-                    numbers[name][points.owners] = values
-            for name, wait in outputs.counts:
-                happens = self._happened(batch, events, wait, table)
-                numbers[name] = np.bincount(events.owners[happens], minlength=m).astype(float)
-        rows = np.arange(m)
-        for group, points in (
-            (outputs.start, Points(rows, found.ends[:, FIRST_MODE], np.zeros(m), found.initial)),
-            (
-                outputs.end,
-                Points(rows, found.place[:, N_MODE], found.now[:, T_HIGH], found.final),
-            ),
+        for (name, _, moment), listed, tally in zip(
+            outputs.at, values.listed, values.tally, strict=True
         ):
-            if group:
-                columns = self._formulas.values(batch, list(group.values()), points).T
-                numbers |= zip(group, columns, strict=True)
-        if outputs.integrals:
-            numbers |= zip(
-                outputs.integrals, self._formulas.integrals(batch, outputs.integrals).T, strict=True
-            )
+            if moment.several:
+                ends = np.cumsum(tally)
+                lists[name] = np.split(listed[: ends[-1]], ends[:-1])
+            else:
+                numbers[name] = np.full(len(tally), np.nan)
+                numbers[name][tally > 0] = listed[: tally.sum()]
+        for (name, _), counted in zip(outputs.counts, values.counted, strict=True):
+            numbers[name] = counted.astype(float)
+        for group, table in (
+            (outputs.start, values.start),
+            (outputs.end, values.end),
+            (outputs.integrals, values.integrals),
+        ):
+            numbers |= zip(group, table.T, strict=True)
         for name, formula, which in outputs.extremes:
-            numbers[name] = self._formulas.extremes(batch, formula)[:, which]
+            numbers[name] = values.extremes[self.place(formula), :, which]
         return numbers, lists
 
-    def _happened(
-        self, batch: Batch, events: _Events, wait: tuple[Event, ...], table: Array
-    ) -> Bools:
-        """Tell which events (e,) are one of those that are waited for."""
-        verdicts = [self._verdict(batch, events, k, wait) for k in events.examples.tolist()]
-        known = np.array([verdict is not False for verdict in verdicts], dtype=bool)
-        result = known[events.alike] if len(verdicts) else np.zeros(0, dtype=bool)
-        open_ones = {k for k, verdict in enumerate(verdicts) if verdict is None}
-        if open_ones:
-            for event in np.flatnonzero(np.isin(events.alike, list(open_ones))).tolist():
-                jump = self._jump(batch, events, event, table)
-                result[event] = any(happened(self._regions, jump, one) for one in wait)
-        return np.asarray(result)
+    def _compute(self, *arguments: Any) -> tuple[int, int]:
+        if self._entry is None:
+            self._entry = entry(row_values, *arguments)
+        return self._entry(*arguments)
 
-    def _verdict(
-        self, batch: Batch, events: _Events, example: int, wait: tuple[Event, ...]
-    ) -> bool | None:
-        """Tell whether events like one are waited for; None where that is each one's own."""
-        place = int(events.places[example])
-        code = _code(batch, int(events.owners[example]), place)
-        key = batch.zeros, code, wait
-        if key not in self._verdicts:
-            jump, others = self._alike(batch, int(events.owners[example]), place)
-            found = {any(happened(self._regions, one, e) for e in wait) for one in (jump, others)}
-            self._verdicts[key] = None if len(found) > 1 else found.pop()
-        return self._verdicts[key]
+    def place(self, formula: str | int | float) -> int:
+        """Return where the extremes of a formula stand among those of others."""
+        return self._formulas.extremes.index(formula)
 
-    def _alike(self, batch: Batch, row: int, place: int) -> tuple[Jump, Jump]:
+    def values(self, batch: Batch, made: _Made) -> Values:
+        """Return the outputs of rows as arrays; see `of`."""
+        outputs, found = self._outputs, batch.found
+        m, regions = len(found.ends), len(self._regions)
+        key = batch.zeros, len(batch.kinds)
+        if key not in self._known:
+            nothing = np.zeros((0, len(self._formulas.waits)), np.uint8)
+            self._known[key] = self._formulas.wanted(batch), Told(np.zeros(0, np.int64), nothing)
+        wanted, told = self._known[key]
+        # A stop, which is no jump of a loop, is one more.
+        events = int(found.place[:, N_JUMPS].sum()) + m
+        values = Values(
+            np.empty((events, len(self._formulas.waits)), np.uint8),
+            np.empty((len(outputs.at), events)),
+            np.empty((len(outputs.at), m), np.int64),
+            np.empty((len(outputs.counts), m), np.int64),
+            np.empty((m, len(outputs.start))),
+            np.empty((m, len(outputs.end))),
+            np.empty((m, len(outputs.integrals))),
+            np.empty((len(self._formulas.extremes), m, 2)),
+        )
+        decided = False
+        while True:
+            number, code = self._compute(wanted, told, batch.block, found, regions, decided, values)
+            if number == MADE:
+                return values
+            if number == UNSETTLED:
+                self._settle(batch, made, values)
+                decided = True
+            else:
+                told = self._learned(batch, told, number, code)
+                self._known[key] = wanted, told
+
+    def _learned(self, batch: Batch, told: Told, number: int, code: int) -> Told:
+        """Return which events are waited for, those like the one of a number among them."""
+        found = batch.found
+        ends = np.cumsum(found.spans[:, EVENTS_END] - found.spans[:, EVENTS] + batch.stopped)
+        row = int(np.searchsorted(ends, number, side="right"))
+        place = int(found.spans[row, EVENTS_END] - (ends[row] - batch.stopped[row]) + number)
+        if place < found.spans[row, EVENTS_END]:
+            surely, possibly = self._alike(batch, event_of(batch.block, place, 0, batch.kinds))
+        else:
+            key = batch.kinds[int(found.place[row, N_MODE])][0]
+            surely = possibly = Jump(0.0, 0, "", "stop", key, key, _NOWHERE, _NOWHERE)
+        verdicts = [
+            OWN if self._waited(surely, wait) != self._waited(possibly, wait)
+            else YES if self._waited(surely, wait) else NO
+            for wait in self._formulas.waits
+        ]  # fmt: skip
+        at = int(np.searchsorted(told.codes, code))
+        rows = np.insert(told.verdicts, at, np.array(verdicts, np.uint8), axis=0)
+        return Told(np.insert(told.codes, at, code), rows)
+
+    def _alike(self, batch: Batch, event: Recorded) -> tuple[Jump, Jump]:
         """Return a jump like an event, with those impulses that it has surely, and possibly."""
-        block, nowhere = batch.block, np.empty(0)
-        if place == _STOP:
-            mode = batch.kinds[int(batch.found.place[row, N_MODE])][0]
-            jump = Jump(0.0, 0, "", "stop", mode, mode, nowhere, nowhere)
-            return jump, jump
-        event = event_of(block, place, 0, batch.kinds)
         region, cause = batch.modes.about(event)
         hit = [region] if event.struck >= 0 and (event.normal or event.tangential) else []
         every = [one.name for one in self._regions] if event.group else hit
-        jumps = [
+        surely, possibly = (
             Jump(
-                0.0, 0, region, cause, event.source, event.target, nowhere, nowhere,
+                0.0, 0, region, cause, event.source, event.target, _NOWHERE, _NOWHERE,
                 impulse=dict.fromkeys(struck, (1.0, 0.0)),
             )
             for struck in (hit, every)
-        ]  # fmt: skip
-        return jumps[0], jumps[1]
+        )  # fmt: skip
+        return surely, possibly
 
-    def _jump(self, batch: Batch, events: _Events, event: int, table: Array) -> Jump:
-        """Return the jump of an event itself."""
-        row, place = int(events.owners[event]), int(events.places[event])
-        setup = partial(self._runner.setup, table[row])
-        j = place - int(batch.found.spans[row, EVENTS])
-        return batch.modes.jump(setup, event_of(batch.block, place, j, batch.kinds))
+    def _settle(self, batch: Batch, made: _Made, values: Values) -> None:
+        """Decide of events that are each one's own whether they are waited for."""
+        number = 0
+        for row, stopped in enumerate(batch.stopped.tolist()):
+            begin, end = batch.found.spans[row, EVENTS : EVENTS_END + 1].tolist()
+            for j in range(end - begin):
+                for k in np.flatnonzero(values.happens[number] == OWN).tolist():
+                    waited = self._waited(made(row, j), self._formulas.waits[k])
+                    values.happens[number, k] = waited
+                number += 1
+            number += stopped
+
+    def _waited(self, jump: Jump, wait: tuple[Event, ...]) -> bool:
+        return any(happened(self._regions, jump, event) for event in wait)
 
 
 def modes_of(batch: Batch) -> list[tuple[Key, ...]]:
@@ -180,7 +184,7 @@ def modes_of(batch: Batch) -> list[tuple[Key, ...]]:
     keys = [kind[0] for kind in batch.kinds]
     sequences: dict[bytes, tuple[Key, ...]] = {}
     found = []
-    targets = batch.block.events[:, _TARGET]
+    targets = batch.block.events[:, TARGET]
     firsts = batch.found.ends[:, FIRST_MODE].tolist()
     spans = batch.found.spans[:, EVENTS : EVENTS_END + 1].tolist()
     for first, (begin, end) in zip(firsts, spans, strict=True):
@@ -195,62 +199,3 @@ def modes_of(batch: Batch) -> list[tuple[Key, ...]]:
             known = sequences[code] = tuple(visited)
         found.append(known)
     return found
-
-
-def _events(batch: Batch) -> _Events:
-    found, stopped = batch.found, np.flatnonzero(batch.stopped)
-    begins, counts = found.spans[:, EVENTS], found.place[:, N_JUMPS]
-    owners = np.repeat(np.arange(len(begins)), counts)
-    places = np.arange(len(owners)) + np.repeat(begins - np.cumsum(counts) + counts, counts)
-    codes = _codes(batch, places)
-    owners, places = np.append(owners, stopped), np.append(places, np.full(len(stopped), _STOP))
-    # A stop is like others in its mode.
-    codes = np.append(codes, -1 - found.place[stopped, N_MODE])
-    order = np.argsort(owners, kind="stable")
-    _, examples, alike = np.unique(codes[order], return_index=True, return_inverse=True)
-    return _Events(owners[order], places[order], alike.ravel(), examples)
-
-
-def _codes(batch: Batch, places: Ints) -> Ints:
-    """Return a number for each event that is that of others like it."""
-    events, numbers = batch.block.events[places].astype(np.int64), batch.block.numbers[places]
-    hit = (numbers[:, _NORMAL] != 0.0) | (numbers[:, _TANGENTIAL] != 0.0)
-    kinds, struck = len(batch.kinds), len(batch.kinds[0][0]) + 1
-    pairs = events[:, _SOURCE] * kinds + events[:, _TARGET]
-    code = (pairs * struck + events[:, _STRUCK] + 1) * 4 + 2 * (events[:, _GROUP] != 0) + hit
-    return np.asarray(code)
-
-
-def _code(batch: Batch, row: int, place: int) -> tuple[int, ...]:
-    """Return the same of one event, whatever other kinds there are."""
-    if place == _STOP:
-        return (_STOP, int(batch.found.place[row, N_MODE]))
-    source, target, _, _, struck, group = batch.block.events[place].tolist()
-    normal, tangential = batch.block.numbers[place, _NORMAL:].tolist()
-    return source, target, struck, group != 0, normal != 0.0 or tangential != 0.0
-
-
-def _chosen(owners: Ints, happens: NDArray[np.intp], moment: Moment) -> NDArray[np.intp]:
-    """Return the first, the last or each of the events of every row that happen."""
-    if moment.when == "each" or not happens.size:
-        return happens
-    mine = owners[happens]
-    _, begins, counts = np.unique(mine, return_index=True, return_counts=True)
-    rank = np.arange(len(mine)) - np.repeat(begins, counts)
-    if moment.when == "last":
-        rank = np.repeat(counts, counts) - 1 - rank
-    return happens[rank < (moment.most or 1)]
-
-
-def _at(batch: Batch, events: _Events, chosen: NDArray[np.intp], before: bool) -> Points:
-    """Return the points just before events, or just after them."""
-    block, found = batch.block, batch.found
-    owners, places = events.owners[chosen], events.places[chosen]
-    stops = places == _STOP
-    side = _SOURCE if before else _TARGET
-    kinds = block.events[places, side].astype(np.int64)
-    times, states = block.numbers[places, _TIME], block.states[places, 0 if before else 1]
-    kinds[stops] = found.place[owners[stops], N_MODE]
-    times[stops] = found.now[owners[stops], T_HIGH]
-    states[stops] = found.final[owners[stops]]
-    return Points(owners, kinds, times, states)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,27 +15,30 @@ from numpy.typing import NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Key, Trace
+from statechart.diagram.build import active_states
 from statechart.diagram.model import Chart, Diagram, identifiers
 from statechart.diagram.write import write
+from statechart.documents.quantities import beside
 from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
-from statechart.palette import LINES, state_colours
-from statechart.pictures.film import Film, Shape, strokes
+from statechart.palette import GRID, LINES
+from statechart.pictures.film import LONGEST, Film, Shape, strokes
+from statechart.reporting.bands import banded
 from statechart.reporting.curves import curves
 from statechart.reporting.film import filmed, stage_of, until_rest
 from statechart.reporting.text import change, explanation
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
 _MOST, _LEAST, _NUMBERS = 600, 120, 150_000
-# Events of which a page says why.
-_TOLD = 300
-# Points of a curve; a diagram of more modes is not looked at, nor are so many rows of states.
-_POINTS, _NODES, _ROWS = 1200, 40, 16
+# Events of which a page says why, at most and at least, and regions that all of them change.
+_TOLD, _FEW, _CHANGED = 300, 60, 9000
+# Points of a curve; a diagram of more modes is not looked at.
+_POINTS, _NODES = 1200, 40
 
 
 def content(
-    observer: Observer, trace: Trace, report: Mapping[str, Any], diagram: Diagram
+    observer: Observer, trace: Trace, report: Mapping[str, Any], diagram: Diagram | None
 ) -> dict[str, Any]:
     """Return what a page shows of a run.
 
@@ -47,8 +50,8 @@ def content(
         The run.
     report : mapping
         Of the run, with the reasons of its events.
-    diagram : Diagram
-        Of the model, with the run's path.
+    diagram : Diagram or None
+        Of the model, with the run's path; None where the run has kept no modes.
     """
     automaton = observer.automaton
     seen = kind(automaton.declaration.kind).stage is not None
@@ -56,7 +59,8 @@ def content(
     end = trace.t_end if stage is None else until_rest(stage, observer, trace)
     width = 3 * len(automaton.regions) + 9 if seen else 1
     count = int(np.clip(_NUMBERS // max(width, 1), _LEAST, _MOST))
-    events = [event for event in report["events"] if event["t"] <= end][:_TOLD]
+    told = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, _TOLD))
+    events = [event for event in report["events"] if event["t"] <= end][:told]
     times = np.unique([*np.linspace(0.0, end, count), *(event["t"] for event in events)])
     film = None if stage is None else filmed(stage, observer, trace, times)
     samples = observer.sample(trace, automaton.names[:1], times=times)
@@ -69,30 +73,37 @@ def content(
         "cut": end < trace.t_end,
         "end": trace.t_end,
         "times": _packed(times, np.float64),
-        "regions": _regions(automaton, keys),
-        "modes": [automaton.label(key) for key in samples.modes],
+        "regions": _regions(automaton, keys, banded(trace)),
         "mode": _packed(samples.mode, np.int32),
         "film": None if film is None else _film(film),
         "panels": _panels(observer, trace, end),
         "events": [_event(event, times) for event in events],
         "more": len(report["events"]) - len(events),
         "chart": _chart(automaton, diagram, samples),
-        "outputs": {name: _told(value) for name, value in report["outputs"].items()},
-        "parameters": {name: _told(value) for name, value in report["parameters"].items()},
+        "outputs": _measured(report["outputs"], report["units"]),
+        "parameters": _measured(report["parameters"], report["units"]),
         "warnings": list(report["warnings"]),
     }
 
 
-def _regions(automaton: Automaton, keys: Sequence[Key]) -> list[dict[str, Any]]:
+def _regions(
+    automaton: Automaton, keys: Sequence[Key], rows: Sequence[int]
+) -> list[dict[str, Any]]:
+    untold = len(automaton.regions) - len(keys[0])
+    colours = automaton.colours
+    named = zip(automaton.region_names, automaton.states_told(keys[0]), strict=True)
     return [
         {
-            "name": region.name,
-            "states": list(region.states),
-            "colours": list(state_colours(region.states).values()),
-            "state": _packed(np.array([region.states.index(key[k]) for key in keys]), np.int32),
-            "shown": k < _ROWS,
+            "name": name,
+            "states": list(states),
+            "colours": [colours[name].get(state, GRID) for state in states],
+            "state": _packed(
+                np.array([states.index(key[k - untold]) if k >= untold else 0 for key in keys]),
+                np.uint8,
+            ),
+            "shown": k - untold in rows,
         }
-        for k, region in enumerate(automaton.regions)
+        for k, (name, states) in enumerate(named)
     ]
 
 
@@ -101,7 +112,8 @@ def _film(film: Film) -> dict[str, Any]:
         "half": film.half,
         "unit": film.unit,
         "arrow": film.arrow,
-        "longest": film.force,
+        "usual": film.force,
+        "longest": LONGEST * film.force,
         "trails": film.trails,
         "frames": film.poses.shape[1],
         "poses": _packed(film.poses, np.float32),
@@ -163,7 +175,7 @@ def _panels(observer: Observer, trace: Trace, end: float) -> list[dict[str, Any]
                 "curves": [broken(samples.columns[name]) for name in names],
                 "colours": list(LINES[: len(names)]),
                 "cone": cone,
-                "more": len(panel.left_out),
+                "remarks": list(panel.remarks),
             }
         )
     return made
@@ -179,21 +191,39 @@ def _event(event: Mapping[str, Any], times: Array) -> dict[str, Any]:
     }
 
 
-def _chart(automaton: Automaton, diagram: Diagram, samples: Samples) -> dict[str, Any]:
-    """Return the drawn statechart, and which node each mode is; nothing where it is too large."""
+def _chart(automaton: Automaton, diagram: Diagram | None, samples: Samples) -> dict[str, Any]:
+    """Return the drawn statechart, and which nodes each mode is; nothing where it is too large."""
+    if diagram is None:
+        return {"svg": "", "nodes": [[] for _ in samples.modes]}
+    diagram, active = _followed(automaton, diagram, samples.modes)
     if len(diagram.nodes) > _NODES:
-        return {"svg": "", "nodes": [""] * len(samples.modes)}
+        return {"svg": "", "nodes": [[] for _ in samples.modes]}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "chart.svg"
         write(_bare(diagram), path)
         svg = path.read_text(encoding="utf-8")
     names = identifiers(diagram)
+    nodes = [[names[name] for name in active(key) if name in names] for key in samples.modes]
+    return {"svg": svg[svg.index("<svg") :], "nodes": nodes}
 
-    def node(key: Key) -> str:
+
+def _followed(
+    automaton: Automaton, diagram: Diagram, modes: Sequence[Key]
+) -> tuple[Diagram, Callable[[Key], tuple[str, ...]]]:
+    """Return a diagram that has every mode, and the nodes of it that are active in one.
+
+    Of a run through many modes a diagram shows the first ones; what it does after that is seen on
+    the charts of its regions.
+    """
+    shown = {node.name for node in diagram.nodes}
+
+    def of_modes(key: Key) -> tuple[str, ...]:
         declared = tuple(r.declared(s) for r, s in zip(automaton.regions, key, strict=True))
-        return names.get(" ".join(key), names.get(" ".join(declared), ""))
+        return next(((name,) for name in (" ".join(key), " ".join(declared)) if name in shown), ())
 
-    return {"svg": svg[svg.index("<svg") :], "nodes": [node(key) for key in samples.modes]}
+    if not diagram.explained or all(map(of_modes, modes)):
+        return diagram, of_modes
+    return replace(diagram, charts=diagram.explained, explained=()), active_states(automaton)
 
 
 def _bare(diagram: Diagram) -> Diagram:
@@ -206,6 +236,14 @@ def _bare(diagram: Diagram) -> Diagram:
         return replace(chart, nodes=nodes, links=links, axes=axes)
 
     return replace(diagram, charts=tuple(map(bare, diagram.charts)), notes=(), explained=())
+
+
+def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[str, str]:
+    """Return values in words, with their units."""
+    return {
+        name: f"{_told(value)} {'' if value is None else beside(units.get(name, ''))}".rstrip()
+        for name, value in values.items()
+    }
 
 
 def _told(value: object) -> str:

@@ -5,7 +5,7 @@ const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buff
 const float = (text) => new Float32Array(bytes(text));
 const times = new Float64Array(bytes(data.times));
 const mode = new Int32Array(bytes(data.mode));
-for (const region of data.regions) region.state = new Int32Array(bytes(region.state));
+for (const region of data.regions) region.state = new Uint8Array(bytes(region.state));
 const last = times.length - 1;
 const made = (parent, tag, attributes = {}, text = null) => {
   const svg = parent.namespaceURI === "http://www.w3.org/2000/svg" || tag === "svg";
@@ -98,7 +98,7 @@ function touching(scene, touch) {
     mark.style.display = state === "off" ? "none" : "";
     mark.style.fill = closed ? region.colours[region.state[k]] : "";
     let [fx, fy] = [touch.forces[2 * k] * film.arrow, touch.forces[2 * k + 1] * film.arrow];
-    const most = 1.7 * film.arrow * film.longest;
+    const most = film.arrow * film.longest;
     const size = Math.hypot(fx, fy);
     if (size > most) [fx, fy] = [(fx * most) / size, (fy * most) / size];
     const long = Math.min(size, most);
@@ -114,7 +114,7 @@ function touching(scene, touch) {
     const rim = [[x, y]];
     for (let i = -6; i <= 6; i++) {
       const [c, s] = [Math.cos((half * i) / 6), Math.sin((half * i) / 6)];
-      const reach = film.arrow * film.longest;
+      const reach = film.arrow * film.usual;
       rim.push([x + reach * (c * nx - s * ny), y + reach * (s * nx + c * ny)]);
     }
     cone.setAttribute("d", path(rim, true));
@@ -145,13 +145,12 @@ for (const node of byId("diagram").querySelectorAll("g.node"))
   nodes.set(node.querySelector("title").textContent, node);
 for (const title of byId("diagram").querySelectorAll("title")) title.remove();
 if (!film || !data.chart.svg) document.querySelector(".seen").classList.add("alone");
-let lit = null;
+let lit = -1;
 moving.push((k) => {
-  const node = nodes.get(data.chart.nodes[mode[k]]) || null;
-  if (node === lit) return;
-  if (lit) lit.classList.remove("lit");
-  if (node) node.classList.add("lit");
-  lit = node;
+  if (mode[k] === lit) return;
+  lit = mode[k];
+  const active = new Set(data.chart.nodes[lit]);
+  for (const [name, node] of nodes) node.classList.toggle("lit", active.has(name));
 });
 
 // Curves with a cursor.
@@ -202,7 +201,7 @@ for (const panel of data.panels) {
     made(svg, "line", { x1: right + 14, x2: right + 32, y1: 14 + 15 * i, y2: 14 + 15 * i, style: `stroke: ${colour}; stroke-width: 2.5` });
     made(svg, "text", { x: right + 38, y: 18 + 15 * i }, panel.names[i]);
   });
-  if (panel.more) made(svg, "text", { x: right + 14, y: 18 + 15 * values.length }, `and ${panel.more} more`);
+  made(svg, "text", { x: right, y: high + 14, "text-anchor": "end", style: "fill: var(--faint)" }, panel.remarks.join("; "));
   made(svg, "text", { x: 4, y: high + 14 }, panel.title);
   cursors.push(made(svg, "line", { y1: 0, y2: high, style: "stroke: var(--accent); stroke-width: 1.5" }));
 }
@@ -240,7 +239,7 @@ for (const name of ["outputs", "parameters"])
   }
 const lines = data.events.map((event) => {
   const row = made(byId("events").tBodies[0], "tr", { tabindex: 0 });
-  made(row, "td", {}, String(event.t));
+  made(row, "td", { title: event.t }, short(event.t));
   made(row, "td", {}, event.what);
   made(row, "td", {}, event.change);
   const choose = () => {
@@ -276,7 +275,7 @@ function go(k) {
   byId("time").textContent = `t = ${short(times[k])}`;
   const pills = byId("mode");
   pills.replaceChildren();
-  pills.dataset.mode = data.modes[mode[k]];
+  pills.dataset.mode = data.regions.map((region) => `${region.name}:${region.states[region.state[k]]}`).join(" ");
   for (const region of rows) {
     const state = region.state[k];
     made(pills, "span", { style: `background: ${region.colours[state]}` }, `${region.name}: ${region.states[state]}`);

@@ -165,7 +165,8 @@ def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterato
     for instant in range(len(film.times)):
         drawing.show(instant)
         canvas.draw()
-        yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+        drawn = canvas.buffer_rgba()
+        yield Image.frombuffer("RGBA", drawn.shape[1::-1], drawn).convert("RGB")
 
 
 def _gif(pictures: Iterator[Image.Image], lasting: float) -> bytes:

@@ -8,7 +8,8 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.palette import FAINT, INK, LINES, PAPER, state_colours
-from statechart.pictures.film import Film, Touch
+from statechart.pictures.film import Film, Touch, arrows
+from statechart.pictures.names import write_names
 from statechart.pictures.scenery import Scenery, points_of
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ FORCE, TRAIL = LINES[1], LINES[0]
 CLOSED = ("pin", "slide", "slide+", "slide-")
 """States of a contact in which it has a force."""
 
-# Arrows are cut at so many times the length of a usual one, which is a quarter of the picture.
-_LONGEST = 1.7
 # The cone reaches so far, of the length of a usual arrow.
 _CONE = 1.0
 _FLAT = np.pi / 2.0
@@ -66,11 +65,12 @@ class Drawing:
         self._contacts = [self._contact(touch) for touch in film.touches]
         self._clock = clock
         self._text = ax.text(
-            0.012, 0.975, "", transform=ax.transAxes, va="top", fontsize=8, color=INK, zorder=5
-        )
-        if names:
-            self._name()
+            0.012, 0.975, "", transform=ax.transAxes, va="top", fontsize=8, color=INK, zorder=5,
+            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.5},
+        )  # fmt: skip
         self.show(0)
+        if names:
+            write_names(ax, film, self._size)
 
     def show(self, instant: int) -> None:
         """Show an instant, by its number."""
@@ -126,43 +126,10 @@ class Drawing:
         if len(wedge):
             cone.set_xy(wedge)
 
-    def _name(self) -> None:
-        """Write names beside bodies, contacts and surfaces."""
-        film, told = self._film, set()
-        offset = 0.03 * film.unit
-        style: dict[str, Any] = {"fontsize": 8, "clip_on": True, "zorder": 4.0}
-        for touch in film.touches:
-            x, y = touch.places[0] + offset * (0.6 * touch.normals[0] + [0.7, 0.0])
-            self._ax.text(x, y, touch.name, color=LINES[0], va="center", **style)
-        for shape in film.shapes:
-            if shape.name in told or shape.kind in ("link", "spring", "joint", "pivot"):
-                continue
-            told.add(shape.name)
-            if shape.kind == "ground":
-                centre, half = film.centres[0], np.array(film.half)
-                inside = (np.abs(shape.points - centre) < 0.9 * half).all(axis=1)
-                ends = np.linspace(0.0, 1.0, 400)[:, None]
-                if not inside.any():
-                    many = shape.points[:1] + ends * (shape.points[-1:] - shape.points[:1])
-                    inside = (np.abs(many - centre) < 0.9 * half).all(axis=1)
-                    if not inside.any():
-                        continue
-                    place = many[inside][-1]
-                else:
-                    place = shape.points[inside][-1]
-                x, y = place - [0.0, 1.6 * film.spacing]
-                self._ax.text(x, y, shape.name, color=INK, ha="right", va="top", **style)
-            elif shape.region < 0:
-                x, y = film.poses[0, shape.frame, :2] + np.array([-0.8, 0.8]) * offset
-                self._ax.text(x, y, shape.name, color=INK, ha="right", style="italic", **style)
-
 
 def arrow_of(film: Film, touch: Touch, instant: int) -> Array:
     """Return the arrow (2,) of a contact's force, no longer than the picture bears."""
-    force = touch.forces[instant] * film.arrow
-    longest = _LONGEST * film.arrow * film.force
-    size = float(np.hypot(*force))
-    return force if size <= longest else force * (longest / size)
+    return arrows(touch.forces[instant], film.half, film.force)
 
 
 def cone_of(film: Film, touch: Touch, instant: int) -> Array:

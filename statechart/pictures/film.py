@@ -133,7 +133,7 @@ class Film:
     @property
     def arrow(self) -> float:
         """How long the arrow of a force of one unit is."""
-        return 0.5 * min(self.half) / self.force
+        return _arrow(self.half, self.force)
 
     @property
     def spacing(self) -> float:
@@ -144,6 +144,30 @@ class Film:
         """Return the state of a region at an instant, by their numbers."""
         return self.states[region][self.modes[instant, region]]
 
+
+def _arrow(half: tuple[float, float], force: float) -> float:
+    return 0.5 * min(half) / force
+
+
+def arrows(forces: Array, half: tuple[float, float], force: float) -> Array:
+    """Return the arrows (..., 2) of forces (..., 2), cut where they are much longer than usual.
+
+    Parameters
+    ----------
+    forces : (..., 2) array
+        Of contacts.
+    half, force
+        Of the film, see `Film`.
+    """
+    sizes = np.hypot(forces[..., 0], forces[..., 1])
+    longest = LONGEST * force
+    cut = np.where(sizes > longest, longest / np.where(sizes > 0.0, sizes, 1.0), 1.0)
+    found: Array = _arrow(half, force) * forces * cut[..., None]
+    return found
+
+
+LONGEST = 1.7
+"""At so many times the length of a usual one, which is a quarter of the picture, arrows are cut."""
 
 HATCH = 1.0 / 48.0
 """Between the strokes of a hatching, in parts of `Film.unit`."""

@@ -30,6 +30,11 @@ def points_of(unit: float, ax: Axes) -> float:
     return float(unit * scale * 72.0 / ax.figure.dpi)
 
 
+def bar_width(paper: float) -> float:
+    """Return how wide a bar is with its edges, in points, for a picture so wide in points."""
+    return max(_BAR * paper, 2.5) + 1.6
+
+
 class Scenery:
     """The shapes of a film on axes.
 
@@ -95,7 +100,7 @@ class Scenery:
     def _bar(self, shape: Shape) -> list[Artist]:
         from matplotlib.lines import Line2D
 
-        width = max(_BAR * self._paper, 2.5)
+        width = bar_width(self._paper) - 1.6
         style: dict[str, Any] = {"solid_capstyle": "round", "zorder": 2.0}
         x, y = shape.points.T
         return [

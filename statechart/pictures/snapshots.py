@@ -10,10 +10,12 @@ from statechart.pictures.drawing import Drawing
 from statechart.pictures.film import Film
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
 
 # In inches.
-_WIDTH, _HIGHEST, _STRIP = 7.2, 6.4, 2.0
+_WIDTH, _HIGHEST, _STRIP = 7.2, 6.4, 1.9
+# Above a snapshot, for its time.
+_CLOCK = 0.25
 _SIDE_BY_SIDE = 5
 # Of its place an instant takes so much.
 _PART = 0.93
@@ -29,27 +31,32 @@ def picture(film: Film) -> Figure:
     return result
 
 
-def strip(figure: Figure | SubFigure, film: Film, width: float) -> None:
+def strip(figure: Figure, film: Film, top: float) -> None:
     """Draw instants of a film side by side, each with the trails up to it.
 
     Parameters
     ----------
-    figure : Figure or SubFigure
-        Where; as high as `strip_height` says.
+    figure : Figure
+        Where, in all of its width.
     film : Film
         Of many instants.
-    width : float
-        Of the figure, in inches.
+    top : float
+        Where it begins, in inches from the lower end of the figure; it ends `strip_height` below.
     """
-    own = _PART * shaped(film, width / _SIDE_BY_SIDE, _STRIP)[0] / width
-    for place, instant in enumerate(spread(film, _SIDE_BY_SIDE)):
-        left = (place + 0.5) / _SIDE_BY_SIDE - own / 2.0
-        Drawing(figure.add_axes((left, 0.0, own, _PART)), film).show(instant)
+    width, height = figure.get_size_inches()
+    own, high = shaped(film, width / _SIDE_BY_SIDE, _STRIP)
+    own, high = _PART * own / width, _PART * high / height
+    chosen = spread(film, _SIDE_BY_SIDE)
+    for place, instant in enumerate(chosen):
+        left = (place + 0.5) / len(chosen) - own / 2.0
+        ax = figure.add_axes((left, (top - _CLOCK) / height - high, own, high))
+        Drawing(ax, film, clock=None).show(instant)
+        ax.set_title(f"t = {film.times[instant]:.4g}", loc="left", fontsize=8, pad=3.0)
 
 
 def strip_height(film: Film, width: float) -> float:
     """Return how high a strip of so many inches is."""
-    return shaped(film, width / _SIDE_BY_SIDE, _STRIP)[1]
+    return _PART * shaped(film, width / _SIDE_BY_SIDE, _STRIP)[1] + _CLOCK
 
 
 def shaped(film: Film, width: float, highest: float) -> tuple[float, float]:

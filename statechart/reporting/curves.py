@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.quantities import unit_of
+from statechart.documents.quantities import entitled, unit_of
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 
@@ -19,6 +19,8 @@ MOST = 5
 """Curves of a panel."""
 
 _MOST_FORCES = 3
+# What is not drawn is named up to so many.
+_NAMED = 2
 _MOST_PANELS = 4
 # Relative to the largest value: below this a curve is the rounding of zero.
 _NOTHING = 1e-9
@@ -52,6 +54,8 @@ class Panel:
         Of all of them; empty where it is unknown.
     left_out : tuple of str
         What belongs to them and is not drawn.
+    nothing : tuple of str
+        What is zero all along, and is not drawn either.
     cone : (str, float or array) or None
         The column and the factor that make the edges of the friction cone.
     impulses : tuple of str
@@ -62,13 +66,30 @@ class Panel:
     names: tuple[str, ...]
     unit: str = ""
     left_out: tuple[str, ...] = ()
+    nothing: tuple[str, ...] = ()
     cone: tuple[str, float | Array] | None = None
     impulses: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
         """What stands at the axis."""
-        return f"{self.title} in {self.unit}" if self.unit else self.title
+        return entitled(self.title, self.unit)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is not drawn, the first by name, and why where it is for a reason."""
+        return remarks({"not drawn": self.left_out, "0 all along": self.nothing})
+
+
+def remarks(names: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Return what is said of names, of many the first ones and how many more there are."""
+    found = []
+    for said, those in names.items():
+        more = len(those) - _NAMED
+        shown = [*those[:_NAMED], *([f"{more} more"] if more > 0 else [])]
+        if shown:
+            found.append(f"{said}: {', '.join(shown)}")
+    return tuple(found)
 
 
 def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
@@ -107,15 +128,24 @@ def _per_step(trace: Trace) -> int:
 
 
 def _without_rounding(automaton: Automaton, trace: Trace, samples: Samples) -> Samples:
-    """Return samples whose columns are zero where they are the rounding of zero."""
+    """Return samples whose columns are zero where they are the rounding of zero.
+
+    That is told beside the largest of their kind, beside a radian, and beside speeds that in all of
+    the run go as far as that.
+    """
     columns = dict(samples.columns)
     groups: dict[str, list[str]] = {}
     for name in columns:
         groups.setdefault(automaton.declaration.quantity(name).dimension, []).append(name)
+    length = max((largest(columns[name]) for name in groups.get("length", ())), default=0.0)
+    usual = {"angle": 1.0}
+    if trace.t_end > 0.0:
+        usual |= {"length/time": length / trace.t_end, "angle/time": 1.0 / trace.t_end}
     for dimension, names in groups.items():
         if not dimension:
             continue
-        nothing = _NOTHING * max(largest(columns[name]) for name in names)
+        found = max(largest(columns[name]) for name in names)
+        nothing = _NOTHING * max(found, usual.get(dimension, 0.0))
         if dimension == "force":
             nothing = max(nothing, _FORCE * trace.tolerances.get("force", 0.0))
         for name in names:
@@ -150,7 +180,16 @@ def _states(automaton: Automaton, samples: Samples) -> list[Panel]:
             title = name if few else "variables"
         groups.setdefault((title, unit), []).append(name)
     ordered = sorted(groups, key=lambda g: _ORDER.index(g[0]) if g[0] in _ORDER else len(_ORDER))
-    return [_chosen(title, groups[title, unit], unit, samples) for title, unit in ordered]
+    made = [_chosen(title, groups[title, unit], unit, samples) for title, unit in ordered]
+    return _without_nothing(made, samples)
+
+
+def _without_nothing(panels: Sequence[Panel], samples: Samples) -> list[Panel]:
+    """Return panels without those in which all is zero, but for one; it says what they are."""
+    moving = [p for p in panels if any(largest(samples.columns[name]) > 0.0 for name in p.names)]
+    kept = moving or list(panels[:1])
+    nothing = tuple(n for p in panels if p not in kept for n in (*p.names, *p.left_out))
+    return [*kept[:-1], replace(kept[-1], nothing=nothing)] if kept else []
 
 
 def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
@@ -185,7 +224,7 @@ def _forces(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]
         slanted = tangential in columns and largest(columns[tangential]) > 0.0
         drawn = (normal, tangential) if slanted else (normal,)
         marked = (region,) if region in struck else ()
-        found.append(Panel("force", drawn, model.unit(normal), (), cone, marked))
+        found.append(Panel("force", drawn, model.unit(normal), cone=cone, impulses=marked))
     kept, others = found[:_MOST_FORCES], found[_MOST_FORCES:]
     if others:
         left = tuple(name for panel in others for name in panel.names)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
@@ -11,35 +10,40 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
 from statechart.documents.files import write_atomic
+from statechart.documents.quantities import entitled
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
-from statechart.palette import GRID, INK, LINES, RUN, region_colours
+from statechart.palette import GRID, INK, LINES, RUN
 from statechart.pictures.film import Film
-from statechart.pictures.snapshots import strip as draw_strip
-from statechart.pictures.snapshots import strip_height
+from statechart.reporting.bands import banded, draw_bands
 from statechart.reporting.curves import Panel, busy_until, curves, largest
+from statechart.reporting.legends import legend, remark_lines, room
+from statechart.reporting.stack import stack
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
 
 
-_WIDTH = 7.2
 _MOST_LABELLED = 24
 # Of more the lines make a grey area, which tells nothing that bands of modes do not.
 _MOST_LINES = 150
 # Between a label that ends at its event and one that begins there, of the width.
 _GAP = 0.02
-_LEVELS = 3
+# Lines of labels, and how far apart they are in points.
+_LEVELS, _LINE = 3, 10.0
+# A longer label would be higher than a low panel, and stands in two lines.
+_LABEL = 16
 # How high a panel is, of few and of many.
-_TALL, _LOW, _MANY = 1.35, 1.05, 6
-# Rows of modes; names of what is not drawn, in a legend of so many characters.
-_MOST_BANDS, _NAMED, _LEGEND = 12, 6, 24
+_TALL, _LOW, _MANY = 1.3, 0.95, 5
+
+SUFFIXES = (".svg", ".png", ".pdf")
+"""Of the files that a figure can be written to."""
+
 STYLE = {
     "font.family": "sans-serif",
     "font.size": 9.0,
@@ -93,30 +97,22 @@ def figure(
 
     samples, panels = curves(observer, trace)
     end = busy_until(trace, samples, panels) or 1.0
-    bands = min(len(trace.regions) or 1, _MOST_BANDS)
+    bands = len(banded(trace)) or 1
     each = _TALL if len(panels) < _MANY else _LOW
     heights = [*(each for _ in panels), 0.26 * bands]
     with rc_context(STYLE):
-        high = 0.9 + 1.12 * sum(heights)
-        above = 0.0 if strip is None else 0.3 + strip_height(strip, _WIDTH)
-        whole = Figure(figsize=(_WIDTH, high + above), layout="constrained")
-        result: Figure | SubFigure = whole
-        if strip is not None:
-            (upper,), (result,) = whole.subfigures(2, 1, squeeze=False, height_ratios=(above, high))
-            draw_strip(upper, strip, _WIDTH)
-        axes = result.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[
-            :, 0
-        ]
+        result = Figure()
+        axes = list(result.subplots(len(heights), 1, sharex=True, squeeze=False)[:, 0])
         for ax, panel in zip(axes, panels, strict=False):
             _draw_panel(ax, panel, samples, trace)
-        _draw_bands(axes[-1], observer.automaton, trace, end)
+        draw_bands(axes[-1], observer.automaton, trace, end)
         axes[-1].set_xlabel(_time(observer.automaton.declaration.unit(TIME), trace, end))
-        _draw_events(list(axes), trace, end)
-        result.align_ylabels(axes)
-        result.suptitle(trace.name, x=0.01, ha="left", fontsize=10, fontweight="bold")
+        lines = _draw_events(axes, trace, end)
+        result.suptitle(trace.name)
+        stack(result, axes, heights, lines=lines, strip=strip)
     if path is not None:
-        write(whole, path)
-    return whole
+        write(result, path)
+    return result
 
 
 def write(drawing: Figure, path: Path | str) -> None:
@@ -129,7 +125,7 @@ def write(drawing: Figure, path: Path | str) -> None:
     """
     path = Path(path)
     kind = path.suffix.lower().lstrip(".")
-    if kind not in ("svg", "png", "pdf"):
+    if f".{kind}" not in SUFFIXES:
         raise StatechartError(f"a figure is svg, png or pdf, not {path.suffix or path.name!r}")
     try:
         write_atomic(path, render(drawing, kind))
@@ -174,21 +170,16 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
     elif panel.impulses:
         low, high = _draw_impulses(ax, panel, trace)
     ax.set_ylim(low, high)
-    ax.set_ylabel(panel.label)
+    ax.set_ylabel(
+        panel.label if len(panel.label) <= _LABEL else panel.label.replace(" in ", "\nin ")
+    )
     ax.grid(visible=True, color=GRID, linewidth=0.6)
     ax.set_axisbelow(True)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
-    if panel.left_out:
-        ax.plot([], [], " ", label=_left_out(panel.left_out))
-    if panel.names != (panel.title,) or panel.left_out:
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.6)
-
-
-def _left_out(names: Sequence[str]) -> str:
-    """Return what is not drawn, in a few lines."""
-    words = ", ".join(names[:_NAMED]) + (f", {len(names) - _NAMED} more" * (len(names) > _NAMED))
-    return "\n".join(textwrap.wrap(f"not drawn: {words}", _LEGEND))
+    if panel.names != (panel.title,) or panel.remarks:
+        handles, _ = ax.get_legend_handles_labels()
+        legend(ax, [*handles, *remark_lines(panel.remarks)])
 
 
 def _struck(trace: Trace, region: str) -> tuple[Array, Array]:
@@ -233,100 +224,16 @@ def _limits(curves: Sequence[Array]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None:
-    """Draw one row per region, the first on top, its states as coloured stretches of time."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    rows = min(len(trace.regions), _MOST_BANDS)
-    colours = region_colours([region.states for region in automaton.regions])
-    unnamed: dict[str, Patch | Line2D] = {}
-    for row in range(rows):
-        y = rows - 1 - row
-        for state, stretches in _stretches(trace, row).items():
-            ax.broken_barh(
-                [(start, last - start) for start, last in stretches],
-                (y + 0.1, 0.8),
-                facecolors=colours[row][state],
-                edgecolor="white",
-                linewidth=0.4 if len(stretches) < _MOST_LABELLED else 0.0,
-            )
-            seen = [(start, min(last, end)) for start, last in stretches if start < end]
-            wide = [pair for pair in seen if (pair[1] - pair[0]) / end > _room(state)]
-            for start, last in wide[:_MOST_LABELLED]:
-                ax.text((start + last) / 2, y + 0.5, state, ha="center", va="center", fontsize=8)
-            if not wide:
-                unnamed[state] = Patch(facecolor=colours[row][state], label=state)
-        for state, times in _instants(trace, row).items():
-            unnamed[f"{state} for no time"] = ax.plot(
-                times,
-                np.full(len(times), y + 0.5),
-                "D",
-                markersize=4.5,
-                clip_on=False,
-                color=colours[row][state],
-                markeredgecolor=INK,
-                markeredgewidth=0.7,
-                label=f"{state} for no time",
-            )[0]
-    ax.set_ylim(0, rows or 1)
-    ax.set_yticks([rows - 0.5 - row for row in range(rows)], trace.regions[:rows])
-    ax.tick_params(axis="y", length=0)
-    for side in ("top", "right", "left"):
-        ax.spines[side].set_visible(False)
-    ax.set_xlim(0.0, end)
-    if rows < len(trace.regions):
-        words = _left_out(trace.regions[rows:])
-        unnamed[words] = Patch(facecolor="none", label=words)
-    if unnamed:
-        ax.legend(
-            handles=list(unnamed.values()),
-            loc="center left",
-            bbox_to_anchor=(1.0, 0.5),
-            handlelength=1.0,
-        )
-
-
 def _time(unit: str, trace: Trace, end: float) -> str:
     """Return what stands at the axis of time."""
-    label = f"time in {unit}" if unit else "time"
+    label = entitled("time", unit)
     if end < trace.t_end:
         label += f"; until the end at {trace.t_end:.6g} nothing happens any more"
     return label
 
 
-def _room(text: str) -> float:
-    """Return the width of a label as a part of the axis."""
-    return 0.0125 * (len(text) + 1)
-
-
-def _stretches(trace: Trace, row: int) -> dict[str, list[tuple[float, float]]]:
-    """Return state -> times that the region spends in it, adjoining ones joined."""
-    result: dict[str, list[tuple[float, float]]] = {}
-    last = ""
-    for arc in trace.arcs:
-        state, start, end = arc.mode[row], arc.start.high, arc.end.high
-        stretches = result.setdefault(state, [])
-        if state == last:
-            stretches[-1] = (stretches[-1][0], end)
-        else:
-            stretches.append((start, end))
-        last = state
-    return result
-
-
-def _instants(trace: Trace, row: int) -> dict[str, list[float]]:
-    """Return state -> times at which the region passed through it in no time."""
-    flowed = {arc.j for arc in trace.arcs}
-    result: dict[str, list[float]] = {}
-    for jump, following in zip(trace.jumps, trace.jumps[1:], strict=False):
-        state = jump.target[row]
-        if jump.j + 1 not in flowed and state not in (jump.source[row], following.target[row]):
-            result.setdefault(state, []).append(jump.t)
-    return result
-
-
-def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> None:
+def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
+    """Draw lines at events, and label them where they do not crowd; return lines of labels."""
     jumps = [jump for jump in trace.jumps if jump.t <= span]
     times: list[float] = []
     for jump in jumps:
@@ -334,7 +241,7 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> None:
         if not times or jump.t - times[-1] > span / 250:
             times.append(jump.t)
     if len(times) > _MOST_LINES:
-        return
+        return 0
     faint = 0.8 if len(jumps) <= _MOST_LABELLED else 0.35
     for ax in axes:
         ax.vlines(
@@ -349,25 +256,27 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> None:
             zorder=2,
         )
     if len(jumps) > _MOST_LABELLED:
-        return
+        return 0
     # Labels on levels over the first panel; what has no room on them is left out.
     free = [-1.0] * _LEVELS
     top = axes[0].get_xaxis_transform()
     for jump in jumps:
         said = f"{jump.region}.{jump.cause}" if jump.region else jump.cause
-        place, width = jump.t / span, _room(said)
+        place, width = jump.t / span, room(said)
         left = place if place + width <= 1.0 else place - width
         level = next((k for k, last in enumerate(free) if left >= last), None)
         if level is None:
             continue
         free[level] = left + width + (_GAP if left < place else 0.0)
-        axes[0].text(
-            jump.t,
-            1.02 + 0.1 * level,
+        axes[0].annotate(
             said,
-            transform=top,
+            (jump.t, 1.0),
+            (0.0, 2.0 + _LINE * level),
+            xycoords=top,
+            textcoords="offset points",
             fontsize=8,
             color=INK,
             ha="left" if left == place else "right",
             va="bottom",
         )
+    return sum(last > -1.0 for last in free)

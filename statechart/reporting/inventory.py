@@ -7,6 +7,7 @@ from typing import Any
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode
 from statechart.automaton.trace import Trace
+from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
 
@@ -75,6 +76,13 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
                 "why": "events are at steps, or half-way",
             }
         )
+        if trace.record is not Record.MODES:
+            found.append(
+                {
+                    "what": "modes of contacts and their events",
+                    "why": f"record: {trace.record.value} keeps none; ask for record: modes",
+                }
+            )
     elif made < total:
         found.append(
             {

@@ -12,7 +12,7 @@ from statechart.automaton.nesting import HierarchicalEdge
 from statechart.automaton.product import graph
 from statechart.automaton.regions import Region
 from statechart.errors import DeclarationError, close_matches
-from statechart.reporting.text import Block, Table, apart, plain
+from statechart.tabular import Block, Table, apart, plain
 
 
 def listing(

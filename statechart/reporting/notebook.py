@@ -7,6 +7,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from statechart.automaton.trace import Outcome
+from statechart.documents.quantities import beside
 from statechart.reporting.figure import render
 from statechart.reporting.text import change, shown
 
@@ -28,14 +29,15 @@ def html(report: Mapping[str, Any], drawing: Figure) -> str:
         Its figure.
     """
     svg = render(drawing, "svg").decode()
-    picture = svg[svg.index("<svg") :]
+    # As wide as what it stands in: telephones are narrower than the figure.
+    picture = svg[svg.index("<svg") :].replace("<svg", '<svg style="width: 100%; height: auto"', 1)
     head = f"<b>{escape(report['model'])}: {escape(report['outcome'])}</b>"
     said = escape(Outcome[report["outcome"]].value)
     parts = [f"<p>{head}<br>{said} {escape(report['message'])}</p>"]
     parts += [f"<p>Warning: {escape(warning)}</p>" for warning in report["warnings"]]
     units = report["units"]
     outputs = [
-        (escape(name), number(value), escape(units.get(name, "").removeprefix("1")))
+        (escape(name), number(value), escape(beside(units.get(name, ""))))
         for name, value in report["outputs"].items()
     ]
     if outputs:

@@ -12,6 +12,7 @@ from typing import Any
 
 from statechart.automaton.dense_output import lowest
 from statechart.automaton.trace import Jump, Key, Trace
+from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import outputs
@@ -58,14 +59,14 @@ def report(
     Returns
     -------
     dict
-        `model`, `outcome`, `message`, `t_end`, `engine`, `certified`, `evidence`, `motion`,
-        `error_estimate`, `asked`, `condition` (the largest of the events'), `modes_total`
+        `model`, `outcome`, `message`, `t_end`, `engine`, `record`, `certified`, `evidence`,
+        `motion`, `error_estimate`, `asked`, `condition` (the largest of the events'), `modes_total`
         (directions of sliding told apart), `modes_declared` (as users count), `modes_built`,
         `built` (modes with unknowns, guards and evidence), `left_out` (what, and why), `modes`
         (in the order visited), `indeterminate` (modes whose motion leaves quantities of
         regions open, and which), `events`, `final`, `outputs`, `margins`, `invariants` (the least
         margin of each), `warnings`, `counts`, `timings`, `parameters`, `tolerances`,
-        `units` (of outputs and variables, where they are known).
+        `units` (of outputs, variables and parameters, where they are known).
     """
     automaton = observer.automaton
     done = Pieces(strict=True) if pieces is None else pieces
@@ -90,6 +91,7 @@ def report(
         "engine": trace.engine,
         "tolerance": None if trace.step is not None else trace.tolerance,
         "step": trace.step,
+        "record": trace.record.value,
         "certified": trace.certified,
         "evidence": trace.evidence,
         "motion": None if trace.motion is None else asdict(trace.motion),
@@ -118,7 +120,7 @@ def report(
         "tolerances": trace.tolerances,
         "units": {
             name: unit
-            for name in (*found_outputs, *trace.variables)
+            for name in (*found_outputs, *trace.variables, *trace.parameters)
             if (unit := automaton.declaration.unit(name))
         },
     }
@@ -176,8 +178,11 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
 
 
 def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
-    """Return the least margin of every invariant of the run: below 0 it does not hold."""
-    declared = observer.automaton.invariants
+    """Return the least margin of every invariant of the run: below 0 it does not hold.
+
+    None where nothing of the run was kept.
+    """
+    declared = observer.automaton.invariants if trace.record is not Record.NOTHING else ()
     return {m.name: observer.extremes(trace, m.expression)[0] for m in declared}
 
 

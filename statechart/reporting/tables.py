@@ -18,6 +18,7 @@ from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
 from statechart.documents.files import aside, write_atomic
 from statechart.documents.quantities import unit_of
+from statechart.documents.setting import Record
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
@@ -40,7 +41,9 @@ _ADVICE = "name a place that is writable and has room, nothing was written"
 _ROWS = 8  # in every step of the integrator
 
 
-def samples_table(observer: Observer, trace: Trace, *, per_step: float = _ROWS) -> pd.DataFrame:
+def samples_table(
+    observer: Observer, trace: Trace, *, per_step: float | None = None
+) -> pd.DataFrame:
     """Return a run as a table: t, j, mode, then every variable and observable.
 
     Parameters
@@ -49,9 +52,10 @@ def samples_table(observer: Observer, trace: Trace, *, per_step: float = _ROWS) 
         Of the simulator that made the run.
     trace : Trace
         The run.
-    per_step : float
-        Rows in every step of the integrator; both ends of an arc have one, so a jump shows as
-        two rows of one time. Below one: 0.1 is a row every ten steps.
+    per_step : float, optional
+        Rows in every step of the integrator, 8 by default, and 1 where poses were kept; both ends
+        of an arc have one, so a jump shows as two rows of one time. Below one: 0.1 is a row every
+        ten steps.
 
     Returns
     -------
@@ -60,7 +64,7 @@ def samples_table(observer: Observer, trace: Trace, *, per_step: float = _ROWS) 
     """
     import pandas as pd
 
-    samples = observer.sample(trace, per_step=per_step)
+    samples = observer.sample(trace, per_step=per_step or _rows_of(trace))
     names = _columns(samples.columns)
     table = pd.DataFrame(
         {
@@ -120,7 +124,7 @@ def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
     return table
 
 
-def to_xarray(observer: Observer, trace: Trace, *, per_step: float = _ROWS) -> xr.Dataset:
+def to_xarray(observer: Observer, trace: Trace, *, per_step: float | None = None) -> xr.Dataset:
     """Return a run as a data set that NetCDF can hold.
 
     Parameters
@@ -129,7 +133,7 @@ def to_xarray(observer: Observer, trace: Trace, *, per_step: float = _ROWS) -> x
         Of the simulator that made the run.
     trace : Trace
         The run.
-    per_step : float
+    per_step : float, optional
         As in `samples_table`.
 
     Returns
@@ -143,7 +147,7 @@ def to_xarray(observer: Observer, trace: Trace, *, per_step: float = _ROWS) -> x
     """
     import xarray as xr
 
-    samples = observer.sample(trace, per_step=per_step)
+    samples = observer.sample(trace, per_step=per_step or _rows_of(trace))
     names = _columns(samples.columns)
     labels = np.array(_labels(observer, samples), dtype=np.str_)
     model = observer.automaton.declaration
@@ -206,8 +210,11 @@ def write_run(
     trace: Trace,
     report: Callable[[], Mapping[str, Any]],
     pieces: Pieces | None = None,
+    samples: bool = True,
 ) -> tuple[str, ...]:
     """Write a run to a folder: trace.nc, run.json, events.csv, samples.csv and its figure.
+
+    Of a run that has kept nothing, run.json and events.csv.
 
     All is written aside first. A new folder then appears at once; in one that exists, files of
     these names are replaced one by one and others are left alone. What cannot be written does not
@@ -225,6 +232,8 @@ def write_run(
         Makes it, as `statechart.reporting.report.report` does, after the trajectory is safe.
     pieces : Pieces, optional
         Takes what could not be written, and why, instead of an error, where some could.
+    samples : bool
+        Whether samples.csv is written.
 
     Returns
     -------
@@ -245,7 +254,7 @@ def write_run(
         run, per_step = _shape(trace, done, short)
         return _netcdf(to_xarray(observer, run, per_step=per_step))
 
-    def samples(short: bool) -> bytes:
+    def sampled(short: bool) -> bytes:
         run, per_step = _shape(trace, done, short)
         return _csv(samples_table(observer, run, per_step=per_step))
 
@@ -261,12 +270,18 @@ def write_run(
                 write_atomic(place / name, content(short))
 
             # First what cannot be had again; then the report, which says what is left out of it.
-            done.keep("trace.nc", partial(write, "trace.nc", data), None)
+            kept = trace.record is not Record.NOTHING
+            if kept:
+                done.keep("trace.nc", partial(write, "trace.nc", data), None)
             made = report()
             done.keep("run.json", partial(write, "run.json", lambda _: dumps(made).encode()), None)
-            for name, table in (("events.csv", events), ("samples.csv", samples)):
+            tables = {"events.csv": events}
+            if kept and samples:
+                tables["samples.csv"] = sampled
+            for name, table in tables.items():
                 done.attempt(name, partial(write, name, table, done.hurried), None)
-            drawing = done.attempt("figure", partial(figure, observer, trace), None)
+            draw_it = partial(figure, observer, trace)
+            drawing = done.attempt("figure", draw_it, None) if kept else None
             if drawing is not None:
                 for kind in ("svg", "png"):
                     path = place / f"figure.{kind}"
@@ -282,6 +297,11 @@ def write_run(
     return names
 
 
+def _rows_of(trace: Trace) -> int:
+    """Return how many rows a step has: of poses there is one."""
+    return 1 if trace.record is Record.POSES else _ROWS
+
+
 def _csv(table: pd.DataFrame) -> bytes:
     text: str = table.to_csv(index=False)
     return text.encode()
@@ -290,14 +310,14 @@ def _csv(table: pd.DataFrame) -> bytes:
 def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:
     """Return a run and how many rows a step of it has; in short, some of its flows and events."""
     if not short:
-        return trace, _ROWS
+        return trace, _rows_of(trace)
     width = len(trace.variables)
     arcs, jumps = (
         pieces.some("flows", trace.arcs, width),
         pieces.some("events", trace.jumps, width),
     )
     steps = sum(len(arc.times) - 1 for arc in arcs)
-    per_step = min(_ROWS, rows(width) / max(steps, 1))
+    per_step = min(_rows_of(trace), rows(width) / max(steps, 1))
     if per_step < 1.0:
         pieces.leave(f"all states but one of {math.ceil(1.0 / per_step)}")
     return replace(trace, arcs=arcs, jumps=jumps), per_step

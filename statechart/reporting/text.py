@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from statechart.automaton.trace import Outcome
+from statechart.documents.quantities import beside
+from statechart.tabular import Block, Table, apart, plain, table
 
 # Of more events than twice this only the first and the last are listed.
 _SHOWN = 20
@@ -16,40 +17,6 @@ _CERTIFIED: Mapping[object, str] = {
     "guards": "every event certified",
     False: "not certified",
 }
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of a text that belong under each other.
-
-    Attributes
-    ----------
-    rows : sequence of sequence of str
-        Those of one table are of one length.
-    headed : bool
-        Whether the first row is the head.
-    """
-
-    rows: Sequence[Sequence[str]]
-    headed: bool = False
-
-
-Block = str | Table
-"""A part of a text: lines, or a table."""
-
-
-def plain(blocks: Iterable[Block]) -> str:
-    """Return a text as it is written to a file."""
-    return "".join(block if isinstance(block, str) else table(block.rows) for block in blocks)
-
-
-def apart(parts: Iterable[Sequence[Block]]) -> list[Block]:
-    """Return parts of a text as one, an empty line between them."""
-    result: list[Block] = []
-    for part in parts:
-        if part:
-            result += [*(["\n"] if result else []), *part]
-    return result
 
 
 def summary(report: Mapping[str, Any]) -> str:
@@ -79,16 +46,6 @@ def told(report: Mapping[str, Any]) -> list[Block]:
     if "alternatives" in report:
         parts.append(_alternatives(report["alternatives"]))
     return apart(parts)
-
-
-def table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows as lines with aligned columns."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        + "\n"
-        for row in rows
-    )
 
 
 def _head(report: Mapping[str, Any]) -> str:
@@ -133,6 +90,8 @@ def _how(report: Mapping[str, Any]) -> str:
 def _events(report: Mapping[str, Any]) -> list[Block]:
     events = report["events"]
     if not events:
+        if report["record"] != "modes":
+            return [f"events of contacts were not recorded (record: {report['record']})\n"]
         return ["no events\n"]
     rows = [("t", "region", "cause", "from -> to")]
     for event in shown(events):
@@ -182,14 +141,10 @@ def _alternatives(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
 
 
 def _values(title: str, values: Mapping[str, Any], units: Mapping[str, str]) -> list[Block]:
-    said = {name: units.get(name, "") for name in values}
-    rows = [(f"  {name}", _text(value), _unit(said[name])) for name, value in values.items()]
+    rows = [
+        (f"  {name}", _text(value), beside(units.get(name, ""))) for name, value in values.items()
+    ]
     return [f"{title}\n", Table(rows)]
-
-
-def _unit(unit: str) -> str:
-    """Return a unit as it is shown behind a number: a ratio has none."""
-    return "" if unit == "1" else unit
 
 
 def _text(value: object) -> str:
@@ -210,17 +165,20 @@ def explanation(report: Mapping[str, Any]) -> str:
     report : mapping
         From `statechart.reporting.report.report` with `explain`, or read from a ``run.json``.
     """
-    events = report["events"]
-    blocks = []
-    for event in shown(events):
-        if isinstance(event, int):
-            blocks.append(f"... {event} more: --json --explain or --output has all\n")
-        else:
-            blocks.append(_event(event))
-    return "\n".join(blocks)
+    return plain(explained(report))
 
 
-def _event(event: Mapping[str, Any]) -> str:
+def explained(report: Mapping[str, Any]) -> list[Block]:
+    """Return what `explanation` does, its tables as such."""
+    return apart(
+        [f"... {event} more: --json --explain or --output has all\n"]
+        if isinstance(event, int)
+        else _event(event)
+        for event in shown(report["events"])
+    )
+
+
+def _event(event: Mapping[str, Any]) -> list[Block]:
     what = " ".join(filter(None, (event["contact"], event["cause"])))
     changed = change(event)
     title = f"t = {event['t']!r}, jump {event['j']}: {what}{', ' if changed else ''}{changed}\n"
@@ -244,7 +202,7 @@ def _event(event: Mapping[str, Any]) -> str:
     if event["skipped"]:
         rows.append(("skipped", f"the bounces of {_told(event['skipped'])} units of time"))
     rows += _entitled("considered", _candidates(event))
-    return title + table([(f"  {head}", text) for head, text in rows])
+    return [title, Table([(f"  {head}", text) for head, text in rows])]
 
 
 def _entitled(head: str, lines: list[tuple[str, ...]]) -> list[tuple[str, str]]:

@@ -161,7 +161,7 @@ def drawn(runner: Runner, *, visited: bool = False) -> tuple[Diagram, Trace | No
     start, _ = runner.start()
     trace = None
     if visited or needs_run(runner.automaton):
-        trace = runner.run(throw=False).trace
+        trace = runner.with_modes().run(throw=False).trace
     setup = runner.setup()
     found = feasibility(runner.automaton, setup, setup.initial, 0.0)
     diagram = build(runner.automaton, start, trace, found, visited=visited)

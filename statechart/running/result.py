@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from statechart.automaton.keeping import check_kept
 from statechart.automaton.trace import Trace
-from statechart.documents.setting import Setting
+from statechart.documents.setting import Record, Setting
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.reporting.pieces import Pieces
@@ -242,7 +244,16 @@ class Result:
         ----------
         path : Path or str, optional
             Where to write it, too; see `statechart.draw` for the suffixes.
+
+        Raises
+        ------
+        StatechartError
+            If the run has kept no modes.
         """
+        if self.trace.record is not Record.MODES:
+            raise StatechartError(
+                "the run recorded no modes to draw: run it with record: modes, or --record modes"
+            )
         from statechart.automaton.product import feasibility
         from statechart.diagram.build import build
         from statechart.diagram.write import write
@@ -305,8 +316,10 @@ class Result:
         from statechart.pages.page import write
 
         path = Path(path)
+        check_kept(self.trace)
         told = self.to_dict(explain=True)
-        write(content(self.observer, self.trace, told, self.diagram()), path)
+        diagram = self.diagram() if self.trace.record is Record.MODES else None
+        write(content(self.observer, self.trace, told, diagram), path)
         return path
 
     @property
@@ -329,11 +342,29 @@ class Result:
             pieces=pieces,
         )
 
-    def save(self, folder: Path | str) -> tuple[str, ...]:
-        """Write tables, data set and figure; see `statechart.reporting.tables.write_run`."""
+    def save(self, folder: Path | str, *, samples: bool | None = None) -> tuple[str, ...]:
+        """Write tables, data set and figure; see `statechart.reporting.tables.write_run`.
+
+        Parameters
+        ----------
+        folder : Path or str
+            Where to.
+        samples : bool, optional
+            Whether samples.csv is written, which says what trace.nc says. By default it is where
+            modes were kept; that goes with version 0.3.
+        """
         from statechart.reporting.tables import write_run
 
-        return write_run(folder, self.observer, self.trace, lambda: self.to_dict(explain=True))
+        if samples is None and self.trace.record is Record.MODES:
+            warnings.warn(
+                "save writes samples.csv from version 0.3 on only where it is asked for: say "
+                "samples=True, or samples=False; trace.nc has the same",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+            samples = True
+        made = partial(self.to_dict, explain=True)
+        return write_run(folder, self.observer, self.trace, made, samples=bool(samples))
 
 
 def _remade(

@@ -16,7 +16,7 @@ from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
-from statechart.documents.setting import Setting
+from statechart.documents.setting import Record, Setting
 from statechart.documents.validation import located
 from statechart.documents.yaml_reader import read
 from statechart.engines.budget import Allowance
@@ -67,6 +67,9 @@ class Runner:
         By how much the impulses of a step of the engine impulse may miss the contact laws, in parts
         of the step's fastest approach, 1e-6 by default: more is told, and beyond the bound, which
         is none by default, ends the run.
+    record : str, optional
+        What is kept of a run of the engine impulse: modes, poses (states at every step) or nothing
+        (start, end and outputs).
     study : Study, optional
         What was measured of this model: engine and tolerance are chosen by it.
     once : bool
@@ -95,6 +98,7 @@ class Runner:
         max_step: float | None = None,
         impulse_tolerance: float | None = None,
         impulse_bound: float | None = None,
+        record: str | None = None,
         study: Measured | None = None,
         once: bool = False,
         progress: bool = False,
@@ -121,7 +125,7 @@ class Runner:
         self._progress = progress
         self._asked = Setting(
             engine, method, tolerance, accuracy, step, budget, max_step, impulse_tolerance,
-            impulse_bound,
+            impulse_bound, record,
         )  # fmt: skip
         self._study, self._alone = study, once
         # The last one with other copies of bodies, and what makes it: composing takes its time.
@@ -370,6 +374,13 @@ class Runner:
             if math.isnan(value):
                 raise DeclarationError(f"parameter {name!r} must be a number, not nan")
 
+    def with_modes(self) -> Runner:
+        """Return what runs the same and keeps modes: this one where it does."""
+        if self.setting.kept is Record.MODES:
+            return self
+        asked = replace(self._asked, record=Record.MODES.value)
+        return Runner(self.model, **asdict(asked), once=self._alone, progress=self._progress)
+
     def _other(self, model: Declaration, study: Measured | None) -> Runner:
         """Return what runs another model, or by another study, in the place of this one."""
         other = Runner(
@@ -403,6 +414,7 @@ def run(
     max_step: float | None = None,
     impulse_tolerance: float | None = None,
     impulse_bound: float | None = None,
+    record: str | None = None,
     study: Measured | None = None,
     progress: bool = False,
     certify: bool = False,
@@ -420,7 +432,7 @@ def run(
     """
     asked = Setting(
         engine, method, tolerance, accuracy, step, budget, max_step, impulse_tolerance,
-        impulse_bound,
+        impulse_bound, record,
     )  # fmt: skip
     runner = Runner(model, **asdict(asked), study=study, once=True, progress=progress)
     return runner.run(parameters, until=until, certify=certify, throw=throw)

@@ -7,11 +7,11 @@ from dataclasses import asdict
 from typing import Any
 
 from statechart.automaton.trace import Outcome
-from statechart.reporting.text import Block, Table, plain
 from statechart.study.notes import Note, beyond, notes, reasons
 from statechart.study.point import Point, Third
 from statechart.study.record import Study
 from statechart.study.slopes import slopes, unfitted
+from statechart.tabular import Block, Table, plain
 
 # Of what an odd run is off in, the parts that are so much of the largest are told.
 _MUCH = 0.5

@@ -326,7 +326,7 @@ class _Structure:
 
     def _word(self, key: Key) -> str:
         """Return the name of a mode: its regions that have states to tell apart."""
-        regions = self.runner.automaton.regions
+        regions = self.runner.automaton.told(key)
         told = [(r.name, s) for r, s in zip(regions, key, strict=True) if len(r.states) > 1]
         if len(told) < 2:
             return told[0][1] if told else key[0]

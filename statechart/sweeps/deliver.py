@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from statechart.documents.files import made, write_atomic
 from statechart.errors import DeclarationError
+from statechart.reporting.figure import SUFFIXES
 from statechart.reporting.pieces import Pieces
 from statechart.sweeps.plan import Plan
 
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _STORE, _FILE = ".zarr", ".nc"
-PICTURES = (".svg", ".png", ".pdf")
-"""Suffixes of pictures."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +71,9 @@ class Target:
         if plot is not None:
             from statechart.sweeps.figure import check
 
-            if Path(plot).suffix.lower() not in PICTURES:
+            if Path(plot).suffix.lower() not in SUFFIXES:
                 raise DeclarationError(
-                    f"--plot {plot}: the suffix must be one of {', '.join(PICTURES)}"
+                    f"--plot {plot}: the suffix must be one of {', '.join(SUFFIXES)}"
                 )
             if Path(plot).is_dir():
                 raise DeclarationError(f"--plot {plot}: it is a folder", advice="name a file")

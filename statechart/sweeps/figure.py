@@ -176,7 +176,7 @@ class _Axis:
     Attributes
     ----------
     name : str
-        The parameter.
+        The parameter, with its unit.
     at : (n,) array
         Place of every cell: its value; its rank, where a value is infinite.
     log : bool
@@ -230,7 +230,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     from matplotlib.figure import Figure
 
     axis = int(np.argmax([len(np.unique(column)) for column in cells.columns]))
-    x = _Axis.of(cells.names[axis], cells.columns[axis])
+    x = _Axis.of(plan.entitled(cells.names[axis]), cells.columns[axis])
     alone = len(cells.names) == 1
     other = np.zeros(len(x.at)) if alone else cells.columns[1 - axis]
     count = len(plan.task.outputs)
@@ -249,7 +249,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
                 _points(ax, x.at[chosen], values.reshape(len(x.at), -1)[chosen], colour)
             else:
                 _joined(ax, x.at[chosen], values.ravel()[chosen], cells.modes[chosen], colour)
-        ax.set_ylabel(name)
+        ax.set_ylabel(plan.entitled(name))
         ax.grid(visible=True, color=GRID, linewidth=0.6)
         ax.set_axisbelow(True)
         for side in ("top", "right"):
@@ -318,7 +318,8 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure
 
-    x, y = (_Axis.of(*pair) for pair in zip(cells.names, cells.columns, strict=True))
+    titles = map(plan.entitled, cells.names)
+    x, y = (_Axis.of(*pair) for pair in zip(titles, cells.columns, strict=True))
     outputs = list(plan.task.outputs)
     count = len(outputs) + 1
     columns = min(count, 3 if count > 4 else 2)
@@ -327,7 +328,7 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     axes = drawing.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     blank = False
     for ax, name in zip(axes, outputs, strict=False):
-        variable, title = plan.variables[name], name
+        variable, title = plan.variables[name], plan.entitled(name)
         if name in plan.lists:
             variable, title = f"{variable}_count", f"number of {name}"
         values = np.where(cells.good, data[variable].to_numpy().ravel(), math.nan)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.outputs import Value
+from statechart.documents.quantities import entitled
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, close_matches
 from statechart.reporting.tables import RESERVED
@@ -212,6 +213,15 @@ class Plan:
     def numbers(self) -> tuple[str, ...]:
         """The outputs that are one number each."""
         return tuple(name for name in self.task.outputs if name not in self.lists)
+
+    def named(self, name: str) -> dict[str, str]:
+        """Return what a parameter or an output is called, and its unit, as attributes."""
+        unit = self.model.unit(name)
+        return {"long_name": name} | ({"units": unit} if unit else {})
+
+    def entitled(self, name: str) -> str:
+        """Return what stands at the axis of a parameter or an output."""
+        return entitled(name, self.model.unit(name))
 
     def declared(self, name: str) -> dict[str, str]:
         """Return how an output is declared, as attributes of its variable."""

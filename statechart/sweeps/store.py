@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
+from statechart.documents.declaration import TIME
 from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps.block import WORDS, Block
 from statechart.sweeps.plan import Plan, Slices, Tile
@@ -210,13 +211,13 @@ class Store:
             where, overwrite=True, attributes={**plan.attributes(), "complete": 0}
         )
         for name, column in plan.columns.items():
-            told = {"long_name": name, "declared": str(plan.model.parameters[name])}
+            told = {**plan.named(name), "declared": str(plan.model.parameters[name])}
             dims = (plan.coordinates[name],) if plan.grid else plan.dims
             shape = column.shape
             self._make(plan.coordinates[name], _NUMBER, shape, shape, dims, told)[:] = column
         shape, chunk, dims = plan.shape, plan.chunk, plan.dims
         for name in plan.task.outputs:
-            variable, told = plan.variables[name], {"long_name": name, **plan.declared(name)}
+            variable, told = plan.variables[name], {**plan.named(name), **plan.declared(name)}
             if name in plan.lists:
                 own = ((*shape, 0), (*chunk, _LIST_CHUNK), (*dims, f"{variable}_index"))
                 self._make(variable, _NUMBER, *own, told)
@@ -230,7 +231,8 @@ class Store:
         self._make(f"{_UNFINISHED}/modes", _CODE, shape, chunk, dims, {})
         for name, (kind, told_of_all) in _OWN.items():
             if name != "error_estimate" or plan.accurate:
-                self._make(name, kind, shape, chunk, dims, told_of_all)
+                unit = plan.named(TIME) if name == "t_end" else {}
+                self._make(name, kind, shape, chunk, dims, {**unit, **told_of_all})
         self._consolidate()
         return group
 

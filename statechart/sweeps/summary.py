@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from statechart.automaton.trace import Outcome
+from statechart.documents.quantities import beside
+from statechart.tabular import Block, Table, apart
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -76,6 +79,9 @@ def report(plan: Plan, data: xr.Dataset, *, where: str | None) -> dict[str, Any]
         ],
         "certified": int(np.count_nonzero(data["certified"].to_numpy())),
         "outputs": outputs,
+        "units": {
+            name: unit for name in (*plan.columns, *outputs) if (unit := plan.model.unit(name))
+        },
         "sequences": [
             {"modes": str(texts[code]), "cells": count}
             for code, count in codes.most_common()
@@ -91,43 +97,59 @@ def succeeded(report: dict[str, Any]) -> bool:
     return report["done"] == report["cells"] and any(o["succeeded"] for o in report["outcomes"])
 
 
-def text(report: dict[str, Any]) -> str:
-    """Return a sweep in words."""
+def text(report: dict[str, Any]) -> list[Block]:
+    """Return a sweep in words and tables."""
     over = ", ".join(
-        f"{name} ({told['values']} from {_number(told['least'])} to {_number(told['greatest'])})"
+        f"{name} ({told['values']} from {_with(told['least'], report, name)} to "
+        f"{_with(told['greatest'], report, name)})"
         for name, told in report["over"].items()
     )
     done = report["done"]
     counted = f"{done} cells" if done == report["cells"] else f"{done} of {report['cells']} cells"
     each = report["seconds"] / done if done else 0.0
-    lines = [
-        f"{report['model']} over {over}",
+    head = (
+        f"{report['model']} over {over}\n"
         f"{counted}, {report['certified']} certified; "
-        f"{report['seconds']:.3g} s of runs, {1e3 * each:.3g} ms each",
+        f"{report['seconds']:.3g} s of runs, {1e3 * each:.3g} ms each\n"
+    )
+    outcomes = [
+        (told["outcome"], str(told["cells"]), told["example"]) for told in report["outcomes"]
     ]
-    for told in report["outcomes"]:
-        example = f"; such as: {told['example']}" if told["example"] else ""
-        lines.append(f"  {told['outcome']:<20} {told['cells']:>8}{example}")
-    if report["outputs"]:
-        width = max(len(name) for name in report["outputs"])
-        lines.append("outputs")
-        for name, told in report["outputs"].items():
-            none = f", none in {told['none']} cells" if told["none"] else ""
-            what = "" if told["of"] == "values" else "lengths "
-            ends = f"{_number(told['least'])} to {_number(told['greatest'])}"
-            between = "none" if told["least"] is None else f"{what}{ends}{none}"
-            lines.append(f"  {name:<{width}}  {between}")
-    if report["sequences"]:
-        lines.append("sequences of modes")
-        for told in report["sequences"][:_LISTED]:
-            lines.append(f"  {told['cells']:>8}  {told['modes']}")
-        rest = report["sequences"][_LISTED:]
-        if rest:
-            cells = sum(told["cells"] for told in rest)
-            lines.append(f"  {cells:>8}  others ({len(rest)})")
-    if report["store"]:
-        lines.append(f"in {report['store']}")
-    return "\n".join(lines) + "\n"
+    outputs = [
+        (
+            name,
+            "" if told["of"] == "values" else "lengths",
+            _number(told["least"]),
+            _number(told["greatest"]),
+            beside(report["units"].get(name, "")) if told["of"] == "values" else "",
+            str(told["none"] or ""),
+        )
+        for name, told in report["outputs"].items()
+    ]
+    sequences = [(str(told["cells"]), told["modes"]) for told in report["sequences"][:_LISTED]]
+    rest = report["sequences"][_LISTED:]
+    if rest:
+        sequences.append((str(sum(told["cells"] for told in rest)), f"others ({len(rest)})"))
+    return apart(
+        [
+            [head],
+            _listed(("outcome", "cells", "such as"), outcomes),
+            _listed(("output", "", "least", "greatest", "unit", "cells without"), outputs),
+            _listed(("cells", "sequence of modes"), sequences),
+            [f"in {report['store']}\n"] if report["store"] else [],
+        ]
+    )
+
+
+def _listed(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Block]:
+    """Return a table without the columns that say nothing."""
+    said = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    return [Table([[row[k] for k in said] for row in (head, *rows)], headed=True)] if rows else []
+
+
+def _with(value: float | str, report: dict[str, Any], name: str) -> str:
+    """Return a value with its unit."""
+    return f"{_number(value)} {beside(report['units'].get(name, ''))}".rstrip()
 
 
 def _number(value: float | str | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class Together:
         found = self._runner.rows(self._task.names)
         if found is None:
             return None
-        return found[1], RowOutputs(Outputs(found[0], self._task.outputs), found[1])
+        return found[1], RowOutputs(Outputs(found[0], self._task.outputs))
 
     @property
     def size(self) -> int:
@@ -69,7 +69,7 @@ class Together:
         self._tried += len(table)
         for batch in rows.run(table, until, self._runner.model.settings.max_jumps):
             self.through += len(batch.rows)
-            yield batch, *outputs.of(batch, table[batch.rows])
+            yield batch, *outputs.of(batch, partial(rows.jump, batch, table[batch.rows]))
 
     def _ends(self, table: Array) -> Array:
         """Return when runs (m,) end; not a number where that is refused."""

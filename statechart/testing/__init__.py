@@ -7,7 +7,9 @@ them by Hypothesis and reports.
 
 from statechart.testing.agreement import (
     Reading,
+    Sensitivity,
     Undecidable,
+    assert_same,
 )
 from statechart.testing.properties import (
     Property,
@@ -36,6 +38,7 @@ __all__ = [
     "Case",
     "Property",
     "Reading",
+    "Sensitivity",
     "Subject",
     "Undecidable",
     "assert_continuous",
@@ -46,6 +49,7 @@ __all__ = [
     "assert_margins",
     "assert_ordered",
     "assert_prefix",
+    "assert_same",
     "assert_start",
     "dense",
     "generic",

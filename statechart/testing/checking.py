@@ -11,6 +11,7 @@ from statechart.documents.declaration import Declaration
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.loading.kind import offered
+from statechart.tabular import Block, Table, apart, plain
 from statechart.testing.agreement import Undecidable
 from statechart.testing.properties import Property, generic
 from statechart.testing.strategies import parameters, ranges
@@ -125,22 +126,28 @@ class CheckReport:
         }
 
     def text(self) -> str:
-        """Return the report for people, a line for each property."""
+        """Return the report for people: a table of the properties, then what fails."""
+        return plain(self.told())
+
+    def told(self) -> list[Block]:
+        """Return the report as `text` does, its table as such."""
         varied = ", ".join(f"{n} {a:g} to {b:g}" for n, (a, b) in self.ranges.items())
-        lines = [
-            f"{self.model} on {' and '.join(self.engines)}, seed {self.seed}",
-            f"varied: {varied or 'nothing'}",
+        head = (
+            f"{self.model} on {' and '.join(self.engines)}, seed {self.seed}\n"
+            f"varied: {varied or 'nothing'}\n"
+        )
+        rows = [("property", "examples", "verdict")]
+        rows += [
+            (r.name, "" if r.skipped else str(r.examples), _verdict(r)) for r in self.properties
         ]
-        width = max(len(result.name) for result in self.properties)
-        for result in self.properties:
-            lines.append(f"  {result.name:{width}}  {_verdict(result)}")
-            if result.failure is not None:
-                values = ", ".join(f"{n} = {v!r}" for n, v in result.failure.parameters.items())
-                lines.append(f"    with {values or 'the declared parameters'}:")
-                lines.append(f"    {result.failure.message}")
-        failed = sum(result.failure is not None for result in self.properties)
-        lines.append("passed" if self.passed else f"{failed} of {len(self.properties)} failed")
-        return "\n".join(lines) + "\n"
+        parts: list[list[Block]] = [[head], [Table(rows, headed=True)]]
+        failed = [(r.name, r.failure) for r in self.properties if r.failure is not None]
+        for name, failure in failed:
+            values = ", ".join(f"{n} = {v!r}" for n, v in failure.parameters.items())
+            with_ = f"  with {values or 'the declared parameters'}:\n"
+            parts.append([f"{name}: FAILED\n{with_}  {failure.message}\n"])
+        last = f"{len(failed)} of {len(self.properties)} failed" if failed else "passed"
+        return apart([*parts, [f"{last}\n"]])
 
 
 def _verdict(result: PropertyReport) -> str:
@@ -149,11 +156,8 @@ def _verdict(result: PropertyReport) -> str:
     if result.failure is not None:
         return "FAILED"
     if result.undecidable:
-        return (
-            f"{result.examples - result.undecidable} examples, "
-            f"{result.undecidable} more undecidable (the last: {result.reason})"
-        )
-    return f"{result.examples} examples"
+        return f"holds; {result.undecidable} undecidable (the last: {result.reason})"
+    return "holds"
 
 
 def check(

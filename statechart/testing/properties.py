@@ -62,6 +62,16 @@ def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
     """Yield every arc with local times that no integrator used.
 
     The places in the steps are multiples of the golden ratio: never an end, never the same ones.
+
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+
+    Yields
+    ------
+    (Arc, (m,) array)
+        Times are since the start of the arc, in the model's unit of time.
     """
     for arc in trace.arcs:
         steps = np.diff(arc.times)
@@ -71,7 +81,18 @@ def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
 
 
 def assert_ended(case: Case) -> None:
-    """Check that every run comes to an end that the model declares."""
+    """Check that every run comes to an end that the model declares.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     for trace in case.traces.values():
         if not trace.outcome.succeeded:
             raise AssertionError(
@@ -80,7 +101,18 @@ def assert_ended(case: Case) -> None:
 
 
 def assert_start(case: Case) -> None:
-    """Check that runs start in the declared state, but for rounding on constraints."""
+    """Check that runs start in the declared state, but for rounding on constraints.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
         projected = _projected(trace)
@@ -95,7 +127,18 @@ def assert_start(case: Case) -> None:
 
 
 def assert_ordered(trace: Trace) -> None:
-    """Check that arcs and jumps follow one another on hybrid time (t, j)."""
+    """Check that arcs and jumps follow one another on hybrid time (t, j).
+
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     t, j = 0.0, 0
     # Steps of one length add up to it with their roundings.
     allowed = _ROUNDING * trace.t_end if trace.step is not None else 0.0
@@ -117,7 +160,20 @@ def assert_ordered(trace: Trace) -> None:
 
 
 def assert_edges(automaton: Automaton, trace: Trace) -> None:
-    """Check that every jump is an edge of the automaton, region by region."""
+    """Check that every jump is an edge of the automaton, region by region.
+
+    Parameters
+    ----------
+    automaton : Automaton
+        That of the model.
+    trace : Trace
+        A run of it.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     mode = trace.start_mode
     for jump in trace.jumps:
         place = f"jump {jump.j} at t = {jump.t:.17g} ({jump.region} {jump.cause})"
@@ -146,7 +202,18 @@ def _projected(trace: Trace) -> float:
 
 
 def assert_continuous(trace: Trace) -> None:
-    """Check that states change only by jumps, and that steps of an arc join."""
+    """Check that states change only by jumps, and that steps of an arc join.
+
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     visited = [arc.coefficients[:, :, 0] for arc in trace.arcs]
     sizes = np.abs(np.concatenate([*visited, trace.initial[None], trace.final[None]])).max(axis=0)
     error = _ROUNDING if trace.step is not None else max(trace.tolerance, _ROUNDING)
@@ -181,7 +248,20 @@ def _join(trace: Trace, before: Array, after: Array, t: float, allowed: Array) -
 
 
 def assert_margins(subject: Subject, trace: Trace) -> None:
-    """Check that no guard's margin is negative between events, on a grid of its own."""
+    """Check that no guard's margin is negative between events, on a grid of its own.
+
+    Parameters
+    ----------
+    subject : Subject
+        The model.
+    trace : Trace
+        A run of it.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
         if mode.margins:
@@ -189,7 +269,20 @@ def assert_margins(subject: Subject, trace: Trace) -> None:
 
 
 def assert_invariants(subject: Subject, trace: Trace) -> None:
-    """Check that declared invariants hold, of states in these, on a grid of its own."""
+    """Check that declared invariants hold, of states in these, on a grid of its own.
+
+    Parameters
+    ----------
+    subject : Subject
+        The model.
+    trace : Trace
+        A run of it.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    """
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
         margins = [
@@ -234,7 +327,20 @@ def _assert_margins(
 
 
 def assert_engines_agree(case: Case) -> None:
-    """Check that all engines take the same modes at the same times through the same states."""
+    """Check that all engines take the same modes at the same times through the same states.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    Undecidable
+        Where that cannot be told.
+    """
     first, *others = case.sound
     for other in others:
         loosened = partial(case.loosened, other.tolerance)
@@ -242,7 +348,20 @@ def assert_engines_agree(case: Case) -> None:
 
 
 def assert_prefix(case: Case) -> None:
-    """Check that a shorter run is the beginning of the run: the future changes nothing."""
+    """Check that a shorter run is the beginning of the run: the future changes nothing.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+
+    Raises
+    ------
+    AssertionError
+        Where it does not hold.
+    Undecidable
+        Where that cannot be told.
+    """
     trace = case.sound[0]
     if not trace.arcs:
         raise Undecidable("nothing flows")
@@ -284,7 +403,13 @@ def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
 
 
 def generic(subject: Subject) -> tuple[Property, ...]:
-    """Return what holds for every automaton."""
+    """Return what holds for every automaton.
+
+    Parameters
+    ----------
+    subject : Subject
+        The model.
+    """
     states = [(region, state) for region in subject.automaton.regions for state in region.states]
     of_states = any(region.build(Role(state)).invariants for region, state in states)
     no_invariants = not (of_states or subject.automaton.invariants)

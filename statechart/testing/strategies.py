@@ -20,6 +20,11 @@ def ranges(model: Declaration) -> dict[str, tuple[float, float]]:
     Those that the model declares; if it declares none, from half to twice the value of every
     parameter that is a number other than 0 and inf, less far where the model would be wrong
     there (a restitution of 0.9 cannot be 1.8).
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
     """
     if model.ranges:
         return dict(model.ranges)
@@ -52,6 +57,16 @@ def parameters(model: Declaration) -> SearchStrategy[dict[str, float]]:
     """Return the strategy over the `ranges` of a model.
 
     Shrinking leads to the declared values: what differs from them in a failing example matters.
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
+
+    Returns
+    -------
+    SearchStrategy
+        Of parameter -> value, as runs take them.
     """
     from hypothesis import strategies as st
 

@@ -49,7 +49,8 @@ class Subject:
         self.observers: dict[str, Observer] = {}
         self.missing: dict[str, str] = {}
         made = Observers(self.automaton)
-        asked = planned(Setting(), model, self.automaton).setting
+        # What is tested are modes and events, too.
+        asked = planned(Setting(record="modes"), model, self.automaton).setting
         self.model, self.step = model, asked.step
         if self.step is not None:
             # Images of the model are run by its step, not by one of their own.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -251,11 +252,27 @@ def test_an_override_at_fault_is_named_at_the_place_that_it_breaks(cli: Cli) -> 
 
 
 def test_output_has_the_report_tables_and_figure(cli: Cli) -> None:
-    code, out, _ = cli("run", "bouncing_ball", "--until", "1", "--output", "out", "--json")
+    code, out, err = cli("run", "bouncing_ball", "--until", "1", "--output", "out", "--json")
     assert code == 0
+    assert "say --samples, or --no-samples" in err
     written = {file.name for file in (cli.folder / "out").iterdir()}
     assert written >= {"run.json", "events.csv", "samples.csv", "trace.nc", "figure.svg"}
     assert json.loads((cli.folder / "out" / "run.json").read_text()) == json.loads(out)
+
+
+def test_samples_are_written_where_they_are_asked_for(cli: Cli) -> None:
+    asked = ("run", "box_stack", "--until", "0.01", "--output", "out", "--record")
+    for options, names in (
+        (("poses",), {"run.json", "events.csv", "trace.nc", "figure.svg", "figure.png"}),
+        (("nothing", "--samples"), {"run.json", "events.csv"}),
+        (("poses", "--samples"), {"samples.csv", "trace.nc"}),
+    ):
+        code, _, err = cli(*asked, *options)
+        assert (code, "--samples" in err) == (0, False)
+        found = {file.name for file in (cli.folder / "out").iterdir()}
+        assert found >= names
+        assert "samples.csv" in names or "samples.csv" not in found
+        shutil.rmtree(cli.folder / "out")
 
 
 def test_an_output_that_is_a_file_is_refused_before_running(cli: Cli) -> None:
@@ -356,10 +373,62 @@ def test_draw_says_guards_at_every_arrow_where_asked(cli: Cli) -> None:
     assert "legend : liftoff" not in told[1]
 
 
-def test_draw_into_a_missing_folder_exits_with_one(cli: Cli) -> None:
-    code, _, err = cli("draw", "toppling_stick", "-o", "nowhere/chart.svg")
-    assert code == 1
-    assert "no folder" in err
+@pytest.mark.parametrize("scene", [(), ("--scene",)])
+def test_a_drawing_has_a_place_and_a_suffix_before_anything_is_made(
+    cli: Cli, scene: tuple[str, ...]
+) -> None:
+    Path("file.yaml").write_text("")
+    Path("folder.svg").mkdir()
+    for place, told in (
+        ("nowhere/chart.svg", "-o nowhere/chart.svg: there is no folder"),
+        ("file.yaml/chart.svg", "-o file.yaml/chart.svg: there is no folder"),
+        ("folder.svg", "-o folder.svg: that is a folder; name a file in it"),
+        ("", "-o: the name is empty; name a file"),
+        ("chart.docx", "-o chart.docx: the suffix must be one of .svg, .png, .pdf"),
+    ):
+        code, out, err = cli("draw", "nobody_reads_this", *scene, "-o", place)
+        assert (code, out) == (2, "")
+        assert told in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ("check bouncing_ball_chart --examples -3", "must be from 1 to 10**18, not -3"),
+        ("check bouncing_ball_chart --examples 0", "must be from 1 to 10**18, not 0"),
+        ("check bouncing_ball_chart --examples 2.5", "'2.5' is not a whole number, such as 20"),
+        ("check bouncing_ball_chart --seed -1", "must be from 0 to 10**18, not -1"),
+        ("sweep bouncing_ball_chart --over k=0.1 --workers 0", "must be from 1 to 10**18, not 0"),
+        ("sweep bouncing_ball_chart --over k=0.1 --outputs ,", "no name is written"),
+        (
+            "run bouncing_ball --engine impulse --step 1e-300",
+            "size of the scene; take 7e-17 or more",
+        ),
+        ("run bouncing_ball --engine impulse --step 0", "the step must be a positive time, not 0"),
+        ("run bouncing_ball --until -1", "the end must be a finite time from 0 on, not -1"),
+        ("run bouncing_ball --max-step -1", "the max_step must be a positive time, not -1"),
+        ("run bouncing_ball --tolerance 2", "tolerance must be above 0 and below 1, not 2"),
+        ("run bouncing_ball --budget 0", "the budget must be a positive time in seconds, not 0"),
+    ],
+)
+def test_a_number_out_of_range_is_told_with_what_it_may_be(
+    cli: Cli, arguments: str, told: str
+) -> None:
+    code, out, err = cli(*arguments.split())
+    assert (code, out) == (2, "")
+    assert told in err
+
+
+def test_a_model_without_a_name_is_told_so(cli: Cli) -> None:
+    assert cli("run", "")[0] == 2
+    assert "the name of the model is empty; known: arch" in cli("run", " ")[2]
+
+
+def test_a_step_of_all_of_a_short_run_is_no_step_too_short(cli: Cli) -> None:
+    code, _, _ = cli(
+        "run", "bouncing_ball", "--engine", "impulse", "--step", "0.1", "--until", "1e-300"
+    )
+    assert code == 0
 
 
 def test_check_passes_on_a_shipped_model(cli: Cli) -> None:

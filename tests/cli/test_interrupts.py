@@ -309,7 +309,7 @@ def test_a_run_that_cannot_be_saved_is_printed_all_the_same(
         raise StatechartError("cannot write out: No space left on device; nothing was written")
 
     monkeypatch.setattr("statechart.reporting.tables.write_run", full)
-    code = main(["run", "bouncing_ball_chart", "--output", str(tmp_path / "out")])
+    code = main(["run", "bouncing_ball_chart", "--samples", "--output", str(tmp_path / "out")])
     said = capsys.readouterr()
     assert code == 1
     assert said.out.startswith("bouncing_ball_chart: HORIZON")

@@ -72,6 +72,32 @@ def test_bash_completes_verbs_options_and_models(tmp_path: Path) -> None:
     ]
 
 
+def test_fish_and_zsh_load_what_completes(tmp_path: Path) -> None:
+    asked = {
+        "fish": (
+            "{0} completion fish | source; complete -C 'statechart run toppl'; "
+            "complete -C 'statechart swe'; complete -C 'statechart run x --accu'",
+            ["toppling_stick", "sweep", "--accuracy"],
+        ),
+        "zsh": (
+            'autoload -Uz compinit; compinit -u -D; eval "$({0} completion zsh)"; '
+            "print ${{_comps[statechart]}}",
+            ["_shtab_statechart"],
+        ),
+    }
+    found = {shell: program for shell in asked if (program := shutil.which(shell))}
+    if not found:
+        pytest.skip("neither fish nor zsh is here")
+    for shell, program in found.items():
+        commands, expected = asked[shell]
+        made = subprocess.run(
+            (program, "-c", commands.format(STATECHART)),
+            capture_output=True, text=True, cwd=tmp_path, check=True,
+            env={**os.environ, "HOME": str(tmp_path)},
+        )  # fmt: skip
+        assert [line.split()[0] for line in made.stdout.splitlines()] == expected
+
+
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 def test_other_shells_can_read_what_completes(
     shell: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
@@ -97,6 +123,33 @@ def test_a_run_is_a_table_on_a_terminal() -> None:
     assert ["free", "possible"] in cells
     # Nothing is cut off: what is long goes on in the next line.
     assert sorted("".join(plain.split())) == sorted("".join("".join(lines).split()))
+
+
+def bare(text: str) -> str:
+    """Return the letters of a text that do not depend on how fast it was made, in order."""
+    lines = [line for line in text.splitlines() if "s of runs" not in line]
+    return "".join(sorted("".join("".join(lines).split())))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "head"),
+    [
+        ("check bouncing_ball_chart --examples 1 --seed 1", ["property", "examples", "verdict"]),
+        ("sweep bouncing_ball_chart --over k=0.3,0.5", ["output", "least", "greatest", "unit"]),
+        (
+            "run bouncing_ball_chart --set k=0 --explain",
+            ["t", "region", "cause", "from", "->", "to"],
+        ),
+    ],
+)
+def test_other_verbs_are_tables_on_a_terminal_too(arguments: str, head: list[str]) -> None:
+    shown = on_a_terminal(*arguments.split())
+    plain = subprocess.run(
+        (STATECHART, *arguments.split()), capture_output=True, text=True, check=True
+    ).stdout
+    assert head in [line.split() for line in plain.splitlines()]
+    assert head in [line.split() for line in shown.splitlines()]
+    assert bare(plain) == bare(shown)
 
 
 def test_the_page_of_a_run_is_opened(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contacts.collisions.outlines import body_numbers, owners_of
+from contacts.collisions.outlines import body_numbers
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
@@ -56,7 +56,6 @@ def test_energy_and_depth_stay_within_the_bounds_of_a_step(start, restitution, f
     trace = subject.case({}).trace
     assert trace.outcome.succeeded, trace.message
     scene = subject.model
-    single = scene.model_copy(update={"bodies": scene.single_bodies()})
-    numbers = body_numbers(single, owners_of(scene), scene.values())
+    numbers = body_numbers(scene, scene.values())
     assert_energy_of_steps(numbers, subject, trace)
     assert_depths(numbers, trace)

@@ -8,10 +8,14 @@ import shutil
 import sys
 import textwrap
 from pathlib import Path
+from types import ModuleType
+from urllib.parse import urlsplit
 
 import pytest
 from making.following import blocks, follow, followed
 
+import contacts.testing
+import statechart.testing
 from statechart import Outcome, Runner
 from statechart.documents.yaml_reader import read_text
 
@@ -46,6 +50,27 @@ def test_a_page_does_what_it_says(name: str, shell: Path) -> None:
 
 # What stands around a part of a document that a page shows; `@` is its place.
 HOSTS = {
+    ("format.md", "Wheels and round feet"): """
+        kind: scene
+        name: bicycle
+        parameters: {r: 0.35, mu: 0.8}
+        gravity: 9.81
+        bodies: {bicycle: {mass: 15, inertia: 2, start: {x: 0, y: 0.8}}}
+        surfaces: {road: {height: 0}}
+        stop: {time: 1}
+        @
+        """,
+    ("format.md", "Bodies of several shapes"): """
+        kind: scene
+        name: gym
+        gravity: 9.81
+        surfaces: {floor: {height: -1}}
+        collisions:
+          heap: {bodies: [dumbbell], surfaces: [floor], friction: 0.5, restitution: 0}
+        settings: {engine: impulse, step: 1e-3}
+        stop: {time: 0.5}
+        @
+        """,
     ("format.md", "Grounds with kinks"): """
         kind: scene
         name: ridge
@@ -138,12 +163,42 @@ def test_every_block_is_of_a_kind_that_is_done() -> None:
                 assert known, f"{place}: a block of {block.language or 'no language'}"
 
 
+@pytest.mark.parametrize("room", [statechart.testing, contacts.testing])
+def test_strategies_and_assertions_each_have_an_example_and_say_what_they_take(
+    room: ModuleType,
+) -> None:
+    page = (DOCS / "testing.md").read_text(encoding="utf-8")
+    code = "\n".join(re.findall(r"^(?:>>>|\.\.\.) (.*)$", page, re.M))
+    for name in room.__all__:
+        offered = getattr(room, name)
+        if isinstance(offered, type):
+            assert re.search(rf"\b{name}\b", page), name
+            continue
+        # Once it is imported, and once it is used.
+        assert len(re.findall(rf"(?<!\.)\b{name}\b", code)) > 1, f"{name} has no example"
+        assert "Parameters\n" in (offered.__doc__ or ""), name
+
+
+def test_links_to_other_sites_are_well_formed_and_stand_once_on_a_page() -> None:
+    pages = [*NAMES.values(), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md"))]
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        links = re.findall(r"\]\((\w+://[^)]*)\)|<(\w+://[^>]*)>", text)
+        found = [one or other for one, other in links]
+        assert len(found) == len({*found}), f"{page}: a link stands twice"
+        for link in found:
+            parts = urlsplit(link)
+            assert parts.scheme == "https", f"{page}: {link}"
+            assert re.fullmatch(r"([\w-]+\.)+[a-z]{2,}", parts.netloc), f"{page}: {link}"
+            assert not re.search(r"[\s\"'`]", link), f"{page}: {link}"
+
+
 def test_each_outcome_has_its_entry_with_a_model_that_ends_so() -> None:
     page = DOCS / "how-to" / "outcomes.md"
     entries = re.split(r"^## ", page.read_text(encoding="utf-8"), flags=re.M)[1:]
     assert [entry.splitlines()[0] for entry in entries] == [o.name for o in Outcome]
-    # A reader sees these end in every run, or does it with a key; no model is known for the last.
-    unshown = {"HORIZON", "STOPPED", "INTERRUPTED", "AMBIGUOUS_MODE"}
+    # A reader sees these end in every run, or does it with a key.
+    unshown = {"HORIZON", "STOPPED", "INTERRUPTED"}
     for entry in entries:
         name, _, text = entry.partition("\n")
         assert (f": {name}\n" in text) == (name not in unshown), name

@@ -10,9 +10,9 @@ from pydantic import BaseModel, model_validator
 from statechart.charts.chart import Chart, Region, State
 from statechart.charts.kind import CHART
 from statechart.charts.transitions import Transition
-from statechart.documents.declaration import Settings, Stop
 from statechart.documents.document import Document
 from statechart.documents.outputs import Count, Event, Integral, Moment, Value
+from statechart.documents.settings import Settings, Stop
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read, read_text
 from statechart.documents.yaml_text import dump
@@ -209,7 +209,7 @@ def test_positions_are_those_of_the_text() -> None:
         ("x: v,", "y: v,", "11:17", "no variable 'y'"),
         ("v: -g", "v: -G", "11:27", "unknown name 'G'"),
         ("rest: {}", "rest: {flow: {}}", "12:14", "did you mean 'flows'? known keys: entry"),
-        ("rest: {}", "rest:", "12:7", "must be a mapping, not nothing"),
+        ("rest: {}", "rest:", "12:7", "regions.ball.states.rest: nothing is written"),
         ("rest: {}", "rest: {invariants: {low: x <= y}}", "12:37", "unknown name 'y'"),
         ("to: rest", "to: rset", "15:40", "no state 'rset'; did you mean 'rest'?"),
         ("to: rest", "target: rest", "15:36", "unknown key 'target'"),

@@ -94,6 +94,46 @@ MISTAKES = {
             "token; indent by spaces, not by tabs"),
     "no colon": ("gravity: g", "gravity g", "could not find expected ':'; write key: value"),
     "brace left open": ("-pi/2}}", "-pi/2}", "close with } what { opened"),
+    "nothing for a kind": ("kind: scene", "kind:", "1:1: kind: nothing is written; begin with"),
+    "nothing for gravity": ("gravity: g", "gravity:", "5:1: gravity: nothing is written; write a"),
+    "nothing for an end": ("time: 1", "time: ", "12:8: stop.time: nothing is written"),
+    "nothing for an inertia": ("inertia: m*L**2/3", "inertia: ", "7:18: bodies.rod.inertia: noth"
+                               "ing is written; write a value, such as m*L**2/12, or remove the"),
+    "nothing for friction": ("friction: mu", "friction: ", "11:59: contacts.tip.friction: nothing"),
+    "one component": ("[0, -L]", "[0]", "contacts.tip.point.at: must have 2 items, not 1; such as"),
+    "blank for a comma": ("gravity: g", "gravity: [0 -g]", "gravity: must have 2 items, not 1"),
+    "components by name": ("gravity: g", "gravity: {y: -g}", "a formula, not a mapping; such as 9"),
+    "two frictions": ("friction: mu", "friction: [0.3, 0.2]", "a formula, not a list; such as mu"),
+    "yes": ("name: thrown", "name: true", "2:7: name: must be text, not true; such as toppling"),
+    "truth for a number": ("friction: mu", "friction: true", "a number or a formula, not true"),
+    "key of another part": ("{height: 0}", "{height: 0, friction: mu}", "9:23: unknown key 'frict"
+                            "ion'; 'friction' is a key of collisions and of contacts"),
+    "key of a part of it": ("point: {body: rod, at: [0, -L]}", "body: rod", "unknown key 'body'; "
+                            "'body' is a key of contacts.point and of forces; known keys here: en"),
+    "start beside start": ("start: {y: h, angle: 0.3}", "y: h", "'y' is a key of bodies.start and"),
+    "setting outside": ("outputs:", "step: 0.001\noutputs:", "'step' is a key of settings; known"),
+    "colon without a blank": ("mass: m", "mass:m", "unknown key 'mass:m'; a colon has a"),
+    "text with a colon": ("gravity: g", "doc: A rod: it falls", "text with a colon stands"),
+    "a comma too many": ("m: 1,", "m: 1,,", "3:19: not YAML: expected the node content, but found"),
+    "bars": ("rod.angle <=", "|rod.angle| >", "cannot start any token; write abs(...)"),
+    "per cent": ("mu: 0.5", "mu: 50%", "unexpected character '%'; write a part as a number: 0.5"),
+    "digits in groups": ("g: 9.81", "g: 9_810", "'9' runs into '_'; digits of a"),
+    "degrees by a sign": ("angle: 0.3", "angle: 30\u00b0", "angles are in radians: 30*pi/180"),
+    "square by a sign": ("L**2", "L\u00b2", "unexpected character '\u00b2'; write a power as **"),
+    "product by a dot": ("m*L", "m\u00b7L", "unexpected character '\u00b7'; write a product as *"),
+    "minus of a word processor": ("-L]", "\u2212L]", "'\u2212'; a minus is -"),
+    "or equal by a sign": ("<= -pi/2", "\u2264 0", "compare with <=, <, >= or >"),
+    "two conditions in one": ("<= -pi/2", "< 0 and rod.y < 1", "unexpected 'and'; one relation"),
+    "comment of C": ("gravity: g", "gravity: g // down", "write a quotient as a/b, and a comm"),
+    "name of a library": ("angle: 0.3", "angle: math.pi/4", "unknown name 'math.pi'; write pi"),
+    "capitals of a constant": ("angle: 0.3", "angle: PI/4", "unknown name 'PI'; write pi"),
+    "function of a library": ("angle: 0.3", "angle: np.sin(1)", "'np.sin'; write sin(...)"),
+    "logarithm": ("angle: 0.3", "angle: ln(2)", "unknown function 'ln'; write log(...)"),
+    "power by a function": ("m*L**2", "m*pow(L)", "unknown function 'pow'; write a power as **"),
+    "degrees by a function": ("angle: 0.3", "angle: radians(30)", "angles are in radians"),
+    "time in short": ("value: time", "value: t", "unknown name 't'; write time"),
+    "parameter of a taken name": ("mu: 0.5", "time: 0.5", "is the time of the run; choose another"),
+    "units of another name": ("gravity: g", "gravity: g\nunits: si", "no units are called 'si'"),
     "bent ground": ("height: 0", "height: abs(x)", "a surface and a contact for each smooth piece"),
 }  # fmt: skip
 
@@ -142,6 +182,12 @@ def test_there_are_more_than_twenty_and_the_scene_itself_is_right() -> None:
         # Parameters.
         ((("m: 1", "m: k"), ("h: 1", "h: 2*w")), ("3:17", "3:48")),
         ((("mu: [0, 2]", "nu: [0, 2], e: [1, 0]"),), ("4:10", "4:25")),
+        # What is empty, and what is wrong beside it; what may follow from it is not told.
+        (
+            (("gravity: g", "gravity:"), ("inertia: m*L**2/3", "inertia:"), ("hei", "hi"),
+             ("time: 1", "time: one")),
+            ("5:1", "7:18", "9:12"),
+        ),
     ],
 )  # fmt: skip
 def test_mistakes_that_are_independent_are_told_at_once(
@@ -177,6 +223,16 @@ def scene(**changes: object) -> Scene:
     [
         (lambda: Body(mas=1), "Body: unknown key 'mas'; did you mean 'mass'? known keys: angle, "),
         (lambda: Body(inertia=1), "Body: 'mass' is missing; such as mass='m'"),
+        (
+            lambda: Body(mass=None),
+            "Body: mass: must be a number or a formula, not nothing; such as",
+        ),
+        (lambda: Body(mass=True), "Body: mass: must be a number or a formula, not True; such as"),
+        (lambda: Body(mass=1, x=0), "Body: unknown key 'x'; 'x' is a key of start; known keys her"),
+        (
+            lambda: Point(body="rod", at=(1,)),
+            "Point: at: must have 2 items, not 1; such as [0, '-L']",
+        ),
         (lambda: Body(mass="2x"), "Body: mass: formula '2x': '2' runs into 'x'"),
         (lambda: Body(mass=1, start={"angle": 1}), "Body: start.angle: a particle has no angle"),
         (Surface, "Surface: a surface has one of height, incline, line, edge, circle"),
@@ -191,7 +247,10 @@ def scene(**changes: object) -> Scene:
             "Transition('go'): 'source' is missing; such as source='compression'",
         ),
         (lambda: scene(gravity="g"), "Scene('thrown'): gravity: formula 'g': unknown name 'g'"),
-        (lambda: scene(bodies={}), "Scene('thrown'): bodies: must have at least 1 item(s)"),
+        (
+            lambda: scene(bodies={}),
+            "Scene('thrown'): bodies: must have at least 1 item, not none; such",
+        ),
         (
             lambda: scene(bodies={"rod": Body(mass=-1, inertia=1)}),
             "Scene('thrown'): bodies.rod.mass: must be positive, not -1",
@@ -224,6 +283,6 @@ def test_a_part_of_a_part_has_the_path_of_its_field_in_the_whole() -> None:
     with pytest.raises(DeclarationError) as caught:
         scene(contacts={"tip": {"point": {"body": "rod", "at": [1]}, "surface": 3}})
     assert str(caught.value).splitlines() == [
-        "Scene('thrown'): contacts.tip.point.at: must have 2 items",
+        "Scene('thrown'): contacts.tip.point.at: must have 2 items, not 1; such as [0, '-L']",
         "Scene('thrown'): contacts.tip.surface: must be text, not 3; such as 'floor'",
     ]

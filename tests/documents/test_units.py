@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from contacts import Scene
+import models
 from statechart import Chart, load, run
-from statechart.documents.quantities import unit_of
+from statechart.documents.quantities import entitled, unit_of
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.running.result import Result
@@ -62,8 +64,8 @@ def test_units_follow_from_those_of_length_time_and_mass(
     ("name", "unit"),
     [
         ("time", "s"), ("ball.x", "m"), ("ball.dangle", "rad/s"), ("tip.gap", "m"), ("tip.V", "N"),
-        ("tip.slip", "m/s"), ("energy", "J"), ("theta", "rad"), ("dtheta", "rad/s"), ("far", ""),
-        ("t_land", "s"), ("top", "m"), ("heat", "J"), ("hits", "1"), ("twice", ""), ("mu", ""),
+        ("tip.slip", "m/s"), ("energy", "J"), ("theta", "rad"), ("dtheta", "rad/s"), ("far", "m"),
+        ("t_land", "s"), ("top", "m"), ("heat", "J"), ("hits", "1"), ("twice", "m"), ("mu", "1"),
     ],
 )  # fmt: skip
 def test_a_scene_knows_the_units_of_its_names(result: Result, name: str, unit: str) -> None:
@@ -81,7 +83,7 @@ def test_tables_and_data_sets_have_units_and_long_names(result: Result) -> None:
     }  # fmt: skip
     assert data["t"].attrs["units"] == "s"
     assert data["event_tip.normal"].attrs["units"] == "N s"
-    assert "units" not in data["far"].attrs
+    assert data["far"].attrs["units"] == "m"
 
 
 def test_summaries_show_units(result: Result) -> None:
@@ -105,5 +107,71 @@ def test_variables_of_charts_have_the_units_that_are_declared() -> None:
     model = load("bouncing_ball_chart")
     assert isinstance(model, Chart)
     assert (model.unit("x"), model.unit("v"), model.unit("time")) == ("m", "m/s", "s")
-    assert isinstance(load("bouncing_ball"), Scene)
-    assert run("bouncing_ball", until=0.1).samples.attrs["units"] == {}
+
+
+def test_the_names_of_every_shipped_model_have_units() -> None:
+    for name in models.names():
+        model = load(name)
+        unknown = [output for output in model.outputs if not model.unit(output)]
+        runner = Runner(model)
+        unknown += [x for x in runner.automaton.names if not model.unit(x)]
+        assert not unknown, name
+
+
+def measures(text: str, units: object = "SI") -> Chart:
+    """Return a chart in which y is a speed whose parameters are found in a formula."""
+    return Chart.model_validate(
+        {
+            "kind": "chart", "name": "test", "units": units,
+            "variables": {"x": 1, "y": 0, "angle": "a"},
+            "parameters": {"a": 1, "k": 1.5, "n": 2},
+            "regions": {"r": {"initial": "on", "states": {"on": {"flows": {"x": "y"}}}}},
+            "outputs": {"z": {"value": text}},
+            "stop": {"time": 1},
+        }
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("x + y*time", "m"), ("x**2 + 1", "m\u00b2"), ("sqrt(x**2)", "m"), ("x/y", "s"),
+        ("max(x, 0)", "m"), ("hypot(x, k)", "m"), ("2*x", "m"), ("x/12", "m"), ("sin(angle)", "1"),
+        ("atan2(x, y*time)", "rad"), ("-x", "m"), ("1/x", "1/m"), ("y**2/x", "m/s\u00b2"),
+        ("pi*x", "m"), ("180*x", ""), ("0.5*x", ""), ("k*x", ""), ("x**n", ""), ("7", ""),
+        ("+".join(["x"] * 120), ""),
+    ],
+)  # fmt: skip
+def test_an_output_has_the_unit_of_its_formula(text: str, unit: str) -> None:
+    model = measures(text, {"length": "m", "time": "s", "x": "m"})
+    assert model.unit("z") == unit
+
+
+def test_parameters_have_the_units_of_what_they_stand_for() -> None:
+    springs = load("hopper")
+    found = {name: springs.unit(name) for name in springs.parameters}
+    assert found == {
+        "m": "kg", "foot": "kg", "k": "N/m", "l0": "m", "d": "m", "hold": "N", "h0": "m",
+        "g": "m/s\u00b2",
+    }  # fmt: skip
+    turned = load("raibert_hopper")
+    assert [turned.unit(n) for n in ("J", "c", "Kp", "gain")] == ["kg m\u00b2", "kg/s", "N m", "s"]
+    # What converts degrees is no angle, nor is what is told of nowhere anything.
+    bar = load("double_contact_bar").model_copy(update={"units": SI})
+    assert [bar.unit(n) for n in ("tilt_deg", "tilt", "L")] == ["", "rad", "m"]
+
+
+def test_words_stand_for_units_of_all_bases() -> None:
+    assert measures("x").units == SI
+    without = measures("x", "dimensionless")
+    assert (without.unit("z"), without.unit("time"), without.unit("k")) == ("1", "1", "1")
+    with pytest.raises(DeclarationError, match="no units are called 'si'") as caught:
+        Runner(read_text(SCENE.replace("{length: m, time: s, mass: kg, heat: J}", "si"), "f.yaml"))
+    assert (caught.value.line, "SI" in str(caught.value)) == (3, True)
+
+
+def test_what_has_no_unit_shows_none() -> None:
+    assert (entitled("x", "1"), entitled("x", ""), entitled("x", "m")) == ("x", "x", "x in m")
+    shown = str(run("toppling_stick", until=0.5))
+    assert not re.search(r"stick\.x .* 1$", shown, re.M)
+    assert re.search(r"stick\.angle .* rad$", shown, re.M)

@@ -21,7 +21,7 @@ from strategies import examples
 
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
-from statechart.documents.declaration import Stop
+from statechart.documents.settings import Stop
 from statechart.running.runner import Runner
 
 # What is left of steps after an impact, all of one step long: the error is of this order.

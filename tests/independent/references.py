@@ -18,6 +18,7 @@ from scipy.special import ellipk
 G = 9.81
 Rates = Callable[[float, Any], Sequence[float]]
 Event = Callable[[float, Any], float]
+Gain = Callable[[float], float]
 
 
 def flow(
@@ -400,3 +401,142 @@ def tippe() -> dict[str, Any]:
     _, end, _ = flow(slides, slip, 0.7, state, lambda t, y: y[0] + math.pi / 2)
     V, H = forces([1e-3, 0.0])
     return {"slip": slip, "rev": None, "q": -math.pi / 2, "cart": end[2], "V": V, "H": H}
+
+
+def _in_a_ring(
+    mu: float,
+    spin: Callable[[float], float],
+    gain: Callable[[float], float],
+    phi: float,
+    end: float,
+) -> dict[str, Any]:
+    """A disc in a ring of radius 1 that turns by `spin`, whose rate is `gain`."""
+    big, r, m = 1.0, 0.2, 2.0
+    reach, inertia = big - r, m * r**2 / 2
+
+    def push(y: Any) -> float:
+        return float(m * (G * np.cos(y[0]) + reach * y[1] ** 2))
+
+    def needed(t: float, y: Any) -> float:
+        """What friction has to be for it to roll."""
+        return float((big * gain(t) + G * np.sin(y[0])) / (1 / m + r**2 / inertia))
+
+    def rates(friction: float, y: Any) -> list[float]:
+        return [y[1], (friction / m - G * np.sin(y[0])) / reach, friction * r / inertia, y[2]]
+
+    def slip(t: float, y: Any) -> float:
+        return float(reach * y[1] + r * y[2] - big * spin(t))
+
+    # Angle of its centre and its rate, angular velocity, angle.
+    t, y = 0.0, [phi, 0.0, 0.0, 0.0]
+    way, found = 0.0, {"sticks": [], "slips": []}
+    if abs(slip(t, y)) > 0.0 or abs(needed(t, y)) > mu * push(y):
+        way = math.copysign(1.0, slip(t, y) or -needed(t, y))
+    while True:
+        if way == 0.0:
+            t, y, which = flow(
+                lambda t, y: rates(needed(t, y), y), t, end, y,
+                lambda t, y: mu * push(y) - needed(t, y), lambda t, y: mu * push(y) + needed(t, y),
+            )  # fmt: skip
+            way = -1.0 if which == 0 else 1.0
+            found["slips"] += [] if which is None else [t]
+        else:
+            # Leave the zero that it starts from.
+            t, y, _ = flow(lambda t, y: rates(-way * mu * push(y), y), t, t + 1e-6, y)
+            t, y, which = flow(
+                lambda t, y: rates(-way * mu * push(y), y), t, end, y, lambda t, y: way * slip(t, y)
+            )  # fmt: skip
+            found["sticks"] += [] if which is None else [t]
+            kept = way
+            way = 0.0
+            assert which is None or abs(needed(t, y)) <= mu * push(y)
+        if which is None:
+            rolls = way != 0.0
+            force = needed(t, y) if rolls else -kept * mu * push(y)
+            # H is along the tangent, the way that the centre goes as its angle grows.
+            last = {"x": reach * math.sin(y[0]), "angle": y[3], "V": push(y), "H": force}
+            return found | last
+
+
+def rim_bowl() -> dict[str, Any]:
+    """A disc slides down a round bowl, rolls, and slips where it is steep."""
+    return _in_a_ring(0.4, lambda t: 0.0, lambda t: 0.0, 1.2, 5.0)
+
+
+def rim_drum() -> dict[str, Any]:
+    """A disc is taken along by a drum, and rolls on it."""
+    return _in_a_ring(
+        0.5, lambda t: 5.0 + 0.9 * math.cos(3 * t), lambda t: -2.7 * math.sin(3 * t), 0.0, 4.0
+    )
+
+
+def rim_hill() -> dict[str, Any]:
+    """By energy, 3/4 reach^2 w^2 = g reach (cos start - cos); it leaves at reach w^2 = g cos."""
+    reach, r, start = 1.2, 0.2, 0.1
+    cosine = 4 / 7 * math.cos(start)
+    return {"height": reach * cosine, "angle": -reach / r * (math.acos(cosine) - start)}
+
+
+def rim_lane() -> dict[str, Any]:
+    """The friction of the landing is mu times its impulse; then 7/2 mu g takes the slip."""
+    r, mu, v, w, h, end = 0.11, 0.2, 6.0, 20.0, 0.3, 4.0
+    t = math.sqrt(2 * h / G)
+    x = v * t
+    lost = mu * G * t
+    assert lost < 2 / 7 * (v + r * w)
+    v, w = v - lost, w - 5 / 2 * lost / r
+    took = (v + r * w) / (7 / 2 * mu * G)
+    rolling = v - mu * G * took
+    x += v * took - mu * G * took**2 / 2 + rolling * (end - t - took)
+    return {"t": [t], "v": v, "w": w, "t_roll": t + took, "v_roll": rolling, "x": x}
+
+
+def rim_rocker() -> dict[str, Any]:
+    """Lagrange's equation of the angle alone: its centre of mass is below that of the foot."""
+    r, d, m, inertia, start = 0.5, 0.2, 1.0, 0.1, 0.8
+
+    def gain(y: Any) -> float:
+        mass = m * (r**2 - 2 * r * d * np.cos(y[0]) + d**2) + inertia
+        return float(-m * d * np.sin(y[0]) * (r * y[1] ** 2 + G) / mass)
+
+    _, y, _ = flow(lambda t, y: [y[1], gain(y)], 0.0, 5.0, [start, 0.0])
+    s, c, a = math.sin(y[0]), math.cos(y[0]), gain(y)
+    return {
+        "x": d * s - r * (y[0] - start),
+        "angle": y[0],
+        "V": m * (G + d * s * a + d * c * y[1] ** 2),
+        "H": m * ((d * c - r) * a - d * s * y[1] ** 2),
+    }
+
+
+def rim_cart() -> dict[str, Any]:
+    """Friction slows the wheel, turns it, and takes the cart along."""
+    r, m, cart, mu, v0, end = 0.2, 2.0, 3.0, 0.3, 2.0, 1.0
+    t = v0 / (mu * G * (3 + m / cart))
+    w = -2 * mu * G * t / r
+    return {
+        "t": t,
+        "cart": mu * G * t * m / cart,
+        "wheel": v0 - mu * G * t,
+        "angle": w * t / 2 + w * (end - t),
+    }
+
+
+def rim_car() -> dict[str, Any]:
+    """Both wheels roll: the torque moves all masses, and turns the wheels."""
+    r, wheel, body, h, half, torque = 0.3, 15.0, 1000.0, 0.3, 1.3, 1500.0
+    turning = wheel / 2  # of its moment of inertia over r^2
+    a = torque / r / (body + 2 * wheel + 2 * turning)
+    ahead = -turning * a
+    # Moments about the place where the rear wheel touches.
+    front = (
+        (body + 2 * wheel) * G * half - body * a * (r + h) - 2 * wheel * a * r - 2 * turning * a * r
+    ) / (2 * half)
+    behind = (body + 2 * wheel) * G - front
+    return {
+        "dx": a,
+        "V_front": front,
+        "V_rear": behind,
+        "H_front": ahead,
+        "H_rear": torque / r - turning * a,
+    }

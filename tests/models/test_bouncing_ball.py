@@ -14,7 +14,7 @@ from contacts.scene.modes import Free, Slide
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
-from statechart.documents.declaration import Stop
+from statechart.documents.settings import Stop
 from statechart.running.runner import Runner
 
 FLAT = golden("bouncing_ball_flat")["flat"]

@@ -16,6 +16,7 @@ from statechart.running.runner import Runner
 # Impacts are those of Newton's law: where another law is declared, the scene is run without
 # restitution. The hills magnify the time of an impact into where it goes, the walker its steps.
 SCENES = [
+    ("ball_in_a_bowl", {}, 2.0, 1e-3, 5.0),
     ("block_on_incline", {}, None, 1e-3, 0.01),
     ("bouncing_ball", {"k": 0.5}, 1.2, 1e-4, 40.0),
     ("bouncing_ball_hills", {}, 0.5, 1e-5, 600.0),

@@ -13,7 +13,7 @@ import statechart
 
 pytestmark = pytest.mark.skipif(FOUND is None, reason="no Chromium is installed here")
 
-MOST = 3_000_000  # bytes of a page
+MOST = 2_500_000  # bytes of a page
 
 # What a reader sees of an instant, in all parts of the page.
 SEEN = """(() => ({

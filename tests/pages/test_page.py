@@ -166,6 +166,14 @@ def test_pages_open_without_a_word_on_the_console(name, tmp_path):
         opened.value("go(last)")
         assert opened.said == []
         assert opened.value("document.querySelector('#time').value").startswith("t = ")
+        if name == "dice":  # through more modes than a diagram has: the chart of each body
+            lit = "[...document.querySelectorAll('#diagram g.lit')].map(words)"
+            words = "const words = (g) => g.textContent.trim().split(/\\s/)[0]"
+            found = "[...new Set(data.regions.map((r) => r.states[r.state[now]]))]"
+            for k in ("0", "Math.round(last / 2)", "last"):
+                opened.value(f"go({k})")
+                shown = opened.value(f"(() => {{ {words}; return {lit}; }})()")
+                assert sorted(shown) == sorted(opened.value(found))
 
 
 @in_browser

@@ -73,7 +73,8 @@ def test_an_mp4_needs_ffmpeg(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("film.avi", "gif or .mp4"), ("no/film.gif", "no folder"), ("", "no file")]
+    ("name", "said"),
+    [("film.avi", "gif or .mp4"), ("no/film.gif", "no folder"), ("", "name a file")],
 )
 def test_what_cannot_be_written_is_said_before_the_run(tmp_path, capsys, monkeypatch, name, said):
     monkeypatch.chdir(tmp_path)

@@ -11,6 +11,8 @@ from contacts.scene.scene import Scene
 from statechart.cli.main import main
 from statechart.pictures.drawing import arrow_of, cone_of
 from statechart.pictures.film import Film, placed, strokes
+from statechart.pictures.names import crossing
+from statechart.pictures.snapshots import picture
 from statechart.reporting.film import filmed, stage_of, until_rest
 
 FILES = sorted((Path(__file__).parents[2] / "models").glob("*.yaml"))
@@ -147,6 +149,68 @@ def test_a_film_is_finite_and_shows_all_bodies(name):
                 assert (np.abs(points - film.centres[k]) <= film.half).all()
 
 
+@pytest.mark.parametrize("name", ["drum", "dice"])
+def test_what_holds_bodies_is_whole(name):
+    film = film_of(name, [0.0], until=0.0)
+    if name == "drum":
+        (wall,) = shapes(film, "ground")
+    else:
+        wall = next(s for s in shapes(film, "ground") if s.name == "bottom")
+    assert (np.abs(wall.points - film.centres[0]) < film.half).all()
+
+
+def test_of_hills_what_is_below_a_ball_is_seen():
+    film = film_of("bouncing_ball_hills", [0.0], until=0.0)
+    known = statechart.load("bouncing_ball_hills").values()
+    height = known["A"] * np.sin(known["k"] * known["x0"] + known["phase"])
+    low = film.centres[0, 1] - film.half[1]
+    assert low < height < known["y0"] < film.centres[0, 1] + film.half[1]
+    (hills,) = shapes(film, "ground")
+    assert np.abs(np.interp(known["x0"], *hills.points.T) - height) < 1e-3
+
+
+@pytest.mark.parametrize("name", ["dragged_stick", "toppling_stick", "woodpecker"])
+def test_arrows_of_forces_are_within_the_picture(name):
+    film = film_of(name, np.linspace(0.0, 0.9, 40))
+    for touch in film.touches:
+        for k in range(40):
+            tip = touch.places[k] + arrow_of(film, touch, k)
+            assert (np.abs(tip - film.centres[k]) <= film.half).all()
+
+
+@pytest.mark.parametrize(
+    "name", ["hopper", "sliding_ladder", "compass_walker", "newtons_cradle", "rimless_wheel"]
+)
+def test_names_are_whole_and_apart(name):
+    film = film_of(name, [0.0], until=0.0)
+    (ax,) = picture(film).axes
+    boxes = [t.get_window_extent() for t in ax.texts if t.get_text()]
+    named = {t.get_text() for t in ax.texts}
+    assert {touch.name for touch in film.touches} <= named
+    paper = ax.get_window_extent()
+    for k, box in enumerate(boxes):
+        assert paper.x0 <= box.x0 < box.x1 <= paper.x1
+        assert paper.y0 <= box.y0 < box.y1 <= paper.y1
+        assert not any(box.overlaps(other) for other in boxes[:k])
+
+
+def test_a_line_crosses_a_box_or_passes_it():
+    low, high = np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[1.0, 1.0], [3.0, 1.0]])
+    crossed = [
+        crossing(low, high, np.array(one), np.array(two)).tolist()
+        for one, two in (
+            ((-1.0, 0.5), (1.5, 0.5)),
+            ((-1.0, 0.5), (4.0, 0.5)),
+            ((0.5, 2.0), (0.5, 1.5)),
+            ((1.0, 2.0), (2.5, 0.5)),
+            ((0.5, 0.5), (0.5, 0.5)),
+        )
+    ]
+    assert crossed == [
+        [True, False], [True, True], [False, False], [False, True], [True, False]
+    ]  # fmt: skip
+
+
 def test_the_scene_of_a_model_is_written_as_a_picture(tmp_path, capsys):
     target = tmp_path / "stick.png"
     assert main(["draw", "toppling_stick", "--scene", "-o", str(target)]) == 0
@@ -162,5 +226,5 @@ def test_a_chart_has_no_bodies_to_draw(tmp_path, capsys):
 
 
 def test_a_scene_is_no_text(tmp_path, capsys):
-    assert main(["draw", "toppling_stick", "--scene", "-o", str(tmp_path / "a.dot")]) == 1
-    assert "svg, png or pdf" in capsys.readouterr().err
+    assert main(["draw", "toppling_stick", "--scene", "-o", str(tmp_path / "a.dot")]) == 2
+    assert ".svg, .png, .pdf" in capsys.readouterr().err

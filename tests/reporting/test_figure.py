@@ -1,4 +1,5 @@
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from contacts.kind import automaton
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
+from statechart.diagram.build import build
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
@@ -17,6 +19,8 @@ from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
 from statechart.palette import region_colours, state_colours
+from statechart.reporting.bands import banded
+from statechart.reporting.curves import curves
 from statechart.reporting.figure import figure, render
 from statechart.running.runner import Runner
 
@@ -62,7 +66,7 @@ def test_panels_show_states_forces_with_the_cone_and_modes(
     np.testing.assert_allclose(edge.get_ydata(), 0.2 * lines["tip.V"].get_ydata())
 
 
-def test_a_chart_of_few_variables_has_a_panel_each() -> None:
+def test_variables_of_a_chart_are_apart_by_their_units() -> None:
     chart = load(Path(__file__).parents[2] / "models" / "bouncing_ball_chart.yaml")
     made = kind("chart").automaton(chart)
     assert isinstance(made, Automaton)
@@ -70,7 +74,7 @@ def test_a_chart_of_few_variables_has_a_panel_each() -> None:
     trace = simulator.run(until=20.0)
     drawn = figure(Observer(simulator), trace)
     x, v, band = drawn.axes
-    assert [ax.get_ylabel() for ax in (x, v)] == ["x in m", "v in m/s"]
+    assert [ax.get_ylabel() for ax in (x, v)] == ["position in m", "velocity in m/s"]
     assert ("x" in labels(x), "v" in labels(v)) == (True, True)
     assert {"flight", "rest"} <= set(texts(band))
     height = next(line for line in x.get_lines() if line.get_label() == "x")
@@ -135,7 +139,7 @@ def test_of_many_curves_those_that_move_most_are_drawn_and_the_others_named() ->
     assert all(name.endswith(".y") for name in names)
     legend = [text.get_text() for text in position.get_legend().get_texts()]  # type: ignore[attr-defined]
     words = " ".join(legend[-1].split())
-    assert words == "not drawn: ball0.x, ball1.x, ball2.x, ball3.x, ball4.x, ball5.x, 5 more"
+    assert words == "not drawn: ball0.x, ball1.x, 9 more"
     assert position.get_ylabel() == "position in m"  # type: ignore[attr-defined]
     assert velocity.get_ylabel() == "velocity in m/s"  # type: ignore[attr-defined]
 
@@ -183,10 +187,69 @@ def test_the_rounding_of_zero_is_not_looked_at() -> None:
     assert "force" not in [ax.get_ylabel() for ax in axes]  # type: ignore[attr-defined]
 
 
+def test_what_is_zero_all_along_has_no_axis_and_is_named() -> None:
+    result = Runner("box_stack").run()
+    _, panels = curves(result.observer, result.trace)
+    (position,) = panels
+    assert position.title == "position"
+    names = {name for name in result.observer.automaton.names if name.endswith("angle")}
+    assert names < set(position.nothing)
+    assert position.remarks[-1].startswith("0 all along: box0.")
+    assert position.remarks[-1].endswith(f"{len(position.nothing) - 2} more")
+
+
+def test_of_many_regions_those_that_change_have_a_row() -> None:
+    result = Runner("rimless_wheel").run()
+    rows = [result.trace.regions[k] for k in banded(result.trace)]
+    assert rows == [f"s{k}" for k in range(8)]  # the others are off all the time
+    band = figure(result.observer, result.trace).axes[-1]
+    (said,) = [text.get_text() for text in band.get_legend().get_texts()]
+    assert " ".join(said.split()) == "always off: s8, s9, 6 more"
+
+
+@pytest.mark.parametrize("name", ["rimless_wheel", "woodpecker", "hopper"])
+def test_nothing_is_cut_off_and_legends_are_apart(name: str) -> None:
+    drawing = Runner(name).run().plot()
+    outer, paper = drawing.get_tightbbox(), drawing.get_size_inches()  # both in inches
+    assert outer.x0 >= 0.0
+    assert outer.y0 >= 0.0
+    assert outer.x1 <= paper[0]
+    assert outer.y1 <= paper[1]
+    legends = [ax.get_legend() for ax in drawing.axes]
+    boxes = [legend.get_window_extent() for legend in legends if legend is not None]
+    assert len(boxes) > 3
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:k])
+
+
+def test_powers_of_ten_stand_above_their_axes_and_below_others() -> None:
+    result = Runner(read_text(DROP.replace("mass: 2", "mass: 2e9").replace("E}", "0}"))).run()
+    drawing = figure(result.observer, result.trace)
+    drawing.draw_without_rendering()
+    axes = drawing.axes
+    powers = [ax.yaxis.get_offset_text() for ax in axes]
+    said = [k for k, power in enumerate(powers) if power.get_text()]
+    assert said
+    for k in said:
+        assert powers[k].get_window_extent().y1 <= axes[k - 1].bbox.y0
+
+
 def test_controllers_have_colours_of_their_own() -> None:
     contact, one, two = region_colours([("free", "pin"), ("on", "wait"), ("on", "wait")])
     assert contact["free"] == state_colours(["free"])["free"]
     assert len({*one.values(), *two.values(), *contact.values()}) == 6
+
+
+def test_a_controller_has_the_same_colours_in_every_picture(tmp_path: Path) -> None:
+    result = Runner("simplest_walker").run()
+    legs, foot = result.observer.automaton.colours.values()
+    apart = {legs["walking"], foot["above"], foot["below"]}
+    assert len(apart) == 3
+    charts = build(result.observer.automaton, result.trace.start_mode, result.trace).charts
+    drawn = {colour for chart in charts for node in chart.nodes for colour in node.colours}
+    assert drawn == {*foot.values()}
+    page = result.report(tmp_path / "page.html").read_text(encoding="utf-8")
+    assert apart <= set(re.findall(r"#[0-9A-F]{6}", page))
 
 
 def test_an_empty_run_can_be_drawn(observer: Observer) -> None:

@@ -260,9 +260,13 @@ def test_the_start_is_checked_without_running() -> None:
 
 
 def test_a_result_saves_its_run(tmp_path: Path) -> None:
-    names = run(read_text(BALL)).save(tmp_path / "out")
+    result = run(read_text(BALL))
+    names = result.save(tmp_path / "out", samples=False)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(names)
     assert "run.json" in names
+    assert "samples.csv" not in names
+    with pytest.warns(DeprecationWarning, match="samples=True"):
+        assert "samples.csv" in result.save(tmp_path / "out")
 
 
 def test_steps_that_fill_the_memory_are_an_outcome() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,9 @@ from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
 from statechart.execution import loops
+from statechart.execution.rows import RowRunner
 from statechart.loading.load import interpret
 from statechart.sweeps import block, together
 from statechart.sweeps.block import Block, run_block
@@ -75,6 +79,7 @@ def compared(
     block._cells.cache_clear()
     with monkeypatch.context() as patch:
         patch.setattr(together, "_MOST", 1)
+        patch.setattr(RowRunner, "alone", lambda *_: None)
         run_block(plan.task, table)  # modes are made known
         alone = run_block(plan.task, table)
         (structure,) = block._cells(plan.task)._structures.values()
@@ -115,6 +120,28 @@ def test_conditions_lists_counts_and_plastic_impacts(monkeypatch: pytest.MonkeyP
     model = interpret(read_text(HAIRY))
     assert isinstance(model, Declaration)
     assert compared(model, cells(model, 60), monkeypatch) >= 10
+
+
+def test_outputs_of_one_run_are_those_of_its_jumps_and_arcs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(loops, "_WORTH", -1)
+    model = interpret(read_text(HAIRY))
+    assert isinstance(model, Declaration)
+    runner, made = Runner(model), 0
+    for _ in range(2):  # modes are made known at first
+        for row in cells(model, 30):
+            row[1], row[4] = 0.1, 3.0  # far enough to stop there
+            try:
+                result = runner.run(dict(zip(model.ranges, row.tolist(), strict=True)), throw=False)
+            except DeclarationError:  # it starts in the floor
+                continue
+            made += result.trace.arcs.source is not None
+            # What travels has no arrays that a loop has written.
+            told = pickle.loads(pickle.dumps(result.trace))
+            outputs = runner.observers.outputs(result.observer)
+            np.testing.assert_equal(dict(result.outputs), outputs.of(told))
+    assert made >= 5
 
 
 def test_refused_values_and_zeros_are_left_to_runs_of_their_own(

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from contacts.collisions.outlines import body_numbers, owners_of
+from contacts.collisions.outlines import body_numbers
 from contacts.testing.assertions import assert_in_cone
 from contacts.testing.body_properties import (
     assert_depths,
@@ -70,8 +70,7 @@ def heap():
     """Return a subject, its run, and its numbers."""
     subject = Subject(model(HEAP))
     scene = subject.model
-    single = scene.model_copy(update={"bodies": scene.single_bodies()})
-    return subject, subject.case({}).trace, body_numbers(single, owners_of(scene), scene.values())
+    return subject, subject.case({}).trace, body_numbers(scene, scene.values())
 
 
 @pytest.mark.parametrize("text", [HEAP, BLOCK])

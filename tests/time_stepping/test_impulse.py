@@ -246,3 +246,13 @@ def test_forces_at_the_end_are_those_of_no_tiny_step():
     assert found.trace.counts["steps"] == 1001
     assert found.trace.t_end == 1.0
     assert found.outputs["H"] == pytest.approx(exact, rel=1e-8)
+
+
+def test_whose_forces_the_motion_leaves_open_is_told() -> None:
+    shared = Runner("four_legged_table", engine="impulse", step=1e-3).run(until=0.01)
+    told = "the forces of A, B, C, D are indeterminate: the smallest are shown"
+    assert shared.trace.warnings.count(told) == 1
+    # Where one foot alone holds, or none touches, all is determined.
+    for name in ("bouncing_ball", "block_on_incline"):
+        alone = Runner(name, engine="impulse", step=1e-3).run(until=0.01)
+        assert not [w for w in alone.trace.warnings if "indeterminate" in w]

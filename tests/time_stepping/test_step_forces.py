@@ -13,8 +13,8 @@ from strategies import examples
 
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
-from statechart.documents.declaration import Stop
 from statechart.documents.outputs import Integral, Maximum, Value
+from statechart.documents.settings import Stop
 from statechart.running.runner import Runner
 
 MASS = 1.3

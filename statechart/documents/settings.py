@@ -1,0 +1,103 @@
+"""When a run ends, and how it is computed, as declared."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, StrictInt, model_validator
+
+from statechart.documents.fields import FormulaText, Label, Part, Real, RelationText, unit
+from statechart.documents.setting import Setting
+
+
+class Stop(Part):
+    """When a run ends: at a time, or when a condition becomes true."""
+
+    time: FormulaText | None = Field(
+        default=None,
+        description="When it ends at the latest: a formula of parameters.",
+        examples=[10, "2*pi/omega"],
+        json_schema_extra=unit("time"),
+    )
+    conditions: dict[Label, RelationText] = Field(
+        default={},
+        description="Words to a relation: the run ends as soon as one becomes true.",
+        examples=[{"fallen": "stick.angle <= -pi/2"}],
+    )
+
+
+class Settings(Part):
+    """How a run is computed; everything has a sensible default."""
+
+    engine: Literal["auto", "taylor", "scipy", "impulse"] = Field(
+        default="auto",
+        description="What integrates: taylor or scipy, which locate events; impulse, which takes "
+        "fixed steps; auto chooses.",
+        examples=["impulse"],
+    )
+    method: Literal["RK45", "DOP853", "Radau", "LSODA"] | None = Field(
+        default=None, description="Of the engine scipy; DOP853 by default.", examples=["Radau"]
+    )
+    tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
+        default=None,
+        description="Relative tolerance of every step.",
+        examples=[1e-9],
+        json_schema_extra=unit("1"),
+    )
+    accuracy: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
+        default=None,
+        description="Relative error allowed in the result: tolerances are tightened, or steps of "
+        "the engine impulse shortened, until the estimated error is below it.",
+        examples=[1e-6],
+        json_schema_extra=unit("1"),
+    )
+    step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=None,
+        description="Length of every step in time, of the engine impulse; of the longest where an "
+        "accuracy is asked for.",
+        examples=[0.001],
+        json_schema_extra=unit("time"),
+    )
+    max_step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=None,
+        description="Length of the longest step in time, of an engine that chooses its own.",
+        examples=[0.01],
+        json_schema_extra=unit("time"),
+    )
+    impulse_tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
+        default=None,
+        description="By how much the impulses of a step of the engine impulse may miss the contact "
+        "laws, in parts of the step's fastest approach: 1e-6. What misses by more is told.",
+        examples=[1e-8],
+        json_schema_extra=unit("1"),
+    )
+    impulse_bound: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=None,
+        description="What misses by more than this ends the run; nothing does by itself.",
+        examples=[0.01],
+        json_schema_extra=unit("1"),
+    )
+    record: Literal["modes", "poses", "nothing"] = Field(
+        default="modes",
+        description="What is kept of a run of the engine impulse: modes of contacts, with their "
+        "events; poses, the states at every step; nothing but start, end and outputs.",
+        examples=["poses"],
+    )
+    max_jumps: Annotated[StrictInt, Field(gt=0)] = Field(
+        default=100_000, description="A run ends after so many jumps.", examples=[1000]
+    )
+
+    @model_validator(mode="after")
+    def _compatible(self) -> Self:
+        Setting(
+            self.engine,
+            self.method,
+            self.tolerance,
+            self.accuracy,
+            self.step,
+            max_step=self.max_step,
+            impulse_tolerance=self.impulse_tolerance,
+            impulse_bound=self.impulse_bound,
+            record=self.record,
+        ).check()
+        return self

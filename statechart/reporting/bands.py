@@ -1,0 +1,105 @@
+"""The modes of a run as rows of coloured stretches of time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Trace
+from statechart.palette import INK
+from statechart.reporting.curves import remarks
+from statechart.reporting.legends import legend, remark_lines, room
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+
+# Rows, and stretches of a state in a row that are named.
+_MOST_BANDS, _MOST_NAMED = 12, 24
+
+
+def banded(trace: Trace) -> list[int]:
+    """Return the regions whose modes are shown: all, or of many the first ones that change."""
+    places = list(range(len(trace.regions)))
+    if len(places) > _MOST_BANDS:
+        changing = [k for k in places if len(_stretches(trace, k)) > 1 or _instants(trace, k)]
+        places = (changing or places)[:_MOST_BANDS]
+    return places
+
+
+def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None:
+    """Draw one row per region, the first on top, its states as coloured stretches of time."""
+    from matplotlib.patches import Patch
+
+    places = banded(trace)
+    unnamed: dict[str, Artist] = {}
+    for y, row in zip(reversed(range(len(places))), places, strict=True):
+        colours = automaton.colours[trace.regions[row]]
+        for state, stretches in _stretches(trace, row).items():
+            ax.broken_barh(
+                [(start, last - start) for start, last in stretches],
+                (y + 0.1, 0.8),
+                facecolors=colours[state],
+                edgecolor="white",
+                linewidth=0.4 if len(stretches) < _MOST_NAMED else 0.0,
+            )
+            seen = [(start, min(last, end)) for start, last in stretches if start < end]
+            wide = [pair for pair in seen if (pair[1] - pair[0]) / end > room(state)]
+            for start, last in wide[:_MOST_NAMED]:
+                ax.text((start + last) / 2, y + 0.5, state, ha="center", va="center", fontsize=8)
+            if not wide:
+                unnamed[state] = Patch(facecolor=colours[state], label=state)
+        for state, times in _instants(trace, row).items():
+            label = f"{state} for no time"
+            (unnamed[label],) = ax.plot(
+                times, [y + 0.5] * len(times), "D", markersize=4.5, clip_on=False, label=label,
+                color=colours[state], markeredgecolor=INK, markeredgewidth=0.7,
+            )  # fmt: skip
+    rows = len(places)
+    ax.set_ylim(0, rows or 1)
+    ax.set_yticks([rows - 0.5 - k for k in range(rows)], [trace.regions[k] for k in places])
+    ax.tick_params(axis="y", length=0)
+    for side in ("top", "right", "left"):
+        ax.spines[side].set_visible(False)
+    ax.set_xlim(0.0, end)
+    left = _left_out(trace, places)
+    if unnamed or left:
+        legend(ax, [*unnamed.values(), *left], 2 if len(unnamed) > max(2 * rows, 3) else 1)
+
+
+def _left_out(trace: Trace, places: Sequence[int]) -> list[Artist]:
+    """Return what a legend says of regions that have no row: those that stay in a state apart."""
+    said: dict[str, list[str]] = {}
+    for k, name in enumerate(trace.regions):
+        if k not in places:
+            states = list(_stretches(trace, k))
+            still = len(states) == 1 and not _instants(trace, k)
+            said.setdefault(f"always {states[0]}" if still else "not drawn", []).append(name)
+    return remark_lines(remarks(said))
+
+
+def _stretches(trace: Trace, row: int) -> dict[str, list[tuple[float, float]]]:
+    """Return state -> times that the region spends in it, adjoining ones joined."""
+    result: dict[str, list[tuple[float, float]]] = {}
+    last = ""
+    for arc in trace.arcs:
+        state, start, end = arc.mode[row], arc.start.high, arc.end.high
+        stretches = result.setdefault(state, [])
+        if state == last:
+            stretches[-1] = (stretches[-1][0], end)
+        else:
+            stretches.append((start, end))
+        last = state
+    return result
+
+
+def _instants(trace: Trace, row: int) -> dict[str, list[float]]:
+    """Return state -> times at which the region passed through it in no time."""
+    flowed = {arc.j for arc in trace.arcs}
+    result: dict[str, list[float]] = {}
+    for jump, following in zip(trace.jumps, trace.jumps[1:], strict=False):
+        state = jump.target[row]
+        if jump.j + 1 not in flowed and state not in (jump.source[row], following.target[row]):
+            result.setdefault(state, []).append(jump.t)
+    return result

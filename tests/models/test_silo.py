@@ -1,0 +1,39 @@
+"""The silo beside the law of Beverloo, in the plane."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from statechart.running.runner import Runner
+
+TIMES = np.linspace(0.15, 0.45, 7)
+
+
+@pytest.fixture(scope="module")
+def silo():
+    return Runner("silo")
+
+
+def flow(runner, opening):
+    """Return how many discs are out at some times."""
+    result = runner.run({"D": opening}, until=0.45)
+    assert result.trace.outcome.succeeded, result.trace.message
+    assert result.trace.counts["inexact_steps"] == 0
+    names = [f"grain{k}.y" for k in range(150)]
+    found = result.observer.sample(result.trace, names, times=TIMES).columns
+    return (np.array([found[name] for name in names]) < -0.005).sum(axis=0)
+
+
+def test_discs_flow_out_at_a_constant_rate_that_grows_as_beverloo_says(silo):
+    narrow, wide = flow(silo, 0.05), flow(silo, 0.06)
+    rates = np.diff(narrow)
+    assert rates.min() > 0.7 * rates.mean()
+    assert rates.max() < 1.3 * rates.mean()
+    # (D - 1.3 d)^(3/2)
+    expected = ((0.06 - 0.013) / (0.05 - 0.013)) ** 1.5
+    assert wide[3] - wide[0] == pytest.approx(expected * (narrow[3] - narrow[0]), rel=0.25)
+
+
+def test_the_pan_weighs_nothing_before_the_gate_opens(silo):
+    assert silo.run(until=0.04).outputs["load"] == pytest.approx(9.81, rel=1e-9)

@@ -1,0 +1,107 @@
+"""Discs that touch with their rims: what they are declared on, and what stays as they roll."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scenes import run, scene
+
+import statechart
+from contacts.testing.symmetry import mirrored, rescaled
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret, load
+from statechart.testing.subject import Subject
+
+RING = """
+kind: scene
+name: ring
+parameters: {R: 1, r: 0.2, v0: 12, m: 2, g: 9.81}
+gravity: g
+bodies:
+  ball: {mass: m, inertia: m*r**2/2, start: {y: r - R, dx: v0, dangle: -v0/r}}
+surfaces: {SURFACE}
+contacts: {rim: {point: {body: ball}, radius: RADIUS, surface: ring, friction: inf, restitution: 0}}
+stop: {time: 2}
+"""
+HOLLOW = "ring: {circle: [0, 0], radius: R, hollow: true}"
+
+
+def model(surface: str = HOLLOW, radius: str = "r") -> Any:
+    text = RING.replace("SURFACE", surface).replace("RADIUS", radius)
+    return interpret(read_text(text, "f.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("surface", "radius", "told"),
+    [
+        ("ring: {height: x**2}", "r", "a slope is an incline, or a line"),
+        ("ring: {edge: [[0, 0], [1, 0]]}", "r", "a small circle"),
+        (HOLLOW, "0", "contacts.rim.radius: must be positive, not 0"),
+        (HOLLOW, "-r", "must be positive, not -0.2"),
+        (HOLLOW, "1/0", "radius"),
+        (HOLLOW, "2*R", "a disc of radius 2 does not roll in a circle of radius 1"),
+        (HOLLOW, "size", "unknown name 'size'"),
+    ],
+)
+def test_where_a_disc_cannot_touch_is_told(surface: str, radius: str, told: str) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        statechart.run(model(surface, radius))
+    assert told in str(caught.value)
+
+
+def test_a_disc_that_loops_keeps_its_energy_and_its_place() -> None:
+    found = statechart.run(model(), tolerance=2.2e-16)
+    trace = found.trace
+    assert [jump.cause for jump in trace.jumps] == []
+    x, y, angle, dx, dy, spin = trace.final
+    # Turned more than a round, against the angle of a looping.
+    assert abs(angle) > 4 * math.tau
+    assert math.hypot(x, y) == pytest.approx(0.8, abs=1e-13)
+    rolled = 0.2 / 0.8 * angle
+    assert (x, y) == pytest.approx((-0.8 * math.sin(rolled), -0.8 * math.cos(rolled)), abs=1e-11)
+    energy = dx**2 + dy**2 + 0.02 * spin**2 + 2 * 9.81 * y
+    assert energy == pytest.approx(1.5 * 144 - 2 * 9.81 * 0.8, rel=1e-13)
+
+
+def test_a_rolling_mode_has_one_coordinate() -> None:
+    built = statechart.run(model(), until=0.1).to_dict()["built"]["modes"]
+    assert [mode["integrated"] for mode in built] == [["ball.angle"]]
+
+
+@pytest.mark.parametrize("change", [mirrored, rescaled])
+def test_the_image_moves_as_the_image(change: Any) -> None:
+    declared = load("ball_in_a_bowl")
+    image, reading = change(declared)
+    one, other = Subject(declared).case({}).trace, Subject(image).case({}).trace
+    assert [jump.cause for jump in one.jumps] == [jump.cause for jump in other.jumps]
+    assert np.allclose(other.final * reading.factors, one.final, atol=1e-9)
+
+
+def test_a_wheel_in_coordinates_of_its_own_is_the_same() -> None:
+    rolls = scene("""
+kind: scene
+name: wheel
+gravity: 9.81
+coordinates: {turned: {start: 0, rate: 1}}
+bodies: {wheel: {mass: 2, inertia: 0.3, position: [-0.5*turned, 0.5], angle: turned}}
+surfaces: {ground: {height: 0}}
+forces: {push: {body: wheel, force: [1, 0], at: [0, 0.1]}}
+stop: {time: 1}
+""")
+    touches = scene("""
+kind: scene
+name: wheel
+gravity: 9.81
+bodies: {wheel: {mass: 2, inertia: 0.3, start: {y: 0.5, dx: -0.5, dangle: 1}}}
+surfaces: {ground: {height: 0}}
+contacts: {rim: {point: {body: wheel}, radius: 0.5, surface: ground, modes: [pin]}}
+forces: {push: {body: wheel, force: [1, 0], at: [0, 0.1]}}
+stop: {time: 1}
+""")
+    one, other = run(rolls, "taylor", 1.0), run(touches, "taylor", 1.0)
+    assert other.final[2] == pytest.approx(one.final[0], abs=1e-13)
+    assert other.final[0] == pytest.approx(-0.5 * one.final[0], abs=1e-13)

@@ -1,0 +1,107 @@
+"""Impulses of many contacts, held against the contact laws by dense algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from contacts.solvers.contact_rows import ContactRows
+from contacts.solvers.island_impulses import solve_rows
+from contacts.solvers.proximal_newton import by_proximal_points
+from statechart.kernels.jit import kernel
+
+
+@kernel
+def solved(contacts, least, impulses, allowed):
+    """Call from Python what kernels alone call."""
+    return solve_rows(contacts, least, impulses, allowed, False)
+
+
+@kernel
+def improved(contacts, least, impulses, allowed):
+    return by_proximal_points(contacts, least, impulses, allowed)
+
+
+def wall(rows, across, mu, generator):
+    """Return the contacts of a wall of bricks between posts, and what their velocities are.
+
+    Each brick lies on two others, or the ground, at both ends; those at the sides press against the
+    posts, at gaps that differ by a thousandth of what they fall in a step.
+    """
+    pairs, normals, arms = [], [], []
+    for r in range(rows):
+        for c in range(across):
+            b = r * across + c
+            for at in (-1.0, 1.0):
+                below = c if at < 0 else c + 1
+                below = (r - 1) * across + min(below, across - 1) if r else -1
+                pairs.append((b, below))
+                normals.append((0.0, 1.0))
+                arms.append(((at, -0.5), (0.0, 0.5)))
+            if c in (0, across - 1):
+                side = 1.0 if c == 0 else -1.0
+                pairs.append((b, -1))
+                normals.append((side, 0.0))
+                arms.append(((-2.0 * side, 0.3), (0.0, 0.0)))
+    count, last = len(pairs), 3 * rows * across
+    places, lines = np.full((count, 6), last), np.zeros((count, 2, 6))
+    for i, (pair, (nx, ny), points) in enumerate(zip(pairs, normals, arms, strict=True)):
+        for side, (body, (rx, ry)) in enumerate(zip(pair, points, strict=True)):
+            if body < 0:
+                continue
+            places[i, 3 * side : 3 * side + 3] = range(3 * body, 3 * body + 3)
+            for d, (ux, uy) in enumerate(((nx, ny), (ny, -nx))):
+                row = np.array([ux, uy, rx * uy - ry * ux])
+                lines[i, d, 3 * side : 3 * side + 3] = row if side == 0 else -row
+    inverse = np.tile([1.0, 1.0, 2.0], rows * across)
+    columns = lines * np.append(inverse, 0.0)[places][:, None]
+    own = np.stack([(lines[:, a] * columns[:, b]).sum(-1) for a, b in ((0, 0), (1, 1), (0, 1))], 1)
+    contacts = ContactRows(places, lines, columns, own, np.tile([1.0, mu], (count, 1)))
+    rates = np.tile([0.0, -1.0, 0.0], rows * across) + 0.1 * generator.normal(size=last)
+    free = np.einsum("idk,ik->id", lines, np.append(rates, 0.0)[places])
+    free[:, 0] += 1e-3 * generator.random(count)
+    return contacts, free
+
+
+def missed(contacts, free, impulses):
+    """Return by how much impulses miss the contact laws, of the fastest approach."""
+    count, width = len(free), contacts.places.max() + 1
+    felt, moves = np.zeros((2, 2 * count, width))
+    for i, places in enumerate(contacts.places):
+        for k, place in enumerate(places):
+            felt[2 * i : 2 * i + 2, place] += contacts.rows[i, :, k]
+            moves[2 * i : 2 * i + 2, place] += contacts.columns[i, :, k]
+    normal, slip = (free + (felt @ (moves.T @ impulses.ravel())).reshape(-1, 2)).T
+    (wn, wt, _), (pn, pt) = contacts.own.T, impulses.T
+    edge = contacts.cones[:, 1] / contacts.cones[:, 0] * wt * pn
+    parts = np.minimum(wn * pn, normal), wt * pt - np.clip(wt * pt - slip, -edge, edge)
+    return max(np.abs(part).max() for part in parts) / -free[:, 0].min()
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.3, 0.5])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_wall_between_posts_is_solved_from_nothing(mu, seed):
+    contacts, free = wall(8, 5, mu, np.random.default_rng(seed))
+    impulses = np.zeros_like(free)
+    left, taken = solved(contacts, free, impulses, 1e-9)
+    assert left <= 1e-9
+    assert left == pytest.approx(missed(contacts, free, impulses), rel=1e-2, abs=1e-13)
+    assert taken > 0
+
+
+def test_what_is_solved_takes_nothing():
+    contacts, free = wall(8, 5, 0.5, np.random.default_rng(3))
+    impulses = np.zeros_like(free)
+    improved(contacts, free, impulses, 1e-9)
+    again = impulses.copy()
+    assert improved(contacts, free, again, 1e-9)[1] == 0
+    assert (again == impulses).all()
+
+
+def test_impulses_scale_with_masses_and_velocities():
+    contacts, free = wall(6, 4, 0.5, np.random.default_rng(5))
+    light, heavy = np.zeros_like(free), np.zeros_like(free)
+    improved(contacts, free, light, 1e-10)
+    slow = contacts._replace(columns=contacts.columns / 16.0, own=contacts.own / 16.0)
+    improved(slow, 4.0 * free, heavy, 1e-10)
+    assert heavy == pytest.approx(64.0 * light, rel=1e-12)
