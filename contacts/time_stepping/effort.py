@@ -15,12 +15,17 @@ class Effort:
     Parameters
     ----------
     asked : Impulses
+
+    Attributes
+    ----------
+    residual : float
+        By how much impulses missed the contact laws at most, in parts of a step's fastest approach.
     """
 
     def __init__(self, asked: Impulses) -> None:
         self._tolerance, self._bound = asked
         self._iterations = self._contacts = self._most = self._missed = self._softened = 0
-        self._worst = self._when = 0.0
+        self.residual = self._when = 0.0
 
     def beyond(self, chunk: Chunk) -> tuple[int, SimulationError] | None:
         """Return the first step whose impulses miss by more than the bound, and why it ends."""
@@ -43,8 +48,8 @@ class Effort:
         self._missed += int((missed > self._tolerance).sum())
         self._softened += int(softened.sum())
         k = int(np.argmax(missed))
-        if missed[k] > self._worst:
-            self._worst, self._when = float(missed[k]), start + k * chunk.h
+        if missed[k] > self.residual:
+            self.residual, self._when = float(missed[k]), start + k * chunk.h
 
     @property
     def counts(self) -> dict[str, int]:
@@ -68,7 +73,7 @@ class Effort:
         if self._missed:
             found += (
                 f"in {self._missed} steps impulses miss the contact laws by more than the "
-                f"tolerance of {self._tolerance:g}: by up to {self._worst:.2g} of the fastest "
+                f"tolerance of {self._tolerance:g}: by up to {self.residual:.2g} of the fastest "
                 f"approach, at t = {self._when:.6g}",
             )
         return found

@@ -331,6 +331,7 @@ class SteppedRun:
         tolerances = dict(self.setup.tolerances)
         # A contact lands within a step, and stays as deep as it has landed.
         tolerances["gap"] = max(tolerances["gap"], self.span.step * self.fastest)
+        tolerances["impulse"] = self.effort.residual
         return Trace(
             name=stepping.name,
             regions=regions,

@@ -291,7 +291,8 @@ class Trace:
         Margin -> how its first crossing was decided. Under "motion", how it is known that steps
         follow the rates.
     tolerances : mapping
-        Kind of margin -> absolute tolerance used.
+        Kind of margin -> absolute tolerance used. Of steps, "impulse" is by how much their impulses
+        miss the laws of contact at most, in parts of a step's fastest approach.
     engine : str
         Engine and method.
     tolerance : float

@@ -143,13 +143,16 @@ def assert_same(
     # Fixed steps have none.
     known = [trace.tolerance for trace in (reference, other) if trace.step is None]
     tolerance = max(known, default=0.0)
+    residual = max(trace.tolerances.get("impulse", 0.0) for trace in (reference, other))
     try:
-        _compare(reference, other, sensitivity, _ROUNDING, reading, until, loosened)
+        _compare(reference, other, sensitivity, _ROUNDING, 0.0, reading, until, loosened)
     except AssertionError:
-        # What no rounding explains may be what events make of the errors of steps.
-        if tolerance <= _ROUNDING:
+        # What no rounding explains may be what events make of the errors of steps, or what is left
+        # of impulses that iterations find, in parts of a step's fastest approach.
+        if max(tolerance, residual) <= _ROUNDING:
             raise
-        _compare(reference, other, sensitivity, tolerance, reading, until, loosened)
+        located = max(tolerance, _ROUNDING)
+        _compare(reference, other, sensitivity, located, residual, reading, until, loosened)
 
 
 def _compare(
@@ -157,18 +160,22 @@ def _compare(
     other: Trace,
     sensitivity: Sensitivity,
     known: float,
+    residual: float,
     reading: Reading | None,
     until: tuple[float, Array] | None,
     loosened: Callable[[], Trace] | None,
 ) -> None:
-    """Compare runs whose states are known to the part `known` where events are found."""
+    """Compare runs whose states are known to the part `known` where events are found.
+
+    Their impulses miss the laws of contact by `residual`.
+    """
     stories = [_story(trace, Reading()) for trace in (reference, *sensitivity.nudged)]
     stories[0] = _rounded(stories[0], reference, sensitivity.conditions, known)
     stories.append(_story(other, reading or Reading()))
     if until is not None:
         stories = [*(_shortened(story, *until) for story in stories[:-1]), stories[-1]]
     first, *near, second = _without_skipped(stories)
-    error = bare = _FACTOR * (_error(reference) + _error(other))
+    error = bare = _FACTOR * (_error(reference) + _error(other) + residual)
     floor = np.zeros(len(first.end))
     traces = (reference,) if reading else (reference, other)
     # The gap of steps is what they pass surfaces by, not what they are brought back by.
@@ -181,7 +188,7 @@ def _compare(
             error = bare + mine.rounded
         if not (mine and its and mine.what == its.what):
             _within_tolerance(loosened, other, i, mine or its)
-            _part(first, second, near, i, error, (reference, other))
+            _part(first, second, near, i, error, residual, (reference, other))
         shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
         allowed = _allowed(mine, [s.events[i].numbers for s in shaken], first, error, floor)
         if len(shaken) < len(near):
@@ -368,6 +375,7 @@ def _part(
     near: Sequence[_Story],
     i: int,
     error: float,
+    residual: float,
     traces: tuple[Trace, Trace],
 ) -> NoReturn:
     """Event `i` differs: raise what that means."""
@@ -385,6 +393,11 @@ def _part(
         at_end = any(abs(event.t - end) <= instant for event in story.events[i : i + 1])
         if at_end or any(b - a <= instant for a, b in pairwise(times)):
             raise Undecidable(f"{place}: events closer than {instant:.1e} in time")
+    if residual > NUDGE:
+        raise Undecidable(
+            f"{place}: impulses that miss the contact laws by {residual:.0e} do what a change of "
+            f"{NUDGE:g} does not show; a smaller impulse_tolerance decides"
+        )
     if not all(trace.certified or trace.step is not None for trace in traces):
         raise Undecidable(f"{place}: a guard could not be decided")
     shown = [

@@ -19,7 +19,7 @@ from contacts.testing.scene_properties import assert_cone
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret, load
-from statechart.testing.agreement import Sensitivity, assert_same
+from statechart.testing.agreement import Sensitivity, Undecidable, assert_same
 from statechart.testing.checking import check
 from statechart.testing.subject import Subject
 
@@ -144,6 +144,23 @@ def test_runs_by_steps_that_differ_are_told_by_how_much(heap):
     assert_same(trace, trace, Sensitivity((trace,), ()))
     with pytest.raises(AssertionError, match=r"the end: .* their errors explain \d"):
         assert_same(trace, moved, Sensitivity((trace,), ()))
+
+
+def test_what_impulses_were_left_at_is_no_difference_of_runs(heap):
+    _, trace, _ = heap
+    left = dataclasses.replace(trace, tolerances={**trace.tolerances, "impulse": 1e-6})
+    sensitivity = Sensitivity((left,), ())
+    near = dataclasses.replace(left, final=left.final * (1 + 1e-6))
+    exact = dataclasses.replace(trace, tolerances={**trace.tolerances, "impulse": 0.0})
+    moved = dataclasses.replace(exact, final=near.final)
+    with pytest.raises(AssertionError, match="the end: "):
+        assert_same(exact, moved, Sensitivity((exact,), ()))
+    assert_same(left, near, sensitivity)
+    with pytest.raises(AssertionError, match="the end: "):
+        assert_same(left, dataclasses.replace(left, final=left.final * 1.001), sensitivity)
+    parted = dataclasses.replace(left.jumps[0], cause="slip")
+    with pytest.raises(Undecidable, match="a smaller impulse_tolerance decides"):
+        assert_same(left, dataclasses.replace(left, jumps=(parted, *left.jumps[1:])), sensitivity)
 
 
 def test_modes_of_steps_that_all_hold_impulses_have_no_force_to_judge():
