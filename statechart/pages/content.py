@@ -31,8 +31,10 @@ from statechart.reporting.text import change, explanation
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
 _MOST, _LEAST, _NUMBERS = 600, 120, 150_000
-# Events of which a page says why, at most and at least, and regions that all of them change.
-_TOLD, _FEW, _CHANGED = 300, 60, 9000
+MOST_EVENTS = 300
+"""Events of which a page says why, at most."""
+# At least, and regions that all of them change.
+_FEW, _CHANGED = 60, 9000
 # Points of a curve; a diagram of more modes is not looked at.
 _POINTS, _NODES = 1200, 40
 
@@ -49,7 +51,7 @@ def content(
     trace : Trace
         The run.
     report : mapping
-        Of the run, with the reasons of its events.
+        Of the run, with the reasons of the first `MOST_EVENTS` of its events at least.
     diagram : Diagram or None
         Of the model, with the run's path; None where the run has kept no modes.
     """
@@ -59,7 +61,7 @@ def content(
     end = trace.t_end if stage is None else until_rest(stage, observer, trace)
     width = 3 * len(automaton.regions) + 9 if seen else 1
     count = int(np.clip(_NUMBERS // max(width, 1), _LEAST, _MOST))
-    told = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, _TOLD))
+    told = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, MOST_EVENTS))
     events = [event for event in report["events"] if event["t"] <= end][:told]
     times = np.unique([*np.linspace(0.0, end, count), *(event["t"] for event in events)])
     film = None if stage is None else filmed(stage, observer, trace, times)
@@ -78,7 +80,7 @@ def content(
         "film": None if film is None else _film(film),
         "panels": _panels(observer, trace, end),
         "events": [_event(event, times) for event in events],
-        "more": len(report["events"]) - len(events),
+        "more": len(trace.jumps) - len(events),
         "chart": _chart(automaton, diagram, samples),
         "outputs": _measured(report["outputs"], report["units"]),
         "parameters": _measured(report["parameters"], report["units"]),
