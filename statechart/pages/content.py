@@ -152,8 +152,7 @@ def _shape(film: Film, shape: Shape) -> dict[str, Any]:
 
 def _panels(observer: Observer, trace: Trace, end: float) -> list[dict[str, Any]]:
     samples, found = curves(observer, trace)
-    chosen = np.flatnonzero(samples.t <= end)
-    chosen = chosen[:: max(1, len(chosen) // _POINTS)]
+    chosen = _rows(samples, end)
     # A jump takes no time: the curve is broken there.
     breaks = np.flatnonzero(np.diff(samples.j[chosen])) + 1
 
@@ -181,6 +180,19 @@ def _panels(observer: Observer, trace: Trace, end: float) -> list[dict[str, Any]
             }
         )
     return made
+
+
+def _rows(samples: Samples, end: float) -> NDArray[np.intp]:
+    """Return the rows that curves are drawn by: some, and both ends of every flow of not too many.
+
+    Without these a curve would end short of where it jumps.
+    """
+    inside = np.flatnonzero(samples.t <= end)
+    chosen = inside[:: max(1, len(inside) // _POINTS)]
+    first = np.flatnonzero(np.diff(samples.j[inside])) + 1
+    if len(first) > _POINTS:
+        return chosen
+    return np.unique(np.concatenate([chosen, inside[first - 1], inside[first], inside[-1:]]))
 
 
 def _event(event: Mapping[str, Any], times: Array) -> dict[str, Any]:
