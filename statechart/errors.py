@@ -318,3 +318,8 @@ def close_matches(name: str, known: Iterable[str]) -> str:
     listed = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
     meant = f"did you mean {' or '.join(repr(match) for match in close)}? " if close else ""
     return f"{meant}known: {listed or 'none'}"
+
+
+def undeclared(name: str, known: Iterable[str]) -> str:
+    """Return advice on a variable that is changed and has no value at the start."""
+    return f"{close_matches(name, known)}; if it is new, give its start: variables: {{{name}: 0}}"

@@ -4,6 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
+from typing import TypeVar
+
+T = TypeVar("T")
+
+FEW = 10
+"""Of more things than twice this people are shown as many from each end."""
+
+# What is counted one by one; above it two digits say as much.
+_COUNTED = 10**9
 
 
 @dataclass(frozen=True)
@@ -48,3 +58,25 @@ def table(rows: Sequence[Sequence[str]]) -> str:
         + "\n"
         for row in rows
     )
+
+
+def whole(number: int) -> str:
+    """Return a number of things as people read it: a huge one as a power, such as about 1.4e143."""
+    # A float ends at 1e308, and Python writes no integer of more than 4300 digits.
+    return str(number) if number < _COUNTED else f"about {Decimal(number):.1e}".replace("e+", "e")
+
+
+def ends(items: Sequence[T], half: int = FEW) -> list[T | int]:
+    """Return the items that people are shown, in the place of many the number left out.
+
+    Parameters
+    ----------
+    items : sequence
+        Such as events; none is a number.
+    half : int
+        How many of many are shown from each end.
+    """
+    left_out = len(items) - 2 * half
+    if left_out <= 0:
+        return list(items)
+    return [*items[:half], left_out, *items[-half:]]

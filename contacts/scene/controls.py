@@ -20,7 +20,7 @@ from statechart.charts.transitions import (
     nested,
 )
 from statechart.documents.fields import FiniteText, FormulaText, NameText, check_names, unit
-from statechart.errors import DeclarationProblem, close_matches
+from statechart.errors import DeclarationProblem, close_matches, undeclared
 from statechart.formulas.formula import Formula, parse
 
 Value = TypeVar("Value")
@@ -300,8 +300,7 @@ class Controls:
                     if variable not in region.variables:
                         raise DeclarationProblem(
                             f"no variable {variable!r} of region {name!r}",
-                            advice=close_matches(variable, region.variables)
-                            or f"declare it: variables: {{{variable}: 0}}",
+                            advice=undeclared(variable, region.variables),
                             loc=loc,
                             key=True,
                         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Literal, NamedTuple
 
@@ -18,6 +18,8 @@ LARGEST = 2**28
 """A trace may take so many bytes: with what is made of it, well below a gigabyte."""
 # A jump and its arc take so many beside what they hold in arrays.
 _JUMP = 2048
+# Arcs, or jumps, that are made once for all who look at a run: some 200 MB.
+_AT_HAND = 200_000
 
 Key = tuple[str, ...]
 """A product mode: the state of every region, in the automaton's order."""
@@ -346,6 +348,15 @@ class Trace:
     def values(self) -> Array:
         """Values (p,) of the parameters."""
         return np.fromiter(self.parameters.values(), float, len(self.parameters))
+
+    def at_hand(self) -> Trace:
+        """Return the run with its arcs and jumps made, for who looks at them again and again.
+
+        A very long one is returned as it is: made, it takes ten times the memory.
+        """
+        if max(len(self.arcs), len(self.jumps)) > _AT_HAND or self.record is not Record.MODES:
+            return self
+        return replace(self, arcs=tuple(self.arcs), jumps=tuple(self.jumps))
 
     @property
     def zeros(self) -> frozenset[int]:

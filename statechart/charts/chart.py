@@ -31,7 +31,7 @@ from statechart.documents.fields import (
 )
 from statechart.documents.quantities import Quantity
 from statechart.documents.uses import check_uses
-from statechart.errors import DeclarationProblem, close_matches
+from statechart.errors import DeclarationProblem, undeclared
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import parse, parse_relation
 
@@ -210,7 +210,7 @@ class Chart(Declaration):
         if name not in self.variables:
             raise DeclarationProblem(
                 f"no variable {name!r}",
-                advice=close_matches(name, self.variables),
+                advice=undeclared(name, self.variables),
                 loc=loc,
                 key=True,
             )

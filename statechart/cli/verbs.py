@@ -46,6 +46,7 @@ _PATIENCE = 0.9
 def validate(arguments: argparse.Namespace) -> int:
     """Read a model and check its initial state; print one line."""
     from statechart.reporting.modes import counted
+    from statechart.tabular import ends
 
     runner = _runner(arguments.file)
     mode, warnings = runner.start()
@@ -53,9 +54,12 @@ def validate(arguments: argparse.Namespace) -> int:
     kind = getattr(runner.model, "kind", "model")
     count = counted(automaton.modes_declared, automaton.modes_total)
     remarks = "".join(f"; warning: {warning}" for warning in warnings)
+    # Of many regions a label is longer than what is told.
+    states = automaton.label(mode).split()
+    start = " ".join(f"... {s} more ..." if isinstance(s, int) else s for s in ends(states))
     print(
         f"{arguments.file}: {kind} {automaton.name!r} is correct: "
-        f"{len(automaton.names)} variables, {count}, starts in {automaton.label(mode)}{remarks}"
+        f"{len(automaton.names)} variables, {count}, starts in {start}{remarks}"
     )
     return 0
 

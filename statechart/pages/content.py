@@ -31,8 +31,10 @@ from statechart.reporting.text import change, explanation
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
 _MOST, _LEAST, _NUMBERS = 600, 120, 150_000
-# Events of which a page says why, at most and at least, and regions that all of them change.
-_TOLD, _FEW, _CHANGED = 300, 60, 9000
+MOST_EVENTS = 300
+"""Events of which a page says why, at most."""
+# At least, and regions that all of them change.
+_FEW, _CHANGED = 60, 9000
 # Points of a curve; a diagram of more modes is not looked at.
 _POINTS, _NODES = 1200, 40
 
@@ -49,7 +51,7 @@ def content(
     trace : Trace
         The run.
     report : mapping
-        Of the run, with the reasons of its events.
+        Of the run, with the reasons of the first `MOST_EVENTS` of its events at least.
     diagram : Diagram or None
         Of the model, with the run's path; None where the run has kept no modes.
     """
@@ -59,7 +61,7 @@ def content(
     end = trace.t_end if stage is None else until_rest(stage, observer, trace)
     width = 3 * len(automaton.regions) + 9 if seen else 1
     count = int(np.clip(_NUMBERS // max(width, 1), _LEAST, _MOST))
-    told = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, _TOLD))
+    told = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, MOST_EVENTS))
     events = [event for event in report["events"] if event["t"] <= end][:told]
     times = np.unique([*np.linspace(0.0, end, count), *(event["t"] for event in events)])
     film = None if stage is None else filmed(stage, observer, trace, times)
@@ -78,7 +80,7 @@ def content(
         "film": None if film is None else _film(film),
         "panels": _panels(observer, trace, end),
         "events": [_event(event, times) for event in events],
-        "more": len(report["events"]) - len(events),
+        "more": len(trace.jumps) - len(events),
         "chart": _chart(automaton, diagram, samples),
         "outputs": _measured(report["outputs"], report["units"]),
         "parameters": _measured(report["parameters"], report["units"]),
@@ -150,8 +152,7 @@ def _shape(film: Film, shape: Shape) -> dict[str, Any]:
 
 def _panels(observer: Observer, trace: Trace, end: float) -> list[dict[str, Any]]:
     samples, found = curves(observer, trace)
-    chosen = np.flatnonzero(samples.t <= end)
-    chosen = chosen[:: max(1, len(chosen) // _POINTS)]
+    chosen = _rows(samples, end)
     # A jump takes no time: the curve is broken there.
     breaks = np.flatnonzero(np.diff(samples.j[chosen])) + 1
 
@@ -179,6 +180,19 @@ def _panels(observer: Observer, trace: Trace, end: float) -> list[dict[str, Any]
             }
         )
     return made
+
+
+def _rows(samples: Samples, end: float) -> NDArray[np.intp]:
+    """Return the rows that curves are drawn by: some, and both ends of every flow of not too many.
+
+    Without these a curve would end short of where it jumps.
+    """
+    inside = np.flatnonzero(samples.t <= end)
+    chosen = inside[:: max(1, len(inside) // _POINTS)]
+    first = np.flatnonzero(np.diff(samples.j[inside])) + 1
+    if len(first) > _POINTS:
+        return chosen
+    return np.unique(np.concatenate([chosen, inside[first - 1], inside[first], inside[-1:]]))
 
 
 def _event(event: Mapping[str, Any], times: Array) -> dict[str, Any]:

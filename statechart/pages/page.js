@@ -185,9 +185,10 @@ for (const panel of data.panels) {
     let d = "";
     let pen = false;
     for (let i = 0; i < t.length; i++) {
-      if (!Number.isFinite(v[i]) || !Number.isFinite(t[i])) pen = false;
+      const y = up(v[i]);
+      // A cone much wider than the force ends at the edge of its panel.
+      if (!Number.isFinite(t[i]) || !(y >= 0 && y <= high)) pen = false;
       else {
-        const y = Math.max(-20, Math.min(high + 20, up(v[i])));
         d += `${pen ? "L" : "M"}${along(t[i]).toFixed(1)} ${y.toFixed(1)}`;
         pen = true;
       }

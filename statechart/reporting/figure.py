@@ -23,6 +23,7 @@ from statechart.reporting.bands import banded, draw_bands
 from statechart.reporting.curves import Panel, busy_until, curves, largest
 from statechart.reporting.legends import legend, remark_lines, room
 from statechart.reporting.stack import stack
+from statechart.reporting.thinning import Line, strongest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -146,16 +147,16 @@ def render(drawing: Figure, kind: str) -> bytes:
 
 def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
     # Broken at jumps, which take no time: a vertical line would be no part of the motion.
-    breaks = np.flatnonzero(np.diff(samples.j)) + 1
-    t = np.insert(samples.t, breaks, np.nan)
+    line = Line.of(samples)
     ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)
     values = [samples.columns[name] for name in panel.names]
     for name, column, colour in zip(panel.names, values, LINES, strict=False):
-        ax.plot(t, np.insert(column, breaks, np.nan), color=colour, label=name, zorder=3)
+        ax.plot(line.times, line.values(column), color=colour, label=name, zorder=3)
     low, high = _limits(values)
     if panel.cone is not None:
         name, friction = panel.cone
-        edge = np.insert(friction * samples.columns[name], breaks, np.nan)
+        edge = line.values(friction * samples.columns[name])
+        t = line.times
         ax.fill_between(t, -edge, edge, color="#000000", alpha=0.06, linewidth=0.0, zorder=0)
         for sign in (1.0, -1.0):
             label = "\u00b1\u03bcV, the cone" if sign > 0 else None
@@ -183,10 +184,10 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
 
 
 def _struck(trace: Trace, region: str) -> tuple[Array, Array]:
-    """Return when a region was struck, and the normal impulses."""
+    """Return when a region was struck, and the normal impulses; of many the greatest."""
     found = [(jump.t, jump.impulse[region][0]) for jump in trace.jumps if region in jump.impulse]
     times, impulses = np.array(found).reshape(-1, 2).T
-    return times, impulses
+    return strongest(times, impulses, trace.t_end)
 
 
 def _mark_impulses(ax: Axes, panel: Panel, trace: Trace) -> None:

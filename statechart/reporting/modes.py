@@ -12,7 +12,7 @@ from statechart.automaton.nesting import HierarchicalEdge
 from statechart.automaton.product import graph
 from statechart.automaton.regions import Region
 from statechart.errors import DeclarationError, close_matches
-from statechart.tabular import Block, Table, apart, plain
+from statechart.tabular import Block, Table, apart, ends, plain, whole
 
 
 def listing(
@@ -74,21 +74,26 @@ def told(listed: Mapping[str, Any]) -> list[Block]:
     parts: list[list[Block]] = [[head]]
     if not listed["enumerated"]:
         counts = [
-            (f"  {r['name']}", counted(r["modes_declared"], r["modes_total"]))
-            for r in listed["regions"]
+            (f"  ... {r} more: --json has all", "")
+            if isinstance(r, int)
+            else (f"  {r['name']}", counted(r["modes_declared"], r["modes_total"]))
+            for r in ends(listed["regions"])
         ]
         words = f"the product is not enumerated nor judged (above {MOST_MODES} modes); regions:\n"
         parts.append([words, Table(counts)])
     if listed["feasibility"] is not None:
         parts.append(_possible(listed))
-    parts += [_edges(region) for region in listed["regions"]]
+    parts += [
+        [f"... {region} more: --json has all\n"] if isinstance(region, int) else _edges(region)
+        for region in ends(listed["regions"])
+    ]
     return apart(parts)
 
 
 def counted(declared: int, total: int) -> str:
     """Return numbers of modes in words, without and with directions of sliding."""
-    words = f"{declared} mode{'s' if declared != 1 else ''}"
-    return words if declared == total else f"{words} ({total} with directions of sliding)"
+    words = f"{whole(declared)} mode{'s' if declared != 1 else ''}"
+    return words if declared == total else f"{words} ({whole(total)} with directions of sliding)"
 
 
 def _region(region: Region) -> dict[str, Any]:

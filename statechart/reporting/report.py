@@ -27,6 +27,7 @@ def report(
     error_estimate: float | None = None,
     timings: Mapping[str, float] | None = None,
     explain: bool = False,
+    most: int | None = None,
     asked: Mapping[str, Any] | None = None,
     conditions: Sequence[float | None] = (),
     pieces: Pieces | None = None,
@@ -49,6 +50,8 @@ def report(
         What took how many seconds.
     explain : bool
         Give every event its `margins`: those of the mode left, at that instant.
+    most : int, optional
+        How many of the first events `events` has; all by default.
     asked : mapping, optional
         What was asked for instead of a tolerance, and what it took.
     conditions : sequence of float or None
@@ -80,7 +83,8 @@ def report(
     found_invariants: dict[str, float] = done.attempt(
         "invariants", lambda: invariants(observer, trace), {}
     )
-    events = _events(observer, trace, conditions, done, explain=explain)
+    jumps = trace.jumps[:most]
+    events = _events(observer, trace, jumps, conditions[:most], done, explain=explain)
     without = left_out(automaton, trace)
     without += [{"what": what, "why": why} for what, why in done.failed.items()]
     result = {
@@ -131,21 +135,20 @@ def report(
 def _events(
     observer: Observer,
     trace: Trace,
+    jumps: Sequence[Jump],
     conditions: Sequence[float | None],
     pieces: Pieces,
     *,
     explain: bool,
 ) -> list[dict[str, Any]]:
-    """Return every jump as an object; some of them where the time presses."""
+    """Return each of the jumps as an object; some of them where the time presses."""
     explained: Sequence[dict[str, float]] = ()
     if explain and not pieces.hurried:
-        explained = pieces.attempt(
-            "margins of events", lambda: observer.margins(trace, trace.jumps), []
-        )
+        explained = pieces.attempt("margins of events", lambda: observer.margins(trace, jumps), [])
 
     def made(short: bool) -> list[dict[str, Any]]:
         found: Sequence[tuple[Any, Any, Any]]
-        found = list(zip_longest(trace.jumps, conditions, explained))
+        found = list(zip_longest(jumps, conditions, explained))
         if short:
             pieces.leave("considered")
             found = pieces.some("events", found, len(trace.variables))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from statechart.automaton.trace import Outcome
 from statechart.documents.quantities import beside
-from statechart.tabular import Block, Table, apart, plain, table
+from statechart.tabular import FEW, Block, Table, apart, ends, plain, table, whole
 
 # Of more events than twice this only the first and the last are listed.
 _SHOWN = 20
+# Where the values are that are not listed.
+_ALL = "--json or --output has all"
 
 _CERTIFIED: Mapping[object, str] = {
     True: "events and motion certified",
@@ -33,13 +36,14 @@ def summary(report: Mapping[str, Any]) -> str:
 def told(report: Mapping[str, Any]) -> list[Block]:
     """Return the report of a run as `summary` does, its tables as such."""
     parts: list[list[Block]] = [[_head(report)], _events(report)]
+    units = report.get("units", {})
     parts += [
-        _values(title, values, report.get("units", {}))
+        _values(title, values, units)
         for title, values in (
-            ("outputs", report["outputs"]),
-            ("final state", report["final"]),
-            ("margins, least value seen", report["margins"]),
-            ("invariants, least margin (below 0 it does not hold)", report["invariants"]),
+            ("outputs", _listed(report["outputs"])),
+            ("final state", ends(_listed(report["final"]), FEW)),
+            ("margins, least value seen", _least(report["margins"])),
+            ("invariants, least margin (below 0 it does not hold)", _least(report["invariants"])),
         )
         if values
     ]
@@ -57,7 +61,7 @@ def _head(report: Mapping[str, Any]) -> str:
         f"  {report['message']}",
         f"  engine {report['engine']}, {_how(report)}; {certified}",
         f"  {counts['steps']} steps, {counts['jumps']} jumps, "
-        f"{report['modes_built']} of {report['modes_total']} modes built",
+        f"{report['modes_built']} of {whole(report['modes_total'])} modes built",
     ]
     if report["error_estimate"] is not None:
         lines.append(f"  estimated relative error {float(report['error_estimate']):.2g}")
@@ -96,21 +100,15 @@ def _events(report: Mapping[str, Any]) -> list[Block]:
     rows = [("t", "region", "cause", "from -> to")]
     for event in shown(events):
         if isinstance(event, int):
-            rows.append((f"... {event} more: --json or --output has all", "", "", ""))
+            rows.append((f"... {event} more: {_ALL}", "", "", ""))
         else:
             rows.append((repr(event["t"]), event["contact"] or "", event["cause"], change(event)))
     return [Table(rows, headed=True)]
 
 
-def shown(events: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any] | int]:
-    """Yield the events that people are shown, in the place of many the number left out."""
-    left_out = len(events) - 2 * _SHOWN
-    if left_out <= 0:
-        yield from events
-        return
-    yield from events[:_SHOWN]
-    yield left_out
-    yield from events[-_SHOWN:]
+def shown(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
+    """Return the events that people are shown, in the place of many the number left out."""
+    return ends(events, _SHOWN)
 
 
 def change(event: Mapping[str, Any]) -> str:
@@ -140,10 +138,35 @@ def _alternatives(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
     return ["alternatives\n", Table(lines)]
 
 
-def _values(title: str, values: Mapping[str, Any], units: Mapping[str, str]) -> list[Block]:
-    rows = [
-        (f"  {name}", _text(value), beside(units.get(name, ""))) for name, value in values.items()
-    ]
+def _listed(values: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    return list(values.items())
+
+
+def _least(values: Mapping[str, Any]) -> list[tuple[str, Any] | int]:
+    """Return margins by name; of many the least, and how many others there are."""
+    left_out = len(values) - 2 * FEW
+    if left_out <= 0:
+        return list(values.items())
+
+    def size(item: tuple[str, Any]) -> float:
+        # What is undefined or absent is looked at first.
+        number = math.nan if item[1] is None else float(item[1])
+        return -math.inf if math.isnan(number) else number
+
+    return [*sorted(values.items(), key=size)[: 2 * FEW], left_out]
+
+
+def _values(
+    title: str, values: Sequence[tuple[str, Any] | int], units: Mapping[str, str]
+) -> list[Block]:
+    """Return values under a title; a number stands for as many that are left out."""
+    rows = []
+    for item in values:
+        if isinstance(item, int):
+            rows.append((f"  ... {item} more: {_ALL}", "", ""))
+        else:
+            name, value = item
+            rows.append((f"  {name}", _text(value), beside(units.get(name, ""))))
     return [f"{title}\n", Table(rows)]
 
 

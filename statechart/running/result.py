@@ -235,7 +235,8 @@ class Result:
         from statechart.reporting.figure import figure
         from statechart.reporting.film import strip_of
 
-        return figure(self.observer, self.trace, path, strip=strip_of(self.observer, self.trace))
+        trace = self.trace.at_hand()
+        return figure(self.observer, trace, path, strip=strip_of(self.observer, trace))
 
     def diagram(self, path: Path | str | None = None) -> Diagram:
         """Return the modes that the run visited, and its path through them.
@@ -312,14 +313,15 @@ class Result:
         StatechartError
             If the suffix is another, or the file cannot be written.
         """
-        from statechart.pages.content import content
+        from statechart.pages.content import MOST_EVENTS, content
         from statechart.pages.page import write
 
         path = Path(path)
         check_kept(self.trace)
-        told = self.to_dict(explain=True)
-        diagram = self.diagram() if self.trace.record is Record.MODES else None
-        write(content(self.observer, self.trace, told, diagram), path)
+        held = replace(self, trace=self.trace.at_hand())
+        told = held.to_dict(explain=True, most=MOST_EVENTS)
+        diagram = held.diagram() if self.trace.record is Record.MODES else None
+        write(content(self.observer, held.trace, told, diagram), path)
         return path
 
     @property
@@ -327,7 +329,9 @@ class Result:
         values = self.trace.parameters
         return {name: values[name] for name in self.runner.model.parameters if name in values}
 
-    def to_dict(self, *, explain: bool = False, pieces: Pieces | None = None) -> dict[str, Any]:
+    def to_dict(
+        self, *, explain: bool = False, most: int | None = None, pieces: Pieces | None = None
+    ) -> dict[str, Any]:
         """Return the run as one plain object; see `statechart.reporting.report.report`."""
         from statechart.reporting.report import report
 
@@ -337,6 +341,7 @@ class Result:
             error_estimate=self.error_estimate,
             timings=self.timings,
             explain=explain,
+            most=most,
             asked=None if self.asked is None else self.asked.report(self.error_estimate),
             conditions=() if self.asked is None else self.conditions,
             pieces=pieces,
@@ -363,8 +368,9 @@ class Result:
                 stacklevel=2,
             )
             samples = True
-        made = partial(self.to_dict, explain=True)
-        return write_run(folder, self.observer, self.trace, made, samples=bool(samples))
+        held = replace(self, trace=self.trace.at_hand())
+        made = partial(held.to_dict, explain=True)
+        return write_run(folder, self.observer, held.trace, made, samples=bool(samples))
 
 
 def _remade(

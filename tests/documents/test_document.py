@@ -206,7 +206,12 @@ def test_positions_are_those_of_the_text() -> None:
         ("v: 0}\nreg", "v: inf}\nreg", "5:22", "must be finite"),
         ("v: 0}\nreg", "v: 0, g: 1}\nreg", "5:25", "'g' is a parameter"),
         ("initial: flight", "initial: fligt", "8:14", "no state 'fligt'; did you mean 'flight'?"),
-        ("x: v,", "y: v,", "11:17", "no variable 'y'"),
+        (
+            "x: v,",
+            "y: v,",
+            "11:17",
+            "no variable 'y'; known: v, x; if it is new, give its start: variables: {y: 0}",
+        ),
         ("v: -g", "v: -G", "11:27", "unknown name 'G'"),
         ("rest: {}", "rest: {flow: {}}", "12:14", "did you mean 'flows'? known keys: entry"),
         ("rest: {}", "rest:", "12:7", "regions.ball.states.rest: nothing is written"),

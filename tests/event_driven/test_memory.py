@@ -111,7 +111,12 @@ def test_what_nothing_depends_on_changes_no_motion(model: str) -> None:
         ("{n: 0,", "{n: y,", "y,", "unknown name 'y'"),
         ("{n: 0,", "{h: 0,", "h: 0", "'h' is declared twice"),
         ("n: n + 1", "m: n + 1", "m: n", "no variable 'm' of region 'counter'"),
-        ("burns: {sets", "burns: {flows: {n: 1}, sets", "n: 1}", "no variable 'n' of region"),
+        (
+            "burns: {sets",
+            "burns: {flows: {n: 1}, sets",
+            "n: 1}",
+            "if it is new, give its start: variables: {n: 0}",
+        ),
         ("guard: n >= 1", "guard: N >= 1", "N >=", "unknown name 'N'"),
         ("done: {}", "done: {states: {a: {}}}", "done:", "does not say with which it begins"),
         ("done: {}", "done: {history: deep}", "deep", "has no state whose states it remembers"),

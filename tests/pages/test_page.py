@@ -122,6 +122,20 @@ def test_the_slider_moves_everything(browser, result):
 
 
 @in_browser
+def test_curves_and_cones_stay_in_their_panels_and_times_on_a_line(browser, result):
+    beyond = (
+        "Array.from(document.querySelectorAll('#curves svg')).flatMap((svg) =>"
+        " Array.from(svg.querySelectorAll('path'), (p) => p.getBBox()).filter((b) =>"
+        " b.y < 0 || b.y + b.height > svg.viewBox.baseVal.height - 21)).length"
+    )
+    assert browser.value(beyond) == 0
+    widths = browser.value(
+        "Array.from(document.querySelectorAll('#events tr:first-child td'), (d) => d.offsetWidth)"
+    )
+    assert widths[0] < widths[1] < widths[2]
+
+
+@in_browser
 def test_an_event_leads_to_its_instant_and_says_why(browser, result):
     for place, jump in enumerate(result.trace.jumps, start=1):
         browser.click(f"#events tbody tr:nth-child({place})")

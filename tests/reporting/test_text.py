@@ -1,0 +1,113 @@
+"""Summaries of runs with much to tell: what is listed, and what is counted."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+from statechart.cli.main import main
+from statechart.documents.yaml_reader import read_text
+from statechart.reporting.text import summary
+from statechart.running.runner import Runner
+from statechart.tabular import ends, whole
+
+GRAINS = """\
+kind: scene
+name: grains
+gravity: 9.81
+bodies:
+  grain:
+    copies: 60
+    mass: 1
+    inertia: 1
+    shape: {disc: 0.4}
+    start: {x: index, y: 0.41 + 0.001*index}
+surfaces: {ground: {height: 0}}
+collisions: {grains: {bodies: [grain], surfaces: [ground], friction: 0.4, restitution: 0}}
+stop: {time: 0.2}
+settings: {engine: impulse, step: 1e-3, record: poses}
+"""
+
+
+@pytest.fixture(scope="module")
+def report():
+    return Runner(read_text(GRAINS)).run().to_dict()
+
+
+def under(text: str, title: str) -> list[str]:
+    """Return the lines of a part of a summary."""
+    return text.split(f"\n{title}\n")[1].split("\n\n")[0].splitlines()
+
+
+def test_of_many_variables_the_first_and_the_last_are_listed(report) -> None:
+    lines = under(summary(report), "final state")
+    names = list(report["final"])
+    assert len(names) == 360
+    listed = [line.split()[0] for line in lines]
+    assert listed == [*names[:10], "...", *names[-10:]]
+    assert lines[10] == "  ... 340 more: --json or --output has all"
+
+
+def test_of_many_margins_the_least_are_listed(report) -> None:
+    lines = under(summary(report), "margins, least value seen")
+    margins = report["margins"]
+    left_out = len(margins) - 20
+    assert left_out > 0
+    least = sorted(margins, key=margins.__getitem__)[:20]
+    assert [line.split()[0] for line in lines[:-1]] == least
+    assert lines[-1].split() == f"... {left_out} more: --json or --output has all".split()
+
+
+def test_a_margin_without_a_value_comes_first(report) -> None:
+    margins = {**report["margins"], "zz.gap": "nan"}
+    lines = under(summary(report | {"margins": margins}), "margins, least value seen")
+    assert lines[0].split() == ["zz.gap", "nan"]
+
+
+def test_a_huge_number_of_modes_is_a_power(report) -> None:
+    total = report["modes_total"]
+    assert total > 10**20
+    said = re.search(r"of about (\S+) modes built", summary(report))
+    assert said is not None
+    assert float(said[1]) == pytest.approx(total, rel=0.05)
+    assert json.loads(json.dumps(report))["modes_total"] == total
+    assert "about" in report["left_out"][0]["what"]
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (1, "1"),
+        (999_999_999, "999999999"),
+        (10**9, "about 1.0e9"),
+        (3**302, "about 1.2e144"),
+        (10**400 * 15, "about 1.5e401"),
+        (3**10_000, "about 1.6e4771"),
+    ],
+    ids=["one", "counted", "first", "grains", "beyond floats", "beyond text"],
+)
+def test_whole_numbers(number: int, said: str) -> None:
+    assert whole(number) == said
+
+
+def test_few_values_are_all_listed() -> None:
+    result = Runner("toppling_stick").run()
+    lines = under(summary(result.to_dict()), "final state")
+    assert [line.split()[0] for line in lines] == list(result.trace.variables)
+    assert ends("few") == list("few")
+
+
+def test_of_many_regions_some_are_listed(tmp_path, capsys) -> None:
+    path = tmp_path / "grains.yaml"
+    path.write_text(GRAINS)
+    assert main(["validate", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "grain9:free ... 40 more ... grain50:free" in said
+    assert "grain10:" not in said
+    assert main(["modes", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("  grain") for line in lines) == 20
+    assert lines.count("  ... 40 more: --json has all") == 1
+    assert lines.count("... 40 more: --json has all") == 1

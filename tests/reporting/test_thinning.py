@@ -1,0 +1,76 @@
+"""Curves of very many points: what is drawn of them is what can be seen of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from statechart.observation.sampling import Samples
+from statechart.reporting.thinning import COLUMNS, Line, strongest
+from statechart.running.runner import Runner
+
+
+def samples(t, j) -> Samples:
+    return Samples(t, j, np.zeros(len(t), dtype=np.intp), (("a",),), {})
+
+
+def test_few_points_are_drawn_as_they_are_and_broken_at_jumps() -> None:
+    t = np.array([0.0, 1.0, 1.0, 2.0])
+    line = Line.of(samples(t, np.array([0, 0, 1, 1])))
+    np.testing.assert_array_equal(line.times, [0.0, 1.0, np.nan, 1.0, 2.0])
+    np.testing.assert_array_equal(line.values(t + 5.0), [5.0, 6.0, np.nan, 6.0, 7.0])
+
+
+def test_of_many_points_none_that_stands_out_is_lost() -> None:
+    t = np.linspace(0.0, 3.0, 200_001)
+    values = np.sin(40_000.0 * t)
+    values[[777, 123_456]] = 9.0, -8.0
+    values[5000:5003] = np.nan
+    line = Line.of(samples(t, np.arange(len(t)) // 1000))
+    drawn = line.values(values)
+    assert len(drawn) == len(line.times) <= 4 * COLUMNS
+    for place in (777, 123_456):
+        near = np.abs(line.times - t[place]) <= 3.0 / COLUMNS
+        assert values[place] in drawn[near]
+    assert np.nanmax(drawn) == 9.0
+    assert np.nanmin(drawn) == -8.0
+    assert (np.diff(line.times[~np.isnan(line.times)]) >= 0.0).all()
+
+
+def test_of_many_points_the_line_stays_broken_at_a_jump_between_two_columns() -> None:
+    half = np.linspace(0.0, 1.0, 15_000)
+    t = np.concatenate([half, 1.0 + half])
+    j = np.repeat([0, 1], 15_000)
+    line = Line.of(samples(t, j))
+    broken = line.times[:-1][np.isnan(line.times[1:])]
+    assert broken == pytest.approx([1.0], abs=2.0 / COLUMNS)
+
+
+def test_of_many_impulses_the_greatest_of_a_column_is_drawn() -> None:
+    times = np.linspace(0.0, 2.0, 50_000)
+    sizes = 1.0 + 0.5 * np.sin(np.arange(50_000))
+    sizes[31_234] = -7.0
+    chosen, drawn = strongest(times, sizes, 2.0)
+    assert len(chosen) == COLUMNS
+    assert (np.diff(chosen) > 0.0).all()
+    assert drawn[chosen == times[31_234]] == -7.0
+    assert np.abs(drawn).min() > 1.4
+    few = strongest(times[:9], sizes[:9], 2.0)
+    np.testing.assert_array_equal(few[1], sizes[:9])
+
+
+def test_a_run_made_at_hand_is_the_same_run() -> None:
+    result = Runner("bouncing_ball").run()
+    held = result.trace.at_hand()
+    assert isinstance(held.jumps, tuple)
+    assert [jump.t for jump in held.jumps] == [jump.t for jump in result.trace.jumps]
+    assert [arc.start for arc in held.arcs] == [arc.start for arc in result.trace.arcs]
+    assert held.jumps[3] is held.jumps[3]
+    assert held.at_hand().outcome is result.trace.outcome
+
+
+def test_the_first_events_of_a_report_are_those_of_all() -> None:
+    result = Runner("bouncing_ball").run()
+    told = result.to_dict(explain=True)["events"]
+    assert len(told) > 5
+    assert result.to_dict(explain=True, most=5)["events"] == told[:5]
