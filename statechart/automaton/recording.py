@@ -256,9 +256,10 @@ class Recording:
 
     def seal(self) -> None:
         """Copy what is on the pad to a block."""
-        if not self.memory.used.any():
+        written = self.memory.used.tolist()
+        if not any(written):
             return
-        arcs, times, terms, events = self.memory.used.tolist()
+        arcs, times, terms, events = written
         used = (arcs, arcs, arcs, times, terms, events, events, events, 4)
         arrays: Iterable[NDArray[Any]] = self.memory
         pairs = zip(arrays, used, strict=True)
@@ -277,7 +278,7 @@ class Recording:
         return all(w <= most for w, most in zip(wanted, room, strict=True))
 
     def _keep(self, block: Block) -> None:
-        self._bytes += sum(array.nbytes for array in block)
+        self._bytes += sum([array.nbytes for array in block])
         if self._bytes > IN_MEMORY:
             block = Block._make(on_disk(block, self._bytes))
         self._blocks.append(block)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -38,16 +37,19 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
     record = Recording(len(automaton.variables), modes.kinds, batch.block, jump, begun=True)
     place, t_end, final = found.place[0].tolist(), found.now.item(T_HIGH), found.final[0]
     first, last = kinds[found.ends.item(FIRST_MODE)][0], kinds[place[N_MODE]]
-    message = f"reached t = {t_end:.17g}"
-    if batch.stopped[0]:
+    outcome = batch.outcome(0)
+    if outcome is Outcome.STOPPED:
         margin = modes.compiled(last).names[found.ends.item(MARGIN)]
         message = f"{margin} at t = {t_end:.17g}"
         record.add_jump(
             Jump(t_end, place[N_JUMPS], "", "stop", last[0], last[0], final, final, (margin,))
         )
+    else:
+        message = f"reached t = {t_end:.17g}"
     arcs, jumps = record.close()
     block = record.only
-    arcs.source = None if block is None else replace(batch, block=block)
+    if block is not None:
+        arcs.source = Batch(batch.rows, found, block, kinds, modes, batch.zeros, batch.series)
     return Trace(
         name=automaton.name,
         regions=automaton.region_names,
@@ -60,7 +62,7 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
         start_mode=first,
         final_mode=last[0],
         t_end=t_end,
-        outcome=batch.outcome(0),
+        outcome=outcome,
         message=message,
         certified="guards",
         evidence=Deferred(partial(_evidence_of_row, batch)),

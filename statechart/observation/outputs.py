@@ -78,7 +78,8 @@ class Outputs(Grouped):
             (self.end, values.end),
             (self.integrals, values.integrals),
         ):
-            found |= zip(group, table[0].tolist(), strict=True)
+            if group:
+                found |= zip(group, table[0].tolist(), strict=True)
         for name, formula, which in self.extremes:
             found[name] = values.extremes.item(self.rows.place(formula), 0, which)
         return {name: found[name] for name in self.names}

@@ -106,7 +106,7 @@ class RowOutputs:
             self._known[key] = self._formulas.wanted(batch), Told(np.zeros(0, np.int64), nothing)
         wanted, told = self._known[key]
         # A stop, which is no jump of a loop, is one more.
-        events = int(found.place[:, N_JUMPS].sum()) + m
+        events = sum(found.place[:, N_JUMPS].tolist()) + m
         values = Values(
             np.empty((events, len(self._formulas.waits)), np.uint8),
             np.empty((len(outputs.at), events)),
