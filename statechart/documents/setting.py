@@ -165,7 +165,14 @@ class Setting:
     @property
     def family(self) -> str:
         """Settings that differ in how fine they are only."""
-        return "accuracy" if self.accuracy is not None else self.method or self.engine or "auto"
+        if self.accuracy is not None:
+            return "accuracy"
+        return " ".join((self.method or self.engine or "auto", *self._impulses))
+
+    @property
+    def _impulses(self) -> tuple[str, ...]:
+        """How exact impulses are, where that is said."""
+        return () if self.impulse_tolerance is None else (f"to {self.impulse_tolerance:g}",)
 
     @property
     def fineness(self) -> float:
@@ -181,7 +188,8 @@ class Setting:
     def label(self) -> str:
         """What it is called."""
         what = "accuracy" if self.accuracy is not None else "step" if self.step is not None else ""
-        words = (self.engine or "auto", self.method or "", what, f"{self.fineness:.3g}")
+        engine = (self.engine or "auto", self.method or "", *self._impulses)
+        words = (*engine, what, f"{self.fineness:.3g}")
         return " ".join(word for word in words if word)
 
 

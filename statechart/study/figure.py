@@ -62,7 +62,7 @@ def figure(study: Study) -> Figure:
             times.plot(firsts, heights, ".", markersize=3, color=look.colour, alpha=0.6)
             _draw(works, points, [_work(p) for p in points], heights, look)
             _draw(promises, points, fineness, heights, look)
-            if family not in ("impulse", "accuracy"):
+            if family != "accuracy" and not family.startswith("impulse"):
                 _draw(steps, points, fineness, [float(p.steps) for p in points], look)
             for slope in slopes(study) if study.parted is None else ():
                 if slope.family == family:
@@ -129,17 +129,18 @@ def _csv(study: Study) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(
-        ["engine", "method", "tolerance", "accuracy", "step", "outcome", "same_modes", "diverged",
-         "parted", "error", "state", "times", "outputs", "path", "energy", *kinds, "seconds",
-         "repeats", "cold", "steps", "evaluations", "flows", "kept"]
+        ["engine", "method", "tolerance", "accuracy", "step", "impulse_tolerance",
+         "outcome", "same_modes", "diverged", "parted", "error", "state", "times", "outputs",
+         "path", "energy", *kinds, "seconds", "repeats", "cold", "steps", "evaluations",
+         "flows", "kept"]
     )  # fmt: skip
     for p in study.points:
         s, e = p.setting, p.errors
         writer.writerow(
-            [s.engine, s.method, s.tolerance, s.accuracy, s.step, p.outcome, p.same_modes,
-             p.diverged, p.parted, study.error(p), e.state, e.times, e.outputs, e.path, e.energy,
-             *(e.violations.get(name) for name in kinds), p.seconds, p.repeats, p.cold,
-             p.steps, p.evaluations, p.flows, study.kept(p)]
+            [s.engine, s.method, s.tolerance, s.accuracy, s.step, s.impulse_tolerance, p.outcome,
+             p.same_modes, p.diverged, p.parted, study.error(p), e.state, e.times, e.outputs,
+             e.path, e.energy, *(e.violations.get(name) for name in kinds), p.seconds, p.repeats,
+             p.cold, p.steps, p.evaluations, p.flows, study.kept(p)]
         )  # fmt: skip
     return stream.getvalue()
 

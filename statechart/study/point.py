@@ -131,8 +131,8 @@ class Point(Record):
 
     @field_serializer("setting")
     def _plain(self, setting: Setting) -> dict[str, Any]:
-        # No run of a study has a budget, a longest step, or impulses of its own.
-        unused = ("budget", "max_step", "impulse_tolerance", "impulse_bound")
+        # No run of a study has a budget, a longest step, or a bound of its impulses.
+        unused = ("budget", "max_step", "impulse_bound")
         return {name: value for name, value in asdict(setting).items() if name not in unused}
 
 

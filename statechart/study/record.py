@@ -108,6 +108,8 @@ class Study(Record):
     def unsettled(self) -> dict[str, float]:
         """Return the outputs that do not converge with the step -> their error at the shortest."""
         steps = [p for p in self.points if p.setting.step is not None]
+        finest = min((p.setting.impulse_tolerance or 0.0 for p in steps), default=0.0)
+        steps = [p for p in steps if (p.setting.impulse_tolerance or 0.0) == finest]
         return {} if self.parted is not None else unsettled(steps, self.least)
 
     def comparable(self, point: Point) -> bool:

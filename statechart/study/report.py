@@ -133,7 +133,7 @@ def _foot(study: Study) -> str:
     if refused:
         lines.append("said that they did not reach it: " + ", ".join(refused))
     for slope in slopes(study):
-        fineness = "the step" if slope.family == "impulse" else "the tolerance"
+        fineness = "the step" if slope.family.startswith("impulse") else "the tolerance"
         lines.append(
             f"{slope.of} of {slope.family}: {fineness} to the power {slope.slope:.3g} "
             f"+- {slope.scatter:.1g} "
@@ -148,7 +148,8 @@ def _foot(study: Study) -> str:
     unsettled = study.unsettled()
     if unsettled:
         off = ", ".join(f"{name} ({error:.2g})" for name, error in unsettled.items())
-        kept = "stay off by that" if "impulse" in why else "do not converge with the step"
+        stays = any(family.startswith("impulse") for family in why)
+        kept = "stay off by that" if stays else "do not converge with the step"
         lines.append(
             f"outputs that {kept}, no part of the errors above (at the shortest step): {off}"
         )

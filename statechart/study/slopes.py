@@ -73,7 +73,7 @@ class Slope:
 def slopes(study: Study) -> tuple[Slope, ...]:
     """Fit the slopes of the families that have enough points to fit, where a theory holds."""
     found = []
-    for family, theories in SLOPES.items():
+    for family, theories in _theories(study).items():
         for of, theory in theories.items():
             points = fitted(study, family, of)
             if len(points) < LEAST_POINTS:
@@ -91,12 +91,11 @@ def slopes(study: Study) -> tuple[Slope, ...]:
 
 def unfitted(study: Study) -> dict[str, str]:
     """Return what has no slope, of the families that have a theory and were run -> why."""
-    run = {point.setting.family for point in study.points}
     known = {(slope.family, slope.of) for slope in slopes(study)}
     told, found = reasons(study), {}
-    for family, theories in SLOPES.items():
+    for family, theories in _theories(study).items():
         for of in theories:
-            if family not in run or (family, of) in known:
+            if (family, of) in known:
                 continue
             if study.parted is not None and of == "error":
                 why = "there are no errors"
@@ -117,6 +116,13 @@ def unfitted(study: Study) -> dict[str, str]:
                 )
             found[f"{of} of {family}"] = why
     return found
+
+
+def _theories(study: Study) -> dict[str, Mapping[Quantity, float]]:
+    """Return the families of a study that have a theory -> it."""
+    families = dict.fromkeys(point.setting.family for point in study.points)
+    names = {family: family.split()[0] for family in families}
+    return {family: SLOPES[name] for family, name in names.items() if name in SLOPES}
 
 
 def _same(study: Study, family: str) -> list[Point]:

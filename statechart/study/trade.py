@@ -28,6 +28,8 @@ _POWERS: Mapping[str, range] = {
 _TAYLOR = (1e-3, 1e-6, 1e-9, 1e-12, 2.2e-16)
 # Of time stepping, as parts of the run.
 _STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
+# Of the impulses of steps of many bodies, which iterations find.
+_IMPULSES = (1e-2, 1e-4, 1e-6, 1e-8)
 _ACCURACIES = (1e-3, 1e-6, 1e-9)
 # A family whose run takes longer than so many seconds, once compiled, is tightened no more.
 _TOO_LONG = 4.0
@@ -43,6 +45,14 @@ def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
     until : float
         When a run ends, for the steps.
     """
+    steps = [float(f"{until * part:.3g}") for part in _STEPS]
+    if automaton.laws is None:
+        # What has no events of its own are many bodies: steps alone run them.
+        return tuple(
+            Setting(engine="impulse", step=step, impulse_tolerance=tolerance)
+            for tolerance in _IMPULSES
+            for step in steps
+        )
     settings = [Setting(engine="taylor", tolerance=tolerance) for tolerance in _TAYLOR]
     settings += [
         Setting(engine="scipy", method=method, tolerance=float(f"1e-{power}"))
@@ -50,9 +60,7 @@ def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
         for power in powers
     ]
     if automaton.stepper is not None:
-        settings += [
-            Setting(engine="impulse", step=float(f"{until * part:.3g}")) for part in _STEPS
-        ]
+        settings += [Setting(engine="impulse", step=step) for step in steps]
     settings += [Setting(engine="auto", accuracy=accuracy) for accuracy in _ACCURACIES]
     return tuple(settings)
 

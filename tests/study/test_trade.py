@@ -51,6 +51,29 @@ def test_the_error_of_time_stepping_falls_with_the_step(model: str) -> None:
     assert slope.slope == pytest.approx(slope.theory, rel=0.15)
 
 
+def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> None:
+    runner = Runner("arch")
+    planned = plan(runner.automaton, 0.1)
+    assert {setting.engine for setting in planned} == {"impulse"}
+    grid = {(setting.step, setting.impulse_tolerance) for setting in planned}
+    steps, tolerances = ({pair[k] for pair in grid} for k in (0, 1))
+    assert len(planned) == len(grid) == len(steps) * len(tolerances)
+    assert min(len(steps), len(tolerances)) >= 4
+    assert plan(Runner("bouncing_ball").automaton, 0.1)[-4].impulse_tolerance is None
+    settings = [
+        Setting(engine="impulse", step=1e-3, impulse_tolerance=tolerance)
+        for tolerance in (0.5, 1e-8)
+    ]
+    found = traded(runner, settings=settings, until=0.1, folder=tmp_path)
+    assert found.reference.startswith("impulse to 1e-10 step ")
+    assert [point.setting for point in found.points] == settings
+    assert found.points == load(tmp_path).points
+    assert "impulse to 1e-08 step 0.001" in text(found)
+    write(tmp_path, found)
+    assert "1e-08" in (tmp_path / "trade.csv").read_text()
+    assert slopes(found) == ()
+
+
 def test_what_is_told_of_a_step_is_the_worst_of_steps_near_it() -> None:
     runner = Runner("block_on_incline")
     told = trade(
