@@ -52,7 +52,7 @@ def test_the_error_of_time_stepping_falls_with_the_step(model: str) -> None:
 
 
 def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> None:
-    runner = Runner("arch")
+    runner = Runner("dice")
     planned = plan(runner.automaton, 0.1)
     assert {setting.engine for setting in planned} == {"impulse"}
     grid = {(setting.step, setting.impulse_tolerance) for setting in planned}
@@ -64,14 +64,16 @@ def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> N
         Setting(engine="impulse", step=1e-3, impulse_tolerance=tolerance)
         for tolerance in (0.5, 1e-8)
     ]
-    found = traded(runner, settings=settings, until=0.1, folder=tmp_path)
+    found = traded(runner, settings=settings, until=0.6, folder=tmp_path)
     assert found.reference.startswith("impulse to 1e-10 step ")
     assert [point.setting for point in found.points] == settings
     assert found.points == load(tmp_path).points
     assert "impulse to 1e-08 step 0.001" in text(found)
     write(tmp_path, found)
     assert "1e-08" in (tmp_path / "trade.csv").read_text()
-    assert slopes(found) == ()
+    # Of ten dice that have met the laws are missed by what was allowed.
+    loose, tight = (point.errors.energy for point in found.points)
+    assert loose != tight
 
 
 def test_what_is_told_of_a_step_is_the_worst_of_steps_near_it() -> None:
