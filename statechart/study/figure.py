@@ -62,7 +62,7 @@ def figure(study: Study) -> Figure:
             times.plot(firsts, heights, ".", markersize=3, color=look.colour, alpha=0.6)
             _draw(works, points, [_work(p) for p in points], heights, look)
             _draw(promises, points, fineness, heights, look)
-            if family != "accuracy" and not family.startswith("impulse"):
+            if points[0].setting.accuracy is None and not points[0].setting.stepped:
                 _draw(steps, points, fineness, [float(p.steps) for p in points], look)
             for slope in slopes(study) if study.parted is None else ():
                 if slope.family == family:

@@ -132,8 +132,9 @@ def _foot(study: Study) -> str:
     refused = [p.setting.label for p in study.points if p.refused]
     if refused:
         lines.append("said that they did not reach it: " + ", ".join(refused))
+    stepped = {p.setting.family for p in study.points if p.setting.stepped}
     for slope in slopes(study):
-        fineness = "the step" if slope.family.startswith("impulse") else "the tolerance"
+        fineness = "the step" if slope.family in stepped else "the tolerance"
         lines.append(
             f"{slope.of} of {slope.family}: {fineness} to the power {slope.slope:.3g} "
             f"+- {slope.scatter:.1g} "
@@ -148,8 +149,7 @@ def _foot(study: Study) -> str:
     unsettled = study.unsettled()
     if unsettled:
         off = ", ".join(f"{name} ({error:.2g})" for name, error in unsettled.items())
-        stays = any(family.startswith("impulse") for family in why)
-        kept = "stay off by that" if stays else "do not converge with the step"
+        kept = "stay off by that" if stepped & why.keys() else "do not converge with the step"
         lines.append(
             f"outputs that {kept}, no part of the errors above (at the shortest step): {off}"
         )
