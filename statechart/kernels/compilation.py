@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
+from llvmlite.binding import Linkage
 from numba import _dynfunc, types
 from numba.core import ir
 from numba.core.codegen import JITCodeLibrary
@@ -105,6 +106,14 @@ class _KernelLibrary(JITCodeLibrary):
             *(getattr(part, "later", ()) for part in self._linking_libraries)
         )
         super().finalize()
+
+    def _optimize_final_module(self) -> None:
+        # Nobody else calls the copies of parts in here: LLVM may take those with one call into it,
+        # and leave out what they do not read of the many words that a tuple of arrays is.
+        for function in self._final_module.functions:
+            if function.linkage == Linkage.linkonce_odr:
+                function.linkage = Linkage.internal
+        super()._optimize_final_module()
 
 
 def _is_kernel(library: Any) -> bool:
