@@ -31,7 +31,9 @@ class Pattern(NamedTuple):
         The contacts in the order of their elimination, and the place of each.
     begins : (m + 1,), others : (e,) array of int
         By place: entries ``begins[p] : begins[p + 1]`` are the blocks beside the diagonal of
-        contact ``order[p]``, with contacts `others` that are eliminated later.
+        contact ``order[p]``, with contacts `others` that are eliminated later, in their order.
+    targets : (t,) array of int
+        Which entry each pair of entries of a contact changes, in the order of elimination.
     diagonal : (m, 4), after : (e, 4), before : (e, 4)
         Velocities per unit impulses, two by two: of a contact by its own; of it by another's, and
         of another by its own.
@@ -41,6 +43,7 @@ class Pattern(NamedTuple):
     place: Ints
     begins: Ints
     others: Ints
+    targets: Ints
     diagonal: Array
     after: Array
     before: Array
@@ -146,9 +149,10 @@ def pattern_of(contacts: ContactRows) -> Pattern:
                 mark[pool[k]] = -1
             mark[i] = -1
     begins[count] = filled
+    targets = _targets(places, begins, others)
     found = Pattern(
-        order, places, begins, others[:filled].copy(), np.empty((count, 4)), np.empty((filled, 4)),
-        np.empty((filled, 4)),
+        order, places, begins, others[:filled].copy(), targets, np.empty((count, 4)),
+        np.empty((filled, 4)), np.empty((filled, 4)),
     )  # fmt: skip
     for p in range(count):
         i = order[p]
@@ -157,6 +161,31 @@ def pattern_of(contacts: ContactRows) -> Pattern:
             _between(contacts, i, others[at], found.after[at])
             _between(contacts, others[at], i, found.before[at])
     return found
+
+
+@part
+def _targets(places: Ints, begins: Ints, others: Ints) -> Ints:
+    """Put the entries of each contact in order; return `Pattern.targets`."""
+    count, pairs = len(places), 0
+    for p in range(count):
+        begin, end = begins[p], begins[p + 1]
+        pairs += (end - begin) * (end - begin - 1) // 2
+        for at in range(begin + 1, end):
+            i, k = others[at], at
+            while k > begin and places[others[k - 1]] > places[i]:
+                others[k] = others[k - 1]
+                k -= 1
+            others[k] = i
+    targets, where, last = np.empty(pairs, np.int64), np.empty(count, np.int64), 0
+    for p in range(count):
+        for at in range(begins[p], begins[p + 1]):
+            q = places[others[at]]
+            for k in range(begins[q], begins[q + 1]):
+                where[others[k]] = k
+            for k in range(at + 1, begins[p + 1]):
+                targets[last] = where[others[k]]
+                last += 1
+    return targets
 
 
 @part
@@ -186,7 +215,7 @@ def _between(contacts: ContactRows, i: int, j: int, block: Array) -> None:
 
 
 @part
-def factored(pattern: Pattern, diagonal: Array, after: Array, before: Array, where: Ints) -> bool:
+def factored(pattern: Pattern, diagonal: Array, after: Array, before: Array) -> bool:
     """Eliminate blocks in place: the inverses of the pivots, and the factors; False if one fails.
 
     Parameters
@@ -194,11 +223,10 @@ def factored(pattern: Pattern, diagonal: Array, after: Array, before: Array, whe
     pattern : Pattern
     diagonal, after, before
         The blocks of the equations, as those of the pattern.
-    where : (m,) array of int
-        Is overwritten.
     """
-    order, place, begins, others = pattern.order, pattern.place, pattern.begins, pattern.others
-    for p in range(len(order)):
+    place, begins, others, targets = pattern.place, pattern.begins, pattern.others, pattern.targets
+    last = 0
+    for p in range(len(place)):
         a, b, c, d = diagonal[p]
         det = a * d - b * c
         if det == 0.0 or not math.isfinite(det):
@@ -214,16 +242,17 @@ def factored(pattern: Pattern, diagonal: Array, after: Array, before: Array, whe
             q = place[others[at]]
             e, f, g, h = before[at]
             t, u, v, w = after[at]
+            if e == f == g == h == t == u == v == w == 0.0:
+                # One of the two is open.
+                last += end - at - 1
+                continue
             diagonal[q, 0] -= e * t + f * v
             diagonal[q, 1] -= e * u + f * w
             diagonal[q, 2] -= g * t + h * v
             diagonal[q, 3] -= g * u + h * w
-            for k in range(begins[q], begins[q + 1]):
-                where[others[k]] = k
-            for k in range(begin, end):
-                if place[others[k]] <= q:
-                    continue
-                target = where[others[k]]
+            for k in range(at + 1, end):
+                target = targets[last]
+                last += 1
                 r, s, x, y = after[k]
                 after[target, 0] -= e * r + f * x
                 after[target, 1] -= e * s + f * y

@@ -26,8 +26,6 @@ class Equations(NamedTuple):
         Impulses per unknown, and equations per velocity.
     diagonal, after, before
         Blocks as those of the pattern, factored.
-    where : (m,) array of int
-        Is overwritten.
     right : (m, 2)
         Changes of the velocities that are asked for; is overwritten.
     """
@@ -37,7 +35,6 @@ class Equations(NamedTuple):
     diagonal: Array
     after: Array
     before: Array
-    where: Ints
     right: Array
 
 
@@ -69,7 +66,7 @@ def equations_of(contacts: ContactRows) -> Equations:
             scales[i, d] = 1.0 / math.sqrt(max(contacts.own[i, d], 1e-300))
     return Equations(
         pattern, scales, np.empty_like(pattern.diagonal), np.empty_like(pattern.after),
-        np.empty_like(pattern.before), np.empty(count, np.int64), np.empty((count, 2)),
+        np.empty_like(pattern.before), np.empty((count, 2)),
     )  # fmt: skip
 
 
@@ -90,7 +87,7 @@ def eliminated(
     status : (m,) array of int, edges : (m,)
         Of what slides, tangential by normal impulse.
     """
-    pattern, scales, diagonal, after, before, where, _ = equations
+    pattern, scales, diagonal, after, before, _ = equations
     for p in range(len(status)):
         i = pattern.order[p]
         for k in range(4):
@@ -104,13 +101,13 @@ def eliminated(
                 after[at, k], before[at, k] = pattern.after[at, k], pattern.before[at, k]
             _as_status(after[at], i, j, status, edges, scales)
             _as_status(before[at], j, i, status, edges, scales)
-    return factored(pattern, diagonal, after, before, where)
+    return factored(pattern, diagonal, after, before)
 
 
 @part
 def step(equations: Equations, status: Ints, edges: Array, impulses: Array) -> None:
     """Add to impulses (m, 2) what changes the velocities as `Equations.right` asks."""
-    pattern, scales, diagonal, after, before, _, right = equations
+    pattern, scales, diagonal, after, before, right = equations
     for i in range(len(status)):
         for d in range(2):
             right[i, d] = scales[i, d] * right[i, d] if _has(status, i, d) else 0.0

@@ -75,7 +75,7 @@ def made_ready(stepping: Stepping, begun: Begun, span: Span) -> SteppedRun:
         stepping.sticks,
         stepping.again,
         stepping.forces,
-        lambda state, time: float(stepping.energy.values(state, values, time)[0]),
+        lambda state, time: float(stepping.energy.at(state, values, time)[0]),
         len(stepping.angles),
         # Controllers wait for the events of regions.
         span.keeping.record is Record.MODES

@@ -8,7 +8,7 @@ other step of the mode.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -100,13 +100,13 @@ class Recorder:
         self._raw = chunk.codes[-1]
         after = np.concatenate([[False], hit[:-1]])
         breaks = np.unique(np.concatenate([[0], np.flatnonzero(changed | after), [len(shown)]]))
+        halves = self._halves(chunk, hit)
         for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
-            state = chunk.states[first]
             if hit[first]:
-                self._strike(chunk, first, shown[first])
+                self._strike(chunk, first, shown[first], next(halves))
                 first += 1
             else:
-                self._jumps(shown[first], state)
+                self._jumps(shown[first], chunk.states[first])
             if last > first:
                 self._note_shared(chunk.shared[first:last])
                 self._flow(chunk, first, last)
@@ -170,7 +170,7 @@ class Recorder:
         return tuple(dict.fromkeys(map(undetermined, self.indeterminate.values())))
 
     def _key(self, row: Ints) -> Key:
-        return (*[STATES[code] for code in row.tolist()], *self.controls)
+        return (*map(STATES.__getitem__, row.tolist()), *self.controls)
 
     def _shown(self, codes: Ints) -> Ints:
         """Let a slip that comes to rest in a step last to its end."""
@@ -195,28 +195,35 @@ class Recorder:
         times: Array = h * np.arange(last - first + 1, dtype=float)
         self._arc(times, coefficients, chunk.solved[first:last])
 
-    def _strike(self, chunk: Chunk, k: int, row: Ints) -> None:
+    def _halves(self, chunk: Chunk, hit: Bools) -> Iterator[tuple[Array, Array]]:
+        """Yield the coefficients (1, w, TERMS) of both halves of every step with impacts."""
+        steps, n = np.flatnonzero(hit), self.coordinates
+        left, right = chunk.states[steps], chunk.states[steps + 1]
+        first, second = struck(left, right, chunk.solved[steps, :n], chunk.h, n)
+        for i in range(len(steps)):
+            yield first[i : i + 1], second[i : i + 1]
+
+    def _strike(self, chunk: Chunk, k: int, row: Ints, halves: tuple[Array, Array]) -> None:
         """Append a step with impacts in its middle: one jump, whose impulses all regions feel."""
-        h, n = chunk.h, self.coordinates
-        halves = struck(
-            chunk.states[k : k + 1], chunk.states[k + 1 : k + 2], chunk.solved[k : k + 1, :n], h, n
-        )
-        times = np.array([0.0, 0.5 * h])
+        times = np.array([0.0, 0.5 * chunk.h])
         self._arc(times, halves[0], self._held(chunk.solved[k]))
         self.close()
         if self.modes:
-            self._struck(chunk, k, row, halves[0][0].sum(axis=1), halves[1][0, :, 0])
+            self._struck(chunk, k, row, halves[0][0].sum(axis=1), halves[1][0, :, 0].copy())
         else:
             self.row, self.count = row, self.count + 1
         self._arc(times, halves[1], self._held(chunk.solved[k]))
 
     def _struck(self, chunk: Chunk, k: int, row: Ints, before: Array, after: Array) -> None:
         """Append the jump of a step with impacts, at the state before and after it."""
+        felt = np.flatnonzero(chunk.impulses[k].any(axis=1))
         impulses = {
-            self.regions[i]: (float(chunk.impulses[k, i, 0]), float(chunk.impulses[k, i, 1]))
-            for i in np.flatnonzero(chunk.impulses[k].any(axis=1)).tolist()
+            self.regions[i]: (normal, tangential)
+            for i, (normal, tangential) in zip(
+                felt.tolist(), chunk.impulses[k, felt].tolist(), strict=True
+            )
         }
-        place = int(np.argmax(chunk.struck[k]))
+        place = int(chunk.struck[k].argmax())
         time = self.clock.high
         self._jump(
             place,
