@@ -170,7 +170,7 @@ class Diagram:
     Parameters
     ----------
     title : str
-        Heading.
+        Heading; where it is empty, notes and paths are not shown either.
     charts : tuple of Chart
         Its pieces, beside and below each other.
     notes : tuple of str

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Arc, Key, Roles, Trace
+from statechart.tabular import shortest
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,7 @@ def at_times(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
     if times.ndim != 1 or not (np.diff(times) >= 0.0).all():
         raise ValueError("times must be one row of numbers in ascending order")
     if len(times) and not (times[0] >= 0.0 and times[-1] <= trace.t_end):
-        raise ValueError(f"times must lie in the run, 0 to {trace.t_end:.17g}")
+        raise ValueError(f"times must lie in the run, 0 to {shortest(trace.t_end)}")
     if not trace.arcs:
         return [], []
     starts = [arc.start.high for arc in trace.arcs]
