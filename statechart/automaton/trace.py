@@ -13,6 +13,7 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.documents.setting import Record
 from statechart.errors import TooLong
+from statechart.shown import Shown
 from statechart.tabular import shortest
 
 LARGEST = 2**28
@@ -264,7 +265,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
+class Trace(metaclass=Shown):
     """A run.
 
     Attributes

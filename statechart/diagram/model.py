@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from statechart.errors import StatechartError
+from statechart.shown import Shown
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -164,7 +165,7 @@ class Chart:
 
 
 @dataclass(frozen=True, slots=True)
-class Diagram:
+class Diagram(metaclass=Shown):
     """What is drawn of a statechart, ready to be rendered; it shows itself in notebooks.
 
     Parameters
