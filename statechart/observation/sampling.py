@@ -53,15 +53,20 @@ class Points:
     unknowns: Array | None = None
 
 
-def subdivided(arc: Arc, per_step: float) -> Array:
-    """Return local times: `per_step` intervals in every step, both ends of the arc included."""
-    every = max(1, math.ceil(1.0 / per_step))
-    return _divided(np.append(arc.times[:-1:every], arc.times[-1]), math.ceil(per_step))
-
-
-def _divided(ends: Array, count: int) -> Array:
-    inner = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(count) / count)
-    return np.append(inner.ravel(), ends[-1])
+def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
+    """Return local times: `per_step` intervals in every step, both ends of each arc included."""
+    every, count = max(1, math.ceil(1.0 / per_step)), math.ceil(per_step)
+    alike: dict[int, list[int]] = {}
+    for place, arc in enumerate(arcs):
+        alike.setdefault(len(arc.times), []).append(place)
+    found: dict[int, Array] = {}
+    for places in alike.values():
+        times = np.array([arcs[place].times for place in places])
+        ends = np.concatenate([times[:, :-1:every], times[:, -1:]], axis=1)
+        inner = ends[:, :-1, None] + np.diff(ends)[..., None] * (np.arange(count) / count)
+        local = np.concatenate([inner.reshape(len(places), -1), ends[:, -1:]], axis=1)
+        found |= zip(places, local, strict=True)
+    return [found[place] for place in range(len(arcs))]
 
 
 def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
