@@ -23,6 +23,8 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from statechart.palette import LINES, state_colours
+from statechart.reporting.figure import STYLE
 from statechart.running.runner import Runner
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -58,11 +60,11 @@ def figure_4() -> Figure:
         limit = run(mu=math.inf, theta=theta)
         for ax, name in zip(axes, "HN", strict=True):
             label = rf"$\theta$ = {degrees}°"
-            ax.plot(frictions, [o[name] for o in found], color=f"C{colour}", label=label)
-            ax.axhline(limit[name], color=f"C{colour}", linestyle="--", linewidth=0.8)
+            ax.plot(frictions, [o[name] for o in found], color=LINES[colour], label=label)
+            ax.axhline(limit[name], color=LINES[colour], linestyle="--", linewidth=0.8)
     for ax, name in zip(axes, ("H / W", "N / W"), strict=True):
         ax.set(xscale="log", xlabel=r"friction $\mu$", ylabel=name, xlim=(0.05, 100))
-    axes[0].legend()
+    axes[1].legend()
     return figure
 
 
@@ -72,7 +74,7 @@ def figures_8_and_9(run: Runs) -> tuple[Figure, Figure]:
     angles, bx = plt.subplots(figsize=(7, 4.4), layout="constrained")
     for colour, inertia in enumerate(INERTIAS):
         found = [run(mu=mu, I_G=inertia) for mu in FRICTIONS]
-        style: dict[str, Any] = {"color": f"C{colour}"}
+        style: dict[str, Any] = {"color": LINES[colour]}
         label = rf"$I_G$ = {inertia:.3g}"
         ax.plot(FRICTIONS, [o["slip_forward"] for o in found], label=label, **style)
         ax.plot(FRICTIONS, [-o["slip_backward"] for o in found], **style)
@@ -94,23 +96,24 @@ def figure_10(run: Runs) -> Figure:
     frictions, inertias = GRID
     found = np.array([[run(mu=mu, I_G=i)["first"] for mu in frictions] for i in inertias])
     figure, ax = plt.subplots(figsize=(7, 4.4), layout="constrained")
-    colours = {NONE: "0.85", BACKWARD: "C0", FORWARD: "C1"}
+    colours = dict(enumerate(state_colours(("pin", "slide-", "slide+")).values()))
     ax.pcolormesh(frictions, inertias, found, cmap=ListedColormap(list(colours.values())))
     for kind, name in ((NONE, "does not slip"), (BACKWARD, "backward"), (FORWARD, "forward")):
         ax.plot([], [], "s", color=colours[kind], label=name)
     ax.axvline(1.0, color="0.2", linestyle=":", linewidth=0.8)
     ax.set(xscale="log", yscale="log", xlabel=r"friction $\mu$", ylabel=r"$I_G / (M L^2)$")
-    ax.legend(loc="lower left")
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
 def main() -> int:
     """Write the pictures."""
     run = Runs("toppling_stick")
-    eighth, ninth = figures_8_and_9(run)
-    pictures = {4: figure_4(), 8: eighth, 9: ninth, 10: figure_10(run)}
-    for number, picture in pictures.items():
-        picture.savefig(DOCS / "images" / f"paper_figure_{number}.png", dpi=110)
+    with mpl.rc_context(STYLE):
+        eighth, ninth = figures_8_and_9(run)
+        pictures = {4: figure_4(), 8: eighth, 9: ninth, 10: figure_10(run)}
+        for number, picture in pictures.items():
+            picture.savefig(DOCS / "images" / f"paper_figure_{number}.png", dpi=110)
     return 0
 
 

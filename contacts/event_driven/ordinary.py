@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from contacts.dynamics.conditions import hidden
 from contacts.dynamics.contact_law import cones
 from contacts.dynamics.projection import Projection, landing, unseen_room
 from contacts.dynamics.run_numbers import rules
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
-from contacts.event_driven.decision import cause
+from contacts.event_driven.decision import cause, explained
 from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.impact_jump import flow_in
 from contacts.event_driven.rows import RowCall
@@ -24,7 +25,7 @@ from contacts.impacts.bounces import FAST
 from contacts.impacts.impact import pieces
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
 from contacts.modes.fast_classification import allowed
-from contacts.states import CODES, OFF, OFF_CODE
+from contacts.states import CODES, OFF, OFF_CODE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.deferred import Deferred
 from statechart.automaton.laws import Flow, Instant, Setup, roles_in
@@ -62,6 +63,7 @@ class SceneInstants:
         ask: Callable[[Instant], tuple[Jump | None, Flow] | None],
     ) -> None:
         self._names, self._projection, self._ask = names, projection, ask
+        self._snapshots = snapshots
         self._numbers, conditions = numbers, numbers.conditions
         self.setup = numbers.at
         self._rules, limits = rules(numbers), numbers.limits
@@ -196,12 +198,32 @@ class SceneInstants:
         """Return what few will read of a jump: the laws themselves are asked again."""
         numbers = setup()
         assert isinstance(numbers, SceneSetup)
+        if what == "considered" and (rebound := self._rebound(numbers, event)) is not None:
+            return rebound
         flow, clock = flow_in(numbers, event.source), Clock(event.t)
         at = Instant(numbers, clock, event.j, flow, event.before, (fired,) if fired else ())
         made = self._ask(at)
         assert made is not None
         assert made[0] is not None
         return {"impulse": made[0].impulse, "considered": made[0].considered}[what]
+
+    def _rebound(self, setup: SceneSetup, event: Event) -> Mapping[str, str] | None:
+        """Return what was considered where nothing touches before an impact nor after it.
+
+        None elsewhere: then the laws weigh modes.
+        """
+        free = event.source == event.target and all(state in OPEN for state in event.source)
+        if event.struck < 0 or not free:
+            return None
+        after = hidden(self._snapshots.at(setup.values, event.after, event.t), event.source)
+        slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
+        closed = [contact.gap <= close for contact in after.contacts]
+        if any(
+            shut and contact.gap_rate <= slow
+            for shut, contact in zip(closed, after.contacts, strict=True)
+        ):
+            return None
+        return explained({}, setup.contacts, after.contacts, closed, [False] * len(closed), {})
 
     def _modes(self, event: Event) -> Iterator[str]:
         """Return what the contacts of a group do in a plastic impact."""

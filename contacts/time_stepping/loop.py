@@ -49,6 +49,7 @@ from statechart.automaton.trace import (
 )
 from statechart.documents.setting import Record
 from statechart.errors import NonFinite, SimulationError, StepTooLarge, TooLong
+from statechart.tabular import shortest
 
 # Steps at once, in which no signal is seen, and iterations times contacts in them, some tenths of
 # a second: after more, half as many steps are taken, after less than a quarter of it twice as many.
@@ -125,7 +126,7 @@ class SteppedRun:
         except KeyboardInterrupt:
             self.end(Outcome.INTERRUPTED, "interrupted by the user")
         except SimulationError as error:
-            self.end(Outcome[error.outcome], f"t = {self.time:.17g}: {error}")
+            self.end(Outcome[error.outcome], f"t = {shortest(self.time)}: {error}")
 
     def _steps(self) -> Iterator[bool]:
         step, until = self.span.step, self.span.until
@@ -179,7 +180,7 @@ class SteppedRun:
                 if self.span.every == math.inf or done % each == 0.0:
                     yield True
         self.time = until
-        self.message = f"reached t = {until:.17g}"
+        self.message = f"reached t = {shortest(until)}"
 
     def _accept(self, chunk: Chunk, start: float) -> bool:
         """Record steps; True where the run ends in them."""
@@ -298,7 +299,7 @@ class SteppedRun:
         name = self.stepping.stop_names[condition]
         self.time = self.recorder.clock.high
         self.recorder.stop(name, self.state)
-        self.end(Outcome.STOPPED, f"{name} at t = {self.time:.17g}")
+        self.end(Outcome.STOPPED, f"{name} at t = {shortest(self.time)}")
 
     def whole(self) -> Trace:
         """Make all of the run."""

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from statechart.arrays import Array
+from statechart.automaton.trace import Arc
 from statechart.formulas.tape import Tape, contiguous
 from statechart.kernels.polynomials import sample_states
 from statechart.kernels.quadrature import integrate_outputs
 
+# Flows that are looked at at once.
+_FLOWS = 1024
 
-def lowest(
-    tape: Tape,
-    times: ArrayLike,
-    coeffs: ArrayLike,
-    parameters: ArrayLike,
-    start: float,
-    per_step: int = 16,
-) -> Array:
-    """Return the least value of every output on a grid.
+
+def lowest(tape: Tape, arcs: Sequence[Arc], parameters: ArrayLike, per_step: int = 16) -> Array:
+    """Return the least value of every output on a grid along flows.
 
     Parameters
     ----------
-    tape, times, coeffs, parameters, start
-        As in `statechart.engines.event_location.search`.
+    tape : Tape
+        Of the variables, the parameters and time.
+    arcs : sequence of Arc
+        Flows, their polynomials of one degree.
+    parameters : (p,) array
+        Values.
     per_step : int
         Intervals of the grid in each step; both ends belong to it.
 
@@ -38,13 +41,21 @@ def lowest(
     ValueError
         If a shape does not fit.
     """
-    times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
     s = np.arange(per_step + 1) / per_step
-    begin, end = times[:-1, None], times[1:, None]
-    local = np.where(s < 1.0, begin + s * (end - begin), end)
-    states = np.swapaxes(coeffs @ s ** np.arange(coeffs.shape[2])[:, None], 1, 2)
-    found = tape.table(states.reshape(-1, coeffs.shape[1]), parameters, start + local.ravel())
-    return found.min(axis=0, initial=np.inf)
+    parameters, found = contiguous(parameters), np.full(len(tape.outputs), np.inf)
+    for first in range(0, len(arcs), _FLOWS):
+        some = arcs[first : first + _FLOWS]
+        parts = [checked_arc(tape, a.times, a.coefficients, parameters)[:2] for a in some]
+        begin = np.concatenate([times[:-1] for times, _ in parts])[:, None]
+        end = np.concatenate([times[1:] for times, _ in parts])[:, None]
+        start = np.repeat([a.start.high for a in some], [len(times) - 1 for times, _ in parts])
+        coeffs = np.concatenate([coeffs for _, coeffs in parts])
+        local = np.where(s < 1.0, begin + s * (end - begin), end)
+        states = np.swapaxes(coeffs @ s ** np.arange(coeffs.shape[2])[:, None], 1, 2)
+        times = (start[:, None] + local).ravel()
+        values = tape.table(states.reshape(-1, coeffs.shape[1]), parameters, times)
+        found = np.minimum(found, values.min(axis=0, initial=np.inf))
+    return found
 
 
 def integrals(

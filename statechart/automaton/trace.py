@@ -13,6 +13,8 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.documents.setting import Record
 from statechart.errors import TooLong
+from statechart.shown import Shown
+from statechart.tabular import shortest
 
 LARGEST = 2**28
 """A trace may take so many bytes: with what is made of it, well below a gigabyte."""
@@ -93,9 +95,9 @@ def check_size(size: int, jumps: int, time: float) -> None:
     """
     if size + _JUMP * jumps > LARGEST:
         raise TooLong(
-            f"the trace up to t = {time:.17g} takes {LARGEST >> 20} MB, as much as it may; end the "
-            "run there, or look for what makes its steps so short or its jumps so many; time steps "
-            "are kept on disk with record: poses"
+            f"the trace up to t = {shortest(time)} takes {LARGEST >> 20} MB, as much as it may; "
+            "end the run there, or look for what makes its steps so short or its jumps so many; "
+            "time steps are kept on disk with record: poses"
         )
 
 
@@ -263,7 +265,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
+class Trace(metaclass=Shown):
     """A run.
 
     Attributes

@@ -9,7 +9,7 @@ import json
 import sys
 import tempfile
 from contextlib import contextmanager, suppress
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -95,6 +95,7 @@ def _tell(
 ) -> bool:
     """Save and print a run; return whether all of it could be."""
     pieces, failure = Pieces(), ""
+    result = replace(result, trace=result.trace.at_hand())
 
     @functools.cache
     def made() -> dict[str, Any]:

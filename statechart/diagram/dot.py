@@ -56,7 +56,8 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
         for k, chart in enumerate(diagram.charts)
         if chart.nodes
     ]
-    rows = [*_rows([_heading(diagram)]), *_rows(charts), *_rows(_tables(below), _WIDE)]
+    heading = [_heading(diagram)] if diagram.title else []
+    rows = [*_rows(heading), *_rows(charts), *_rows(_tables(below), _WIDE)]
     return _source(_stacked(rows, _GAP), diagram.title)
 
 

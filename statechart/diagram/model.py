@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from statechart.errors import StatechartError
+from statechart.shown import Shown
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -164,13 +165,13 @@ class Chart:
 
 
 @dataclass(frozen=True, slots=True)
-class Diagram:
+class Diagram(metaclass=Shown):
     """What is drawn of a statechart, ready to be rendered; it shows itself in notebooks.
 
     Parameters
     ----------
     title : str
-        Heading.
+        Heading; where it is empty, notes and paths are not shown either.
     charts : tuple of Chart
         Its pieces, beside and below each other.
     notes : tuple of str

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -75,6 +75,8 @@ TIME = "time"
 
 class Declaration(Part):
     """Base of the documents' models; `kind` is the word that a document of it begins with."""
+
+    METHODS: ClassVar[tuple[str, ...]] = ("check", "diagram", "equations", "modes", "with_")
 
     kind: str = Field(description="What is declared.", examples=["scene"])
     name: NameText = Field(

@@ -27,7 +27,8 @@ class Documented(ModelMetaclass):
     """The class of the classes of parts.
 
     `help` shows of each its docstring with what is declared of its fields, the signature without
-    types, and what is its own; what is wrong with a part that is built is a `DeclarationError`.
+    types, and its `METHODS`, those that are for users; what is wrong with a part that is built is
+    a `DeclarationError`.
     """
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
@@ -41,9 +42,7 @@ class Documented(ModelMetaclass):
             raise declaration_error(error, Built(model, kwargs), model) from None
 
     def __dir__(cls) -> list[str]:
-        theirs = BaseModel.__mro__
-        ours = (vars(base) for base in cls.__mro__ if base not in theirs)
-        return sorted({n for names in ours for n in names if not n.startswith(("_", "model_"))})
+        return sorted(getattr(cls, "METHODS", ()))
 
     @property
     def __doc__(cls) -> str | None:  # type: ignore[override]

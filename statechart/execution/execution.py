@@ -35,6 +35,7 @@ from statechart.execution.outcome import Progress
 from statechart.execution.record import trace_of
 from statechart.execution.zeno import Accumulation
 from statechart.kernels.polynomials import summands
+from statechart.tabular import shortest
 
 # At such a rate a variable would have changed by this many times its size.
 _STEEP = 1e6
@@ -154,7 +155,7 @@ class Execution:
         if fired:
             return self.settle(fired)
         if not self._ending() or not self.settle():
-            self.message = f"reached t = {self.clock.high:.17g}"
+            self.message = f"reached t = {shortest(self.clock.high)}"
         return True
 
     def _first(self) -> tuple[Flow, Array]:
@@ -223,7 +224,7 @@ class Execution:
         path = self.path
         if reached.unfollowed is not None:
             self.evidence["motion"] = UNFOLLOWED
-            self.warnings[f"from t = {reached.unfollowed:.17g} on {UNFOLLOWED}"] = None
+            self.warnings[f"from t = {shortest(reached.unfollowed)} on {UNFOLLOWED}"] = None
         self.boxes += reached.boxes
         self.steps += path.count
         self.show()  # flows that end in their first steps say nothing themselves
@@ -254,11 +255,11 @@ class Execution:
             return (UNBOUNDED,)
         if graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
-            self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.17g}"] = None
+            self.warnings[f"{margin.name} grazes zero at t = {shortest(self.clock.high)}"] = None
         if stops:
             now = self._instant(margin.name)
             self.record.add_jump(now.jump("", "stop", now.flow.mode))
-            self._end(Outcome.STOPPED, f"{margin.name} at t = {self.clock.high:.17g}")
+            self._end(Outcome.STOPPED, f"{margin.name} at t = {shortest(self.clock.high)}")
         return (margin.name,)
 
     def _unbounded(self) -> bool:
@@ -295,7 +296,7 @@ class Execution:
         assert self.flow is not None
         self.warnings |= dict.fromkeys(self.flow.notes)
         if self.flow.warning:
-            self.warnings[f"t = {self.clock.high:.17g}: {self.flow.warning}"] = None
+            self.warnings[f"t = {shortest(self.clock.high)}: {self.flow.warning}"] = None
 
     def settle(self, fired: tuple[str, ...] = ()) -> bool:
         """Jump until the mode holds; True when the run ends here."""
@@ -334,13 +335,14 @@ class Execution:
                 f"{jump.cause} -> {self.automaton.label(jump.target)}"
                 for jump in self.record.jumps[-6:]
             )
-            raise EventLoop(f"{JUMPS_AT_ONCE} jumps at t = {self.clock.high:.17g}: {recent}")
+            raise EventLoop(f"{JUMPS_AT_ONCE} jumps at t = {shortest(self.clock.high)}: {recent}")
         if fired and not moved:
             if self.failure is not None:
                 raise self.failure
             if self._livelock.stalled(self.clock, fired) and not self._widen(*fired):
                 self.failure = EventLoop(
-                    f"{', '.join(fired)} falls at t = {self.clock.high:.17g}, but no jump follows"
+                    f"{', '.join(fired)} falls at t = {shortest(self.clock.high)}, but no jump "
+                    "follows"
                 )
                 return self.settle((UNBOUNDED,))
         self.failure = None
@@ -399,7 +401,7 @@ class Execution:
             return False
         self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: wide})
         self.warnings[
-            f"t = {self.clock.high:.17g}: {margin} is zero to within rounding; "
+            f"t = {shortest(self.clock.high)}: {margin} is zero to within rounding; "
             f"it is watched with the tolerance {wide:.3g}"
         ] = None
         return True

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 from statechart.automaton.trace import FAR_TOO_MANY, Clock, Jump
 from statechart.errors import EventLoop, TooLong
+from statechart.tabular import shortest
 
 JUMPS_AT_ONCE = 64
 """More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
@@ -46,8 +47,8 @@ class Livelock:
         self._rearranged = (now, self._rearranged[1] + 1 if self._rearranged[0] == now else 1)
         if self._rearranged[1] > JUMPS_AT_ONCE:
             raise EventLoop(
-                f"{', '.join(fired)} falls at t = {now[0]:.17g}, and equations of the mode follow "
-                "one another for ever"
+                f"{', '.join(fired)} falls at t = {shortest(now[0])}, and equations of the mode "
+                "follow one another for ever"
             )
 
 

@@ -136,7 +136,8 @@ class Observer:
         formulas = self.names if formulas is None else tuple(formulas)
         expressions = tuple(self.expression(formula) for formula in formulas)
         if times is None:
-            arcs, local = list(trace.arcs), [subdivided(arc, per_step) for arc in trace.arcs]
+            arcs = list(trace.arcs)
+            local = subdivided(arcs, per_step)
         else:
             arcs, local = at_times(trace, np.asarray(times, dtype=float))
         if arcs:
@@ -148,11 +149,12 @@ class Observer:
             points = end_of(trace, len(self._solved), rows)
             counts, held, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
         modes = tuple(dict.fromkeys(held))
+        places = {key: place for place, key in enumerate(modes)}
         table = self._table(trace, expressions, points)
         return Samples(
             points.times,
             np.repeat(np.array(jumped, dtype=np.int64), counts),
-            np.repeat(np.array([modes.index(key) for key in held], dtype=np.intp), counts),
+            np.repeat(np.array([places[key] for key in held], dtype=np.intp), counts),
             modes,
             {name: table[:, k] for k, name in enumerate(formulas)},
         )

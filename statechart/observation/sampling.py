@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Arc, Key, Roles, Trace
+from statechart.tabular import shortest
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +53,20 @@ class Points:
     unknowns: Array | None = None
 
 
-def subdivided(arc: Arc, per_step: float) -> Array:
-    """Return local times: `per_step` intervals in every step, both ends of the arc included."""
-    every = max(1, math.ceil(1.0 / per_step))
-    return _divided(np.append(arc.times[:-1:every], arc.times[-1]), math.ceil(per_step))
-
-
-def _divided(ends: Array, count: int) -> Array:
-    inner = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(count) / count)
-    return np.append(inner.ravel(), ends[-1])
+def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
+    """Return local times: `per_step` intervals in every step, both ends of each arc included."""
+    every, count = max(1, math.ceil(1.0 / per_step)), math.ceil(per_step)
+    alike: dict[int, list[int]] = {}
+    for place, arc in enumerate(arcs):
+        alike.setdefault(len(arc.times), []).append(place)
+    found: dict[int, Array] = {}
+    for places in alike.values():
+        times = np.array([arcs[place].times for place in places])
+        ends = np.concatenate([times[:, :-1:every], times[:, -1:]], axis=1)
+        inner = ends[:, :-1, None] + np.diff(ends)[..., None] * (np.arange(count) / count)
+        local = np.concatenate([inner.reshape(len(places), -1), ends[:, -1:]], axis=1)
+        found |= zip(places, local, strict=True)
+    return [found[place] for place in range(len(arcs))]
 
 
 def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
@@ -81,7 +87,7 @@ def at_times(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
     if times.ndim != 1 or not (np.diff(times) >= 0.0).all():
         raise ValueError("times must be one row of numbers in ascending order")
     if len(times) and not (times[0] >= 0.0 and times[-1] <= trace.t_end):
-        raise ValueError(f"times must lie in the run, 0 to {trace.t_end:.17g}")
+        raise ValueError(f"times must lie in the run, 0 to {shortest(trace.t_end)}")
     if not trace.arcs:
         return [], []
     starts = [arc.start.high for arc in trace.arcs]

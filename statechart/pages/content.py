@@ -24,7 +24,7 @@ from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 from statechart.palette import GRID, LINES
 from statechart.pictures.film import LONGEST, Film, Shape, strokes
-from statechart.reporting.bands import banded
+from statechart.reporting.bands import banded, unbanded
 from statechart.reporting.curves import curves
 from statechart.reporting.film import filmed, stage_of, until_rest
 from statechart.reporting.text import change, explanation
@@ -37,6 +37,8 @@ MOST_EVENTS = 300
 _FEW, _CHANGED = 60, 9000
 # Points of a curve; a diagram of more modes is not looked at.
 _POINTS, _NODES = 1200, 40
+# Of a number in a table: what rounding does is not seen.
+_DIGITS = 10
 
 
 def content(
@@ -67,6 +69,7 @@ def content(
     film = None if stage is None else filmed(stage, observer, trace, times)
     samples = observer.sample(trace, automaton.names[:1], times=times)
     keys = [samples.modes[place] for place in samples.mode]
+    rows = banded(trace)
     return {
         "title": trace.name,
         "doc": automaton.declaration.doc,
@@ -75,7 +78,8 @@ def content(
         "cut": end < trace.t_end,
         "end": trace.t_end,
         "times": _packed(times, np.float64),
-        "regions": _regions(automaton, keys, banded(trace)),
+        "regions": _regions(automaton, keys, rows),
+        "unbanded": list(unbanded(trace, rows)),
         "mode": _packed(samples.mode, np.int32),
         "film": None if film is None else _film(film),
         "panels": _panels(observer, trace, end),
@@ -188,7 +192,9 @@ def _rows(samples: Samples, end: float) -> NDArray[np.intp]:
     Without these a curve would end short of where it jumps.
     """
     inside = np.flatnonzero(samples.t <= end)
-    chosen = inside[:: max(1, len(inside) // _POINTS)]
+    # One of every column, as far as there are any: a long flow looks as smooth as short ones.
+    columns = np.floor(samples.t[inside] * (_POINTS / end if end > 0.0 else 0.0))
+    chosen = inside[np.flatnonzero(np.diff(columns, prepend=-1.0))]
     first = np.flatnonzero(np.diff(samples.j[inside])) + 1
     if len(first) > _POINTS:
         return chosen
@@ -241,7 +247,7 @@ def _followed(
 
 
 def _bare(diagram: Diagram) -> Diagram:
-    """Return a diagram without guards and conditions: events tell theirs as they are chosen."""
+    """Return a diagram without what the page tells elsewhere: its title, guards and conditions."""
 
     def bare(chart: Chart) -> Chart:
         nodes = tuple(replace(node, invariants=()) for node in chart.nodes)
@@ -249,7 +255,8 @@ def _bare(diagram: Diagram) -> Diagram:
         axes = None if chart.axes is None else (bare(chart.axes[0]), bare(chart.axes[1]))
         return replace(chart, nodes=nodes, links=links, axes=axes)
 
-    return replace(diagram, charts=tuple(map(bare, diagram.charts)), notes=(), explained=())
+    charts = tuple(map(bare, diagram.charts))
+    return replace(diagram, title="", charts=charts, notes=(), explained=())
 
 
 def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[str, str]:
@@ -261,9 +268,11 @@ def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[st
 
 
 def _told(value: object) -> str:
+    if value is None:
+        return "none"
     if isinstance(value, list):
         return ", ".join(map(_told, value))
-    return repr(value) if isinstance(value, float) else str(value)
+    return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)
 
 
 def _short(values: Array) -> list[Any]:

@@ -126,6 +126,7 @@ if (film) {
     for (const name of ["places", "normals", "forces", "friction"]) touch[name] = float(touch[name]);
   const scene = byId("scene");
   const [w, h] = film.half;
+  scene.style.aspectRatio = w / h;
   moving.push((k) =>
     scene.setAttribute("viewBox", `${film.centres[2 * k] - w} ${-film.centres[2 * k + 1] - h} ${2 * w} ${2 * h}`));
   for (const shape of film.shapes) if (shape.kind === "ground") shaped(scene, shape);
@@ -144,7 +145,14 @@ const nodes = new Map();
 for (const node of byId("diagram").querySelectorAll("g.node"))
   nodes.set(node.querySelector("title").textContent, node);
 for (const title of byId("diagram").querySelectorAll("title")) title.remove();
-if (!film || !data.chart.svg) document.querySelector(".seen").classList.add("alone");
+const seen = document.querySelector(".seen");
+if (!film || !data.chart.svg) seen.classList.add("alone");
+else {
+  // Beside the scene its letters stay legible, or it has a row of its own.
+  const least = 0.77 * byId("diagram").firstElementChild.width.baseVal.value;
+  if (least > byId("diagram").clientWidth) seen.classList.add("wide");
+  byId("diagram").style.flex = `1 1 ${least}px`;
+}
 let lit = -1;
 moving.push((k) => {
   if (mode[k] === lit) return;
@@ -153,8 +161,12 @@ moving.push((k) => {
   for (const [name, node] of nodes) node.classList.toggle("lit", active.has(name));
 });
 
-// Curves with a cursor.
-const [left, right, high] = [64, 860, 120];
+// Curves with a cursor. Names have room on both sides.
+const rows = data.regions.filter((region) => region.shown);
+const longest = (names) => 6.6 * Math.max(0, ...names.map((name) => name.length));
+const left = Math.min(Math.max(64, longest(rows.map((region) => region.name)) + 12), 200);
+const right = Math.max(Math.min(860, 956 - longest(data.panels.flatMap((panel) => panel.names))), 700);
+const [above, high] = [20, 138];
 const span = times[last] || 1;
 const along = (t) => left + ((right - left) * t) / span;
 const cursors = [];
@@ -167,15 +179,15 @@ function axes(height) {
   return svg;
 }
 for (const panel of data.panels) {
-  const svg = axes(high + 22);
+  const svg = axes(high + 6);
   const t = float(panel.t);
   const values = panel.curves.map(float);
   const cone = panel.cone && float(panel.cone);
   const finite = values.flatMap((v) => Array.from(v)).filter(Number.isFinite);
   const low = finite.reduce((a, b) => Math.min(a, b), 0);
   const most = finite.reduce((a, b) => Math.max(a, b), 0);
-  const scale = (high - 12) / (most - low || 1);
-  const up = (v) => 6 + (most - v) * scale;
+  const scale = (high - above - 6) / (most - low || 1);
+  const up = (v) => above + (most - v) * scale;
   const apart = [low, most].filter((level) => Math.abs(up(level) - up(0)) > 12);
   for (const level of [0, ...apart]) {
     made(svg, "line", { x1: left, x2: right, y1: up(level), y2: up(level), style: "stroke: var(--grid)" });
@@ -187,7 +199,7 @@ for (const panel of data.panels) {
     for (let i = 0; i < t.length; i++) {
       const y = up(v[i]);
       // A cone much wider than the force ends at the edge of its panel.
-      if (!Number.isFinite(t[i]) || !(y >= 0 && y <= high)) pen = false;
+      if (!Number.isFinite(t[i]) || !(y >= above - 6 && y <= high)) pen = false;
       else {
         d += `${pen ? "L" : "M"}${along(t[i]).toFixed(1)} ${y.toFixed(1)}`;
         pen = true;
@@ -199,16 +211,15 @@ for (const panel of data.panels) {
   values.forEach((v, i) => {
     const colour = panel.colours[i] === "#000000" ? "var(--ink)" : panel.colours[i];
     line(v, `stroke: ${colour}; stroke-width: 1.6`);
-    made(svg, "line", { x1: right + 14, x2: right + 32, y1: 14 + 15 * i, y2: 14 + 15 * i, style: `stroke: ${colour}; stroke-width: 2.5` });
-    made(svg, "text", { x: right + 38, y: 18 + 15 * i }, panel.names[i]);
+    made(svg, "line", { x1: right + 14, x2: right + 32, y1: above + 4 + 15 * i, y2: above + 4 + 15 * i, style: `stroke: ${colour}; stroke-width: 2.5` });
+    made(svg, "text", { x: right + 38, y: above + 8 + 15 * i }, panel.names[i]);
   });
-  made(svg, "text", { x: right, y: high + 14, "text-anchor": "end", style: "fill: var(--faint)" }, panel.remarks.join("; "));
-  made(svg, "text", { x: 4, y: high + 14 }, panel.title);
-  cursors.push(made(svg, "line", { y1: 0, y2: high, style: "stroke: var(--accent); stroke-width: 1.5" }));
+  made(svg, "text", { x: right, y: above - 9, "text-anchor": "end", style: "fill: var(--faint)" }, panel.remarks.join("; "));
+  made(svg, "text", { x: left, y: above - 9, style: "font-weight: 600" }, panel.title);
+  cursors.push(made(svg, "line", { y1: above - 6, y2: high, style: "stroke: var(--accent); stroke-width: 1.5" }));
 }
-const rows = data.regions.filter((region) => region.shown);
 if (rows.length) {
-  const svg = axes(18 * rows.length + 22);
+  const svg = axes(18 * rows.length + (data.unbanded.length ? 37 : 22));
   rows.forEach((region, row) => {
     made(svg, "text", { x: left - 6, y: 18 * row + 13, "text-anchor": "end" }, region.name);
     for (let k = 0; k <= last; ) {
@@ -222,6 +233,7 @@ if (rows.length) {
   });
   made(svg, "text", { x: left, y: 18 * rows.length + 16 }, "0");
   made(svg, "text", { x: right, y: 18 * rows.length + 16, "text-anchor": "end" }, `t = ${short(span)}${data.cut ? `, where nothing moves any more; the run ends at ${short(data.end)}` : ""}`);
+  made(svg, "text", { x: right, y: 18 * rows.length + 31, "text-anchor": "end", style: "fill: var(--faint)" }, data.unbanded.join("; "));
   cursors.push(made(svg, "line", { y1: 0, y2: 18 * rows.length, style: "stroke: var(--accent); stroke-width: 1.5" }));
 }
 moving.push((k) => {
@@ -236,8 +248,10 @@ for (const name of ["outputs", "parameters"])
   for (const [key, value] of Object.entries(data[name])) {
     const row = made(byId(name), "tr");
     made(row, "td", {}, key);
-    made(row, "td", {}, value);
+    made(made(row, "td"), "div", { class: "value" }, value);
   }
+for (const [name, part] of [["happened", data.events], ["measured", Object.keys(data.outputs)]])
+  byId(name).hidden = part.length === 0;
 const lines = data.events.map((event) => {
   const row = made(byId("events").tBodies[0], "tr", { tabindex: 0 });
   made(row, "td", { title: event.t }, short(event.t));

@@ -5,15 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.palette import INK
 from statechart.reporting.curves import remarks
 from statechart.reporting.legends import legend, remark_lines, room
+from statechart.reporting.thinning import COLUMNS
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+
+# Of a region, by the states that it is in.
+Stretches = dict[str, list[tuple[float, float]]]
 
 # Rows, and stretches of a state in a row that are named.
 _MOST_BANDS, _MOST_NAMED = 12, 24
@@ -36,7 +42,7 @@ def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None
     unnamed: dict[str, Artist] = {}
     for y, row in zip(reversed(range(len(places))), places, strict=True):
         colours = automaton.colours[trace.regions[row]]
-        for state, stretches in _stretches(trace, row).items():
+        for state, stretches in _visible(_stretches(trace, row), end).items():
             ax.broken_barh(
                 [(start, last - start) for start, last in stretches],
                 (y + 0.1, 0.8),
@@ -63,25 +69,25 @@ def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None
     for side in ("top", "right", "left"):
         ax.spines[side].set_visible(False)
     ax.set_xlim(0.0, end)
-    left = _left_out(trace, places)
+    left = remark_lines(unbanded(trace, places))
     if unnamed or left:
         legend(ax, [*unnamed.values(), *left], 2 if len(unnamed) > max(2 * rows, 3) else 1)
 
 
-def _left_out(trace: Trace, places: Sequence[int]) -> list[Artist]:
-    """Return what a legend says of regions that have no row: those that stay in a state apart."""
+def unbanded(trace: Trace, places: Sequence[int]) -> tuple[str, ...]:
+    """Return what is said of regions that have no row: those that stay in a state apart."""
     said: dict[str, list[str]] = {}
     for k, name in enumerate(trace.regions):
         if k not in places:
             states = list(_stretches(trace, k))
             still = len(states) == 1 and not _instants(trace, k)
             said.setdefault(f"always {states[0]}" if still else "not drawn", []).append(name)
-    return remark_lines(remarks(said))
+    return remarks(said)
 
 
-def _stretches(trace: Trace, row: int) -> dict[str, list[tuple[float, float]]]:
+def _stretches(trace: Trace, row: int) -> Stretches:
     """Return state -> times that the region spends in it, adjoining ones joined."""
-    result: dict[str, list[tuple[float, float]]] = {}
+    result: Stretches = {}
     last = ""
     for arc in trace.arcs:
         state, start, end = arc.mode[row], arc.start.high, arc.end.high
@@ -92,6 +98,24 @@ def _stretches(trace: Trace, row: int) -> dict[str, list[tuple[float, float]]]:
             stretches.append((start, end))
         last = state
     return result
+
+
+def _visible(stretches: Stretches, end: float) -> Stretches:
+    """Return what is drawn of stretches: of very many the state at one time of every column."""
+    if sum(map(len, stretches.values())) <= COLUMNS:
+        return stretches
+    every = sorted((start, state) for state, those in stretches.items() for start, _ in those)
+    edges = np.linspace(0.0, end, COLUMNS + 1)
+    # Multiples of the golden ratio keep no step with what goes on in a regular way.
+    times = edges[:-1] + np.arange(COLUMNS) * ((5**0.5 - 1) / 2) % 1 * (end / COLUMNS)
+    places = np.searchsorted([start for start, _ in every], times, side="right") - 1
+    states = np.array([every[place][1] for place in places])
+    begins = np.flatnonzero(states != np.roll(states, 1))
+    begins = np.union1d(begins, [0])
+    seen: Stretches = {state: [] for state in stretches}
+    for first, after in zip(begins, [*begins[1:], COLUMNS], strict=True):
+        seen[str(states[first])].append((float(edges[first]), float(edges[after])))
+    return seen
 
 
 def _instants(trace: Trace, row: int) -> dict[str, list[float]]:

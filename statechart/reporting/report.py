@@ -11,7 +11,7 @@ from itertools import zip_longest
 from typing import Any
 
 from statechart.automaton.dense_output import lowest
-from statechart.automaton.trace import Jump, Key, Trace
+from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
@@ -170,9 +170,12 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
     simulator = observer.simulator
     assert isinstance(simulator, Simulator)
     least: dict[str, float] = {}
+    flows: dict[tuple[Roles, int], list[Arc]] = {}
     for arc in trace.arcs:
-        compiled = simulator.compiled(arc.roles, trace.zeros)
-        found = lowest(compiled.guards, arc.times, arc.coefficients, trace.values, arc.start.high)
+        flows.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
+    for (roles, _), arcs in flows.items():
+        compiled = simulator.compiled(roles, trace.zeros)
+        found = lowest(compiled.guards, arcs, trace.values)
         for margin, value in zip(compiled.mode.margins, found.tolist(), strict=True):
             before = least.get(margin.name, math.inf)
             # Once undefined, always undefined: NaN compares false.
@@ -236,6 +239,8 @@ def _event(
     hurried: bool,
 ) -> dict[str, Any]:
     names = trace.variables
+    before, after = jump.before.tolist(), jump.after.tolist()
+    energy = None if jump.energy is None else list(jump.energy)
     event: dict[str, Any] = {
         "t": jump.t,
         "j": jump.j,
@@ -243,21 +248,27 @@ def _event(
         "cause": jump.cause,
         "from": _states(trace, jump.source),
         "to": _states(trace, jump.target),
-        "state": dict(zip(names, jump.after.tolist(), strict=True)),
-        "state_before": dict(zip(names, jump.before.tolist(), strict=True)),
+        "state": dict(zip(names, after, strict=True)),
+        "state_before": dict(zip(names, before, strict=True)),
         "impulse": {
             region: {"normal": normal, "tangential": tangential}
             for region, (normal, tangential) in jump.impulse.items()
         },
-        "fired": jump.fired,
-        "path": jump.path,
-        "considered": {} if hurried else jump.considered,
-        "energy": jump.energy,
+        "fired": list(jump.fired),
+        "path": list(jump.path),
+        "considered": {} if hurried else dict(jump.considered),
+        "energy": energy,
         "skipped": jump.skipped,
         "condition": condition,
     }
     if explained is not None:
         event["margins"] = explained
+    numbers = [*before, *after, *(energy or ()), jump.skipped, condition or 0.0]
+    numbers += [size for pair in jump.impulse.values() for size in pair]
+    numbers += (explained or {}).values()
+    # Of many events hardly one has a number that JSON has not.
+    if all(map(math.isfinite, numbers)):
+        return event
     safe: dict[str, Any] = json_safe(event)
     return safe
 

@@ -112,15 +112,19 @@ def shown(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
 
 
 def change(event: Mapping[str, Any]) -> str:
-    """Return the states that an event changes, such as ``A: free -> pin``."""
+    """Return what an event changes, such as ``A: free -> pin; B, C: free again``."""
     before, after = event["from"], event["to"]
-    # Who was hit and is free again has changed as well.
-    jumped = {event["contact"], *event["impulse"]}
-    changed = [name for name in before if before[name] != after[name] or name in jumped]
-    several = len(before) > 1
-    return ", ".join(
-        f"{name + ': ' if several else ''}{before[name]} -> {after[name]}" for name in changed
-    )
+    changes: dict[str, list[str]] = {}
+    for name in before:
+        if before[name] != after[name]:
+            changes.setdefault(f"{before[name]} -> {after[name]}", []).append(name)
+    # Whose velocity jumped in the state that it stays in, such as a ball that bounces.
+    for name in before:
+        if before[name] == after[name] and name in (event["contact"], *event["impulse"]):
+            changes.setdefault(f"{after[name]} again", []).append(name)
+    if len(before) == 1:
+        return "".join(changes)
+    return "; ".join(f"{', '.join(names)}: {what}" for what, names in changes.items())
 
 
 def _alternatives(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
@@ -204,7 +208,7 @@ def explained(report: Mapping[str, Any]) -> list[Block]:
 def _event(event: Mapping[str, Any]) -> list[Block]:
     what = " ".join(filter(None, (event["contact"], event["cause"])))
     changed = change(event)
-    title = f"t = {event['t']!r}, jump {event['j']}: {what}{', ' if changed else ''}{changed}\n"
+    title = f"t = {event['t']!r}, jump {event['j']}: {what}{'; ' if changed else ''}{changed}\n"
     rows = [("fired", ", ".join(event["fired"]) or "no margin: the state called for it at once")]
     margins = sorted(
         event.get("margins", {}).items(), key=lambda item: item[0] not in event["fired"]

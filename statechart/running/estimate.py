@@ -17,6 +17,7 @@ from statechart.observation.difference import compare, paired
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import OutputValue as Output
+from statechart.tabular import shortest
 
 _BELOW = 1.0 / 10.0
 """Errors of a run exceed its tolerance by about so much: where an accuracy is asked for and nothing
@@ -240,7 +241,7 @@ class _Runs:
         if found.diverged is not None:
             self.diverged = (
                 f"{runs} take different modes: accuracy is undefined from "
-                f"t = {found.diverged:.17g} on"
+                f"t = {shortest(found.diverged)} on"
             )
         elif found.outputs == math.inf:
             names = [name for name, off in found.named.items() if off == math.inf]
@@ -260,7 +261,7 @@ class _Runs:
             return ()
         return (
             f"modes that last less than {self._brief:g} of the run are not told apart: from "
-            f"t = {self.merged:.17g} on one of the runs has some that another has not",
+            f"t = {shortest(self.merged)} on one of the runs has some that another has not",
         )
 
     @property

@@ -17,6 +17,7 @@ from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.reporting.pieces import Pieces
 from statechart.running.estimate import Cost
+from statechart.shown import Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,7 +89,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result:
+class Result(metaclass=Shown):
     """What a run gave.
 
     Attributes

@@ -19,6 +19,7 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace
 from statechart.observation.zeno_tails import without_summed
+from statechart.tabular import shortest
 
 NUDGE = 1e-7
 """Relative change of parameters that shows how errors grow; above the errors of the runs."""
@@ -325,8 +326,8 @@ def _close(mine: Array, its: Array, allowed: Array, trace: Trace, place: str) ->
     if not (off <= allowed).all():
         names = ["the time", *(f"{v} before" for v in trace.variables), *trace.variables]
         raise AssertionError(
-            f"{place}: {names[worst]} is {mine[worst]:.17g} in one run and {its[worst]:.17g} in "
-            f"the other; their errors explain {allowed[worst]:.1e}"
+            f"{place}: {names[worst]} is {shortest(mine[worst])} in one run and "
+            f"{shortest(its[worst])} in the other; their errors explain {allowed[worst]:.1e}"
         )
 
 
@@ -408,4 +409,4 @@ def _part(
 
 
 def _place(i: int, event: _Event) -> str:
-    return f"event {i + 1} ({event.what[0]} {event.what[1]}, t = {event.t:.17g})"
+    return f"event {i + 1} ({event.what[0]} {event.what[1]}, t = {shortest(event.t)})"

@@ -26,6 +26,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Mode
 from statechart.automaton.trace import Arc, Outcome, Role, Trace
+from statechart.tabular import shortest
 from statechart.testing.agreement import NUDGE, Undecidable, assert_same
 from statechart.testing.subject import Case, Subject
 
@@ -121,8 +122,8 @@ def assert_start(case: Case) -> None:
         worst = int(np.argmax(off))
         if off[worst] > _START * size + projected:
             raise AssertionError(
-                f"{trace.engine}: {trace.variables[worst]} starts at {trace.initial[worst]:.17g}, "
-                f"declared is {declared[worst]:.17g}"
+                f"{trace.engine}: {trace.variables[worst]} starts at "
+                f"{shortest(trace.initial[worst])}, declared is {shortest(declared[worst])}"
             )
 
 
@@ -148,14 +149,14 @@ def assert_ordered(trace: Trace) -> None:
         key=lambda point: point[:2],
     )
     for of, what, start, end in points:
-        place = f"{('arc', 'jump')[what - 1]} at t = {start:.17g}, j = {of}"
+        place = f"{('arc', 'jump')[what - 1]} at t = {shortest(start)}, j = {of}"
         off = abs(start - t)
-        assert off <= allowed, f"{place} does not begin where the run was, t = {t:.17g}"
-        assert end >= start, f"{place} ends before it begins, at t = {end:.17g}"
+        assert off <= allowed, f"{place} does not begin where the run was, t = {shortest(t)}"
+        assert end >= start, f"{place} ends before it begins, at t = {shortest(end)}"
         assert of == j, f"{place} comes after {j} jumps"
         t, j = end, of + (what == 2)
     assert abs(t - trace.t_end) <= allowed, (
-        f"the run ends at t = {trace.t_end:.17g}, its parts at {t:.17g}"
+        f"the run ends at t = {shortest(trace.t_end)}, its parts at {shortest(t)}"
     )
 
 
@@ -176,7 +177,7 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
     """
     mode = trace.start_mode
     for jump in trace.jumps:
-        place = f"jump {jump.j} at t = {jump.t:.17g} ({jump.region} {jump.cause})"
+        place = f"jump {jump.j} at t = {shortest(jump.t)} ({jump.region} {jump.cause})"
         assert jump.source == mode, f"{place} leaves {jump.source}, but the mode was {mode}"
         mode = jump.target
         for region, before, after in zip(automaton.regions, jump.source, mode, strict=True):
@@ -190,7 +191,7 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
     for arc in trace.arcs:
         mode = trace.jumps[arc.j - 1].target if arc.j else trace.start_mode
         assert arc.mode == mode, (
-            f"the arc at t = {arc.start.high:.17g} shows {arc.mode}, not {mode}"
+            f"the arc at t = {shortest(arc.start.high)} shows {arc.mode}, not {mode}"
         )
 
 
@@ -243,7 +244,7 @@ def _join(trace: Trace, before: Array, after: Array, t: float, allowed: Array) -
         step, variable = np.unravel_index(int(np.argmax(off / (allowed + 1e-300))), off.shape)
         raise AssertionError(
             f"{trace.variables[variable]} changes by {off[step, variable]:.3g} without a jump "
-            f"in the arc from t = {t:.17g}"
+            f"in the arc from t = {shortest(t)}"
         )
 
 
@@ -321,7 +322,7 @@ def _assert_margins(
     if not (values >= -allowed).all():
         m, k = np.unravel_index(int(np.argmin(values + allowed)), values.shape)
         raise AssertionError(
-            f"{margins[int(k)].name} is {values[m, k]:.6g} at t = {times[m]:.17g} in "
+            f"{margins[int(k)].name} is {values[m, k]:.6g} at t = {shortest(times[m])} in "
             f"{subject.automaton.label(arc.mode)}"
         )
 
@@ -379,9 +380,9 @@ def assert_prefix(case: Case) -> None:
 def _assert_same_steps(trace: Trace, shorter: Trace) -> None:
     """Check that the steps of a run are, to the last bit, the first of another."""
     for ours, theirs in zip(shorter.jumps, trace.jumps, strict=False):
-        place = f"jump {ours.j} at t = {ours.t:.17g} ({ours.region} {ours.cause})"
+        place = f"jump {ours.j} at t = {shortest(ours.t)} ({ours.region} {ours.cause})"
         assert (ours.t, ours.source, ours.target) == (theirs.t, theirs.source, theirs.target), (
-            f"{place}: a longer run has {theirs.region} {theirs.cause} at t = {theirs.t:.17g}"
+            f"{place}: a longer run has {theirs.region} {theirs.cause} at t = {shortest(theirs.t)}"
         )
         assert (ours.after == theirs.after).all(), f"{place}: a longer run has another state"
     steps = [np.concatenate([arc.coefficients for arc in one.arcs]) for one in (shorter, trace)]

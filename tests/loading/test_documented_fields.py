@@ -7,6 +7,7 @@ import json
 import pydoc
 import re
 from collections.abc import Iterator
+from enum import Enum
 from pathlib import Path
 from typing import Any, get_args
 from urllib.request import urlopen
@@ -18,6 +19,7 @@ from pydantic import BaseModel
 import contacts
 import statechart
 from statechart.cli.main import main
+from statechart.documents.declaration import Declaration
 from statechart.documents.fields import Part
 from statechart.documents.yaml_reader import read
 from statechart.loading.kind import kind, kinds
@@ -129,3 +131,13 @@ def test_help_shows_a_unit_and_an_example() -> None:
     said = " ".join((inspect.getdoc(contacts.Body) or "").split())
     assert "mass : formula Above 0. Unit: mass. Example: ``m``." in said
     assert str(inspect.signature(contacts.Point)) == "(*, body, at=(0, 0))"
+
+
+@pytest.mark.parametrize("public", PUBLIC, ids=lambda public: public.__name__)
+def test_help_shows_what_users_call_and_nothing_else(public: type) -> None:
+    said = pydoc.render_doc(public, renderer=pydoc.plaintext)
+    if not issubclass(public, Enum):
+        assert not re.search(r"__\w+__|add_note|inherited from builtins", said)
+    if issubclass(public, Declaration):
+        shown = re.findall(r"^ \|  (\w+)\(self", said, re.MULTILINE)
+        assert shown == ["check", "diagram", "equations", "modes", "with_"]

@@ -126,7 +126,7 @@ def test_curves_and_cones_stay_in_their_panels_and_times_on_a_line(browser, resu
     beyond = (
         "Array.from(document.querySelectorAll('#curves svg')).flatMap((svg) =>"
         " Array.from(svg.querySelectorAll('path'), (p) => p.getBBox()).filter((b) =>"
-        " b.y < 0 || b.y + b.height > svg.viewBox.baseVal.height - 21)).length"
+        " b.y < above - 6 || b.y + b.height > high)).length"
     )
     assert browser.value(beyond) == 0
     widths = browser.value(
@@ -168,6 +168,31 @@ def test_a_curve_leads_to_where_it_is_clicked(browser, result):
     assert agree(browser, result) == pytest.approx(expected, abs=0.03)
     cursor = browser.value("cursors[0].x1.baseVal.value")
     assert cursor == pytest.approx(500.0, abs=3.0)
+
+
+@in_browser
+@pytest.mark.parametrize("name", ["compass_walker", "hopper", "sampled_balance", "dragged_stick"])
+def test_words_are_large_enough_and_inside_at_a_thousand_pixels(name, tmp_path):
+    shown = statechart.run(name, throw=False).report(tmp_path / "page.html")
+    with Browser(tmp_path / "browser", width=1000) as opened:
+        opened.open(shown)
+        letters = (
+            "[...document.querySelectorAll('#diagram text')].map((e) =>"
+            " parseFloat(e.getAttribute('font-size')) * e.getScreenCTM().a)"
+        )
+        assert min(opened.value(letters)) > 9.5
+        assert max(opened.value(letters)) < 18.0
+        beyond = (
+            "[...document.querySelectorAll('#curves text')].map((e) => e.getBBox())"
+            ".filter((b) => b.x < 0 || b.x + b.width > 1000).length"
+        )
+        assert opened.value(beyond) == 0
+        assert opened.value("document.documentElement.scrollWidth") <= 1000
+        # Without events there is nothing to choose.
+        assert opened.value("byId('happened').hidden") == (name == "dragged_stick")
+        words = "[...document.querySelectorAll('#outputs .value')].map((e) => e.textContent)"
+        told = opened.value(words)
+        assert all(len(word.rstrip(",").lstrip("-")) < 16 for text in told for word in text.split())
 
 
 @in_browser

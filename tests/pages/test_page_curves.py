@@ -27,3 +27,11 @@ def test_of_very_many_jumps_points_are_few_all_the_same() -> None:
     assert len(result.trace.jumps) > _POINTS
     samples, _ = curves(result.observer, result.trace)
     assert len(_rows(samples, result.trace.t_end)) <= 2 * _POINTS
+
+
+def test_a_long_flow_has_as_many_points_for_its_length_as_short_ones() -> None:
+    result = Runner("bouncing_ball").run()
+    samples, _ = curves(result.observer, result.trace)
+    rows = _rows(samples, 8.77)
+    first = rows[samples.j[rows] == 0]
+    assert len(first) == np.count_nonzero(samples.j == 0)

@@ -69,7 +69,7 @@ def test_the_words_name_all_that_the_jump_holds() -> None:
     report = Runner(read_text(BAR)).run().to_dict(explain=True)
     said = explanation(report)
     first, last = said.split("\n\n")
-    assert first.splitlines()[0].endswith("jump 0: A touchdown, A: free -> slide+")
+    assert first.splitlines()[0].endswith("jump 0: A touchdown; A: free -> slide+")
     for words in ("fired       A.gap", "margins     A.gap", "B.gap", "impulse     A  normal"):
         assert words in first
     for event in report["events"]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -23,6 +24,7 @@ from statechart.errors import StatechartError
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
+from statechart.observation.sampling import subdivided
 from statechart.reporting import tables
 from statechart.reporting.pieces import Pieces
 from statechart.reporting.report import dumps, report
@@ -230,7 +232,7 @@ def test_of_work_that_fails_in_part_the_rest_is_done(
         return work
 
     monkeypatch.setattr("statechart.reporting.report.margins", failing(MemoryError()))
-    monkeypatch.setattr("statechart.reporting.tables.to_xarray", failing(ValueError("a bug")))
+    monkeypatch.setattr("statechart.reporting.tables._data_set", failing(ValueError("a bug")))
     # The user is told by the signal's own words, and everything after it is left out, too.
     monkeypatch.setattr("statechart.reporting.figure.figure", failing(KeyboardInterrupt()))
     pieces = Pieces()
@@ -243,3 +245,30 @@ def test_of_work_that_fails_in_part_the_rest_is_done(
     assert {"what": "trace.nc", "why": "a bug"} in made["left_out"]
     assert {"what": "margins", "why": "out of memory"} in made["left_out"]
     assert made["outputs"]
+
+
+def test_tables_are_written_as_pandas_writes_them() -> None:
+    numbers = np.array([0.1, np.nan, -0.0, 1e22, np.inf, 1 / 3])
+    table = pd.DataFrame(
+        {
+            "t": numbers,
+            "j": np.arange(6),
+            "mode": pd.Categorical.from_codes(np.array([0, 1, 0, 1, 1, 0]), ["a:b", 'c, "d"']),
+            "name": ["x", "", "y z", "a,b", 'q"', "-"],
+        }
+    )
+    assert tables._csv(table) == table.to_csv(index=False).encode()
+
+
+@pytest.mark.parametrize("per_step", [8, 1, 0.3])
+def test_flows_are_divided_alike_one_by_one_and_together(per_step: float) -> None:
+    ends = [np.array([0.0, 0.3, 1.0]), np.array([0.0, 0.7]), np.array([0.0, 0.1, 1.1])]
+    ends.append(np.linspace(0.0, 2.0, 9))
+    arcs = [SimpleNamespace(times=times) for times in ends]
+    together = subdivided(arcs, per_step)
+    for arc, local in zip(arcs, together, strict=True):
+        np.testing.assert_array_equal(subdivided([arc], per_step)[0], local)
+        assert local[0] == 0.0
+        assert local[-1] == arc.times[-1]
+        assert (np.diff(local) > 0.0).all()
+    assert [len(local) for local in together[:2]] == {8: [17, 9], 1: [3, 2], 0.3: [2, 2]}[per_step]

@@ -9,9 +9,9 @@ import pytest
 
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
-from statechart.reporting.text import summary
+from statechart.reporting.text import change, summary
 from statechart.running.runner import Runner
-from statechart.tabular import ends, whole
+from statechart.tabular import ends, shortest, whole
 
 GRAINS = """\
 kind: scene
@@ -111,3 +111,23 @@ def test_of_many_regions_some_are_listed(tmp_path, capsys) -> None:
     assert sum(line.startswith("  grain") for line in lines) == 20
     assert lines.count("  ... 40 more: --json has all") == 1
     assert lines.count("... 40 more: --json has all") == 1
+
+
+def test_a_change_is_told_once_for_all_who_share_it() -> None:
+    event = {
+        "contact": "A",
+        "impulse": {"A": {}, "D": {}, "E": {}},
+        "from": {"A": "free", "B": "pin", "C": "free", "D": "slide", "E": "slide", "F": "pin"},
+        "to": {"A": "pin", "B": "free", "C": "pin", "D": "slide", "E": "slide", "F": "pin"},
+    }
+    assert change(event) == "A, C: free -> pin; B: pin -> free; D, E: slide again"
+    bounce = {"contact": "A", "impulse": {"A": {}}, "from": {"A": "free"}, "to": {"A": "free"}}
+    assert change(bounce) == "free again"
+    assert change({**bounce, "contact": None, "impulse": {}}) == ""
+
+
+def test_numbers_in_sentences_are_as_short_as_they_read() -> None:
+    numbers = (0.2, 10.0, -0.0, 1e-9, 1e22, 2.0100000000000002, 1 / 3)
+    told = [shortest(number) for number in numbers]
+    assert told[:3] == ["0.2", "10", "-0"]
+    assert [float(text) for text in told] == list(numbers)

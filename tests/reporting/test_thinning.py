@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from statechart.observation.sampling import Samples
+from statechart.reporting.bands import _visible
 from statechart.reporting.thinning import COLUMNS, Line, strongest
 from statechart.running.runner import Runner
 
@@ -74,3 +75,18 @@ def test_the_first_events_of_a_report_are_those_of_all() -> None:
     told = result.to_dict(explain=True)["events"]
     assert len(told) > 5
     assert result.to_dict(explain=True, most=5)["events"] == told[:5]
+
+
+def test_of_many_stretches_those_that_can_be_seen_are_drawn() -> None:
+    ends = np.linspace(0.0, 5.0, 60_001)
+    fast = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
+    # Three in four of the first half are one state; the second half is another for long.
+    first = [pair for k, pair in enumerate(fast[:30_000]) if k % 4]
+    second = [pair for k, pair in enumerate(fast[:30_000]) if not k % 4]
+    drawn = _visible({"a": first, "b": second, "c": [(2.5, 5.0)]}, 5.0)
+    assert sum(map(len, drawn.values())) <= COLUMNS
+    widths = {state: sum(end - start for start, end in those) for state, those in drawn.items()}
+    assert widths == pytest.approx({"a": 1.875, "b": 0.625, "c": 2.5}, abs=0.02)
+    assert drawn["c"] == [(2.5, 5.0)]
+    few = {"a": [(0.0, 1.0)]}
+    assert _visible(few, 1.0) is few
