@@ -43,8 +43,7 @@ def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> 
         ends = [(points, shape.frame)]
         if shape.other != shape.frame:
             ends = [(points[:1], shape.frame), (points[-1:], shape.other)]
-        for part, frame in ends:
-            clouds.append(np.array([placed(part, pose) for pose in poses[:, frame]]))
+        clouds += [placed(part, poses[:, frame]) for part, frame in ends]
     cloud = np.concatenate(clouds, axis=1)
     return np.where(np.isfinite(cloud), cloud, np.nanmean(cloud, axis=(0, 1)))
 
@@ -80,7 +79,7 @@ def beside(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
     """
     low, high = cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))
     middle, reach = (low + high) / 2.0, _AROUND * float((high - low).max()) / 2.0
-    lines = [np.array([placed(s.points, p) for p in poses[:, s.frame]]) for s in surfaces]
+    lines = [placed(s.points, poses[:, s.frame]) for s in surfaces]
     return np.concatenate(
         [cloud, *(line for line in lines if (np.abs(line - middle) <= reach).all())], axis=1
     )

@@ -174,10 +174,11 @@ HATCH = 1.0 / 48.0
 
 
 def placed(points: Array, pose: Array) -> Array:
-    """Return points (m, 2) of a frame in the world, for its pose (3,)."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    turned: Array = points @ np.array([[c, s], [-s, c]]) + pose[:2]
-    return turned
+    """Return points (..., m, 2) of a frame in the world, for its poses (..., 3)."""
+    x, y, angle = (pose[..., k, None] for k in range(3))
+    c, s = np.cos(angle), np.sin(angle)
+    along, across = points.T
+    return np.stack([x + c * along - s * across, y + s * along + c * across], axis=-1)
 
 
 def strokes(points: Array, spacing: float) -> Array:
