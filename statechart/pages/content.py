@@ -58,6 +58,7 @@ def content(
         Of the model, with the run's path; None where the run has kept no modes.
     """
     automaton = observer.automaton
+    declared = automaton.declaration.parameters
     seen = kind(automaton.declaration.kind).stage is not None
     stage = stage_of(automaton) if seen else None
     end = trace.t_end if stage is None else until_rest(stage, observer, trace)
@@ -87,7 +88,10 @@ def content(
         "more": len(trace.jumps) - len(events),
         "chart": _chart(automaton, diagram, samples),
         "outputs": _measured(report["outputs"], report["units"]),
-        "parameters": _measured(report["parameters"], report["units"]),
+        "parameters": _measured(
+            {name: value for name, value in report["parameters"].items() if name in declared},
+            report["units"],
+        ),
         "warnings": list(report["warnings"]),
     }
 

@@ -1,0 +1,13 @@
+"""Which parameters the page of a run lists."""
+
+from __future__ import annotations
+
+from statechart.pages.content import content
+from statechart.running.runner import Runner
+
+
+def test_a_page_has_the_parameters_that_its_model_declares() -> None:
+    result = Runner("rimless_wheel").run(until=1.0)
+    shown = content(result.observer, result.trace, result.to_dict(), None)["parameters"]
+    assert list(shown) == list(result.observer.automaton.declaration.parameters)
+    assert shown["g"] == "9.81 m/s²"
