@@ -31,7 +31,7 @@ from statechart.kernels.jit import beside, kernel, late, part
 # Impulses of the step before are taken as they are where they miss by no more than this: what
 # rests does not creep.
 _VERIFIED = 1e-10
-# So many contacts are solved by their status densely; so many where they rest, which takes one step;
+# So many contacts are solved by their status densely; so many where they rest, in one step;
 # so many at all; and by Lemke's algorithm.
 _FEW, _DENSE, _MANY, _LEMKE = 24, 100, 1000, 48
 # Rates that a contact of bodies moves; those of a dense problem move all.
