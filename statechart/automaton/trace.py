@@ -13,7 +13,6 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.documents.setting import Record
 from statechart.errors import TooLong
-from statechart.shown import Shown
 from statechart.tabular import shortest
 
 LARGEST = 2**28
@@ -265,7 +264,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Trace(metaclass=Shown):
+class Trace:
     """A run.
 
     Attributes

@@ -17,7 +17,6 @@ from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.reporting.pieces import Pieces
 from statechart.running.estimate import Cost
-from statechart.shown import Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,7 +88,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result(metaclass=Shown):
+class Result:
     """What a run gave.
 
     Attributes

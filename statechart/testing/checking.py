@@ -11,7 +11,6 @@ from statechart.documents.declaration import Declaration
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.loading.kind import offered
-from statechart.shown import Shown
 from statechart.tabular import Block, Table, apart, plain
 from statechart.testing.agreement import Undecidable
 from statechart.testing.properties import Property, generic
@@ -67,7 +66,7 @@ class PropertyReport:
 
 
 @dataclass(frozen=True)
-class CheckReport(metaclass=Shown):
+class CheckReport:
     """The result of a check.
 
     Attributes
