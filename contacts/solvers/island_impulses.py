@@ -1,8 +1,8 @@
 """Impulses of contacts that feel each other: the best that are found, and how good they are.
 
-What rests is solved by its last impulses, once they are verified. Few contacts are solved by sweeps
-and their status (Newton) in turn, then by Lemke's algorithm; many by some sweeps and then proximal
-points, from the last impulses or from nothing.
+What rests is solved by its last impulses, once they are verified. A body's own contacts are solved
+by their status (Newton), to rounding; few contacts by sweeps and that in turn, then by Lemke's
+algorithm; many by some sweeps and then proximal points, from the last impulses or from nothing.
 There always are impulses: where they miss the contact laws their residual tells by how much, and
 they never add more energy than the scheme may.
 """
@@ -31,9 +31,9 @@ from statechart.kernels.jit import beside, kernel, late, part
 # Impulses of the step before are taken as they are where they miss by no more than this: what
 # rests does not creep.
 _VERIFIED = 1e-10
-# So many contacts are solved by their status densely; so many where they rest, in one step;
-# so many at all; and by Lemke's algorithm.
-_FEW, _DENSE, _MANY, _LEMKE = 24, 100, 1000, 48
+# So many contacts are solved by their status at once; so many by it densely; so many where they
+# rest, in one step; so many at all; and by Lemke's algorithm.
+_EXACT, _FEW, _DENSE, _MANY, _LEMKE = 8, 24, 100, 1000, 48
 # Rates that a contact of bodies moves; those of a dense problem move all.
 _OF_BODIES = 6
 # Sweeps of the trials, of which this one starts from nothing; what is sparse has so many.
@@ -73,7 +73,7 @@ def solve_rows(
         return left, 0
     done, sparse = 0, count > _FEW and contacts.places.shape[1] == _OF_BODIES
     sparse = sparse and count <= _MANY
-    if rests and count <= _DENSE:
+    if count <= _EXACT or (rests and count <= _DENSE):
         left, done = by_status(contacts, least, impulses, _VERIFIED)
     elif sparse and rests:
         left, done = by_proximal_points(contacts, least, impulses, _VERIFIED)

@@ -7,7 +7,7 @@ import pytest
 
 from statechart.running.runner import Runner
 
-TIMES = np.linspace(0.15, 0.45, 7)
+TIMES = np.linspace(0.15, 0.45, 3)
 
 
 @pytest.fixture(scope="module")
@@ -16,8 +16,12 @@ def silo():
 
 
 def flow(runner, opening):
-    """Return how many discs are out at some times."""
-    result = runner.run({"D": opening}, until=0.45)
+    """Return how many discs leave from time to time, in three runs: of one a tenth is chance."""
+    return np.diff(sum(discs_out(runner, {"D": opening, "mu": mu}) for mu in (0.49, 0.5, 0.51)))
+
+
+def discs_out(runner, values):
+    result = runner.run(values, until=TIMES[-1])
     assert result.trace.outcome.succeeded, result.trace.message
     assert result.trace.counts["inexact_steps"] == 0
     names = [f"grain{k}.y" for k in range(150)]
@@ -27,12 +31,11 @@ def flow(runner, opening):
 
 def test_discs_flow_out_at_a_constant_rate_that_grows_as_beverloo_says(silo):
     narrow, wide = flow(silo, 0.05), flow(silo, 0.06)
-    rates = np.diff(narrow)
-    assert rates.min() > 0.7 * rates.mean()
-    assert rates.max() < 1.3 * rates.mean()
+    early, late = narrow + wide
+    assert late == pytest.approx(early, rel=0.15)
     # (D - 1.3 d)^(3/2)
     expected = ((0.06 - 0.013) / (0.05 - 0.013)) ** 1.5
-    assert wide[3] - wide[0] == pytest.approx(expected * (narrow[3] - narrow[0]), rel=0.25)
+    assert wide.sum() == pytest.approx(expected * narrow.sum(), rel=0.2)
 
 
 def test_the_pan_weighs_nothing_before_the_gate_opens(silo):
