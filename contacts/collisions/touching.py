@@ -526,9 +526,11 @@ def touching(
                     approach = max(approach, nearing)
                     closing = max(closing, -gap)
                 else:
-                    # A point that turns away faster than forces follow lifts off; what is
-                    # deeper than that makes was moved there by a change of features.
-                    touches.wanted[m, 0] = max(above / h, -0.5 * gained)
+                    # A point that turns away faster than forces follow lifts off. What is deeper
+                    # than that makes came there as its normal turned, and goes back as fast, or
+                    # by a change of features.
+                    touches.wanted[m, 0] = max(above / h, -max(0.5 * gained, nearing))
+                    approach = max(approach, nearing)
                 for d in range(3):
                     touches.materials[m, d] = numbers.materials[material, d]
                 touches.keys[m, 0], touches.keys[m, 1] = pair, features[at]
