@@ -196,6 +196,23 @@ def test_a_disc_on_a_belt_ends_rolling():
     assert trace.final_mode == ("pin",)
 
 
+def test_a_disc_that_loops_in_a_drum_stays_on_its_wall_and_keeps_its_energy():
+    # Fast enough for the wall to press it at the top, too: v^2 > 5 g R. Its normal turns by far
+    # more in a step than gravity could take back.
+    way, speed = 0.45, 8.0
+    lost = []
+    for step in (2e-3, 1e-3):
+        start = f"{at(0.0, -way)}, dx: {speed}"
+        drum = {"drum": "circle: [0, 0], radius: 0.5, hollow: true"}
+        trace = run(scene({"disc": start}, drum, step=step, time=2.0))
+        x, y, _, dx, dy, _ = trace.final
+        lost.append(1 - (dx**2 + dy**2 + 2 * G * (y + way)) / speed**2)
+        assert min(trace.margins.values()) > -((speed * step) ** 2) / way
+        assert {jump.cause for jump in trace.jumps} <= {"touchdown", "impact"}
+    assert abs(lost[1]) < 1e-3
+    assert lost[0] / lost[1] == pytest.approx(4, rel=0.1)
+
+
 def test_a_disc_at_rest_beside_a_turning_drum_rolls_in_it():
     surfaces = {"drum": "circle: [1, 2], radius: 0.5, hollow: true, turn: 2*time"}
     # Without gravity and slip it goes round as a planet does; started on that way.
