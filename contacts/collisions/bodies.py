@@ -347,7 +347,8 @@ class SteppedHeap:
         if self._parted:
             found += (
                 f"in {self._parted} steps of {self._length:g} bodies would pass through each "
-                f"other, or turn by more than half a turn: they were taken in up to "
+                f"other or sink into each other, or turn by more than half a turn: they were taken "
+                f"in up to "
                 f"{self._most_parts} parts; with a step of {self._length / self._most_parts:.1g} "
                 "none needs that",
             )

@@ -89,8 +89,8 @@ class Memory(NamedTuple):
         See `MEMORY`.
     many : (1,) array of int
         How many they are.
-    past : (2,)
-        Length of the step before, and the fastest approach of an impact so far.
+    past : (3,)
+        Length of the step before; the fastest approach so far, and the longest in a step.
     """
 
     keys: Ints
@@ -106,7 +106,7 @@ class Memory(NamedTuple):
             np.zeros((most, 2), dtype=np.int64),
             np.zeros((most, MEMORY)),
             np.zeros(1, dtype=np.int64),
-            np.zeros(2),
+            np.zeros(3),
         )
 
     def copy(self) -> Memory:

@@ -208,6 +208,7 @@ def _kept(
     chunk.approach[k], chunk.closing[k], chunk.passed[k] = seen.approach, seen.closing, seen.passed
     memory.many[0] = seen.contacts
     memory.past[0], memory.past[1] = chunk.h, max(memory.past[1], seen.approach)
+    memory.past[2] = max(memory.past[2], chunk.h * seen.approach)
     for i in range(seen.contacts):
         pn, pt = pressed[i]
         lasts = pn > 0.0 and not room.bounces[i]

@@ -34,6 +34,11 @@ _POINTS = 16
 _CORE, _WHOLE = 0.9, 0.995
 # Bodies that cross less than this part of their size in a step are looked at once.
 _CROSSED = 0.5
+# Of the size of the smaller one: what is hit deeper than this in another is looked at more often.
+_SUNK = 0.25
+# What is hit in the step nearest to its arrival is so deep at most, in parts of the way that the
+# fastest goes in a step.
+_LANDED = 0.5
 # What is to be hit ahead of its arrival is by then no farther than this part of its gap.
 _ARRIVED = 0.01
 # The cosine of the angle by which the normal of a hit may turn from its look to the touch.
@@ -169,11 +174,12 @@ class Seen(NamedTuple):
     contacts : int
         That take part; -1: more than there is place for.
     approach, closing : float
-        The fastest approach of an impact; the deepest that one is.
+        The fastest approach of what touches; the deepest that an impact is.
     passed : float
         See `contacts.time_stepping.chunk.Chunk`.
     sunk : float
-        By how much the deepest that was not known yet is deeper than two looks explain.
+        By how much the deepest that was not known yet is deeper than two looks explain; or how
+        deep what is hit is, where that is much beside its size.
     """
 
     contacts: int
@@ -432,6 +438,7 @@ def touching(
     # Between looks bodies move in straight lines.
     since = 0.5 * (h + (memory.past[0] if memory.past[0] > 0.0 else h))
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
+    lowest = _LANDED * memory.past[2]
     m, at_old, at_pair = 0, 0, 0
     approach = closing = passed = sunk = 0.0
     many = near_pairs(centres, sizes + look.reach, grid)
@@ -525,7 +532,11 @@ def touching(
                     touches.wanted[m, 0] = -numbers.materials[material, 2] * nearing
                     approach = max(approach, nearing)
                     closing = max(closing, -gap)
+                    if -gap > _SUNK * (min(sizes[p], sizes[q]) if whole else sizes[p]):
+                        sunk = max(sunk, -gap)
                 else:
+                    # No deeper than an impact leaves a contact does it stay.
+                    above, level = min(above, gap + lowest), max(level, -lowest)
                     # A point that turns away faster than forces follow lifts off. What is deeper
                     # than that makes came there as its normal turned, and goes back as fast, or
                     # by a change of features.

@@ -60,7 +60,7 @@ class Chunk(NamedTuple):
     gaps : (k, r) array
         At the midpoints.
     approach, closing : (k,) array
-        The fastest approach of an impact; the largest gap, of either sign, that a step closes.
+        The fastest approach of what touches; the largest gap, of either sign, that a step closes.
     passed : (k,) array
         Where something passed another between the middle of the step before and that of this one:
         the part of a step in which they overlapped.
