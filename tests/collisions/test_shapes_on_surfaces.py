@@ -205,7 +205,7 @@ def test_a_disc_that_loops_in_a_drum_stays_on_its_wall_and_keeps_its_energy():
         start = f"{at(0.0, -way)}, dx: {speed}"
         drum = {"drum": "circle: [0, 0], radius: 0.5, hollow: true"}
         trace = run(scene({"disc": start}, drum, step=step, time=2.0))
-        x, y, _, dx, dy, _ = trace.final
+        _, y, _, dx, dy, _ = trace.final
         lost.append(1 - (dx**2 + dy**2 + 2 * G * (y + way)) / speed**2)
         assert min(trace.margins.values()) > -((speed * step) ** 2) / way
         assert {jump.cause for jump in trace.jumps} <= {"touchdown", "impact"}
