@@ -6,12 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.joints import JointNumbers
 from contacts.collisions.surfaces import SurfaceNumbers
 from statechart.arrays import Array, Ints
 
 MEMORY = 4
 """What is kept of a contact from step to step: level, lasting, impulses."""
+
+BOTH, ALONG_X, ALONG_Y = range(3)
+"""What a joint holds."""
 
 # Contacts that there is place for at first.
 _PER_PIECE = 8
@@ -43,6 +45,23 @@ class PieceNumbers(NamedTuple):
     sizes: Array
     cores: Array
     spans: Array
+
+
+class JointNumbers(NamedTuple):
+    """The joints of a scene.
+
+    Attributes
+    ----------
+    bodies : (j, 2) array of int
+        Of the point, and of what it is held to; -1: a place in the world.
+    at : (j, 2, 2)
+        The points in the frames of these bodies.
+    holds : (j,) array of int
+    """
+
+    bodies: Ints
+    at: Array
+    holds: Ints
 
 
 class BodyNumbers(NamedTuple):

@@ -8,35 +8,18 @@ drifts; what is held so is Verlet's scheme with constraints (Ryckaert, Ciccotti 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
+from contacts.collisions.body_numbers import ALONG_Y, BOTH, BodyNumbers, JointNumbers, Memory
+from contacts.collisions.look import Look
 from contacts.collisions.surfaces import carried
-from statechart.arrays import Array, Ints
-from statechart.kernels.jit import part
-
-BOTH, ALONG_X, ALONG_Y = range(3)
-"""What a joint holds."""
-
-
-class JointNumbers(NamedTuple):
-    """The joints of a scene.
-
-    Attributes
-    ----------
-    bodies : (j, 2) array of int
-        Of the point, and of what it is held to; -1: a place in the world.
-    at : (j, 2, 2)
-        The points in the frames of these bodies.
-    holds : (j,) array of int
-    """
-
-    bodies: Ints
-    at: Array
-    holds: Ints
+from contacts.collisions.touches import Touches, recalled
+from contacts.solvers.contact_rows import GUIDED, HELD
+from statechart.arrays import Array
+from statechart.kernels.jit import late, part
 
 
 @part
-def joint_rows(
+def _joint_rows(
     joints: JointNumbers, j: int, places: Array, old: Array, loose: Array, paths: Array, h: float,
     rows: Array, before: Array, free: Array, wanted: Array,
 ) -> float:  # fmt: skip
@@ -89,3 +72,51 @@ def joint_rows(
     bend_x = paths[2, j, 0] - 2.0 * paths[1, j, 0] + paths[0, j, 0]
     bend_y = paths[2, j, 1] - 2.0 * paths[1, j, 1] + paths[0, j, 1]
     return math.hypot(bend_x, bend_y) / h
+
+
+@late
+def joined(
+    numbers: BodyNumbers, places: Array, memory: Memory, look: Look, h: float, count: int,
+    touches: Touches,
+) -> int:  # fmt: skip
+    """Append the joints to the contacts of a step; return how many there are in all.
+
+    Parameters
+    ----------
+    numbers, memory, look, h, touches
+        See `contacts.collisions.touching`.
+    places : (3, j, 2)
+        Where what they hold points to is at this look, the one before and the next.
+    count : int
+        Contacts.
+    """
+    joints, pieces = numbers.joints, len(numbers.pieces.sizes)
+    first, at_old, m = pieces * (pieces + len(numbers.surfaces.kinds)), 0, count
+    for j in range(len(joints.holds)):
+        b = joints.bodies[j, 0]
+        touches.bodies[m, 0], touches.bodies[m, 1] = b, joints.bodies[j, 1]
+        bent = _joint_rows(
+            joints, j, look.places, look.old, look.loose, places, h, touches.rows[m],
+            touches.before[m], touches.free[m], touches.wanted[m],
+        )  # fmt: skip
+        look.pull[b] += bent
+        touches.materials[m, 0] = HELD if joints.holds[j] == BOTH else GUIDED
+        touches.materials[m, 1] = touches.materials[m, 2] = touches.carries[m] = 0.0
+        touches.hit[m] = False
+        while at_old < memory.many[0] and memory.keys[at_old, 0] < first + j:
+            at_old += 1
+        recalled(memory, at_old, first + j, 0, h, m, touches)
+        touches.keys[m, 0], touches.keys[m, 1] = first + j, 0
+        touches.memory[m, 0] = touches.memory[m, 1] = 0.0
+        m += 1
+    return m
+
+
+@part
+def held(joints: JointNumbers, one: int, other: int) -> bool:
+    """Whether a joint holds two bodies together."""
+    for j in range(len(joints.holds)):
+        a, b = joints.bodies[j]
+        if (a == one and b == other) or (a == other and b == one):
+            return True
+    return False

@@ -8,8 +8,16 @@ import numpy as np
 
 from contacts.collisions.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collisions.detection import between, place
+from contacts.collisions.look import Look
 from statechart.arrays import Array
-from statechart.kernels.jit import part
+from statechart.kernels.jit import late, part
+
+# What is to be hit ahead of its arrival is by then no farther than this part of its gap.
+_ARRIVED = 0.01
+# The cosine of the angle by which the normal of a hit may turn from its look to the touch.
+_ALIKE = 0.8
+# What came in by another side than it leaves by has crossed for this part of a step at most.
+_ELSEWHERE = 0.5
 
 
 @part
@@ -46,7 +54,7 @@ def _moved(pieces: PieceNumbers, p: int, pose: Array) -> tuple[Array, Array, flo
 
 
 @part
-def met(
+def _met(
     numbers: BodyNumbers,
     places: Array,
     velocities: Array,
@@ -86,3 +94,29 @@ def met(
         gap = min(gap, found[p, 4])
         along = max(along, found[p, 0] * normal[0] + found[p, 1] * normal[1])
     return gap, along
+
+
+@late
+def arrives(
+    numbers: BodyNumbers, look: Look, pair: tuple[int, int], normal: tuple[float, float],
+    gap: float, nearing: float, h: float, aside: Array,
+) -> tuple[bool, float]:  # fmt: skip
+    """Return whether bodies that are not beside each other touch, and for how long they did.
+
+    Ahead of its arrival, or behind, other corners and edges of a fast body are the nearest.
+    """
+    later = max(gap / nearing, -h)
+    arrived, along = _met(numbers, look.places, look.old, pair, later, normal, aside)
+    if gap > 0.0 and not arrived <= _ARRIVED * gap:
+        return False, 0.0
+    return True, _ELSEWHERE if along < _ALIKE else 0.0
+
+
+@late
+def came(
+    numbers: BodyNumbers, look: Look, pair: tuple[int, int], normal: tuple[float, float],
+    since: float, aside: Array,
+) -> float:  # fmt: skip
+    """Return for how long a body was in another that it leaves: if it came by another side."""
+    earlier, _ = _met(numbers, look.places, look.old, pair, -since, normal, aside)
+    return _ELSEWHERE if earlier > 0.0 else 0.0

@@ -1,0 +1,179 @@
+"""One run of bodies with shapes, chunk of steps by chunk of steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from contacts.collisions.body_numbers import BOTH, BodyNumbers, Memory
+from contacts.collisions.body_step import Room, step_bodies
+from contacts.collisions.mass_ratios import ratio_remarks
+from contacts.collisions.surroundings import Surroundings
+from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
+from statechart.arrays import Array
+from statechart.errors import NonFinite
+
+# Radians that a body turns in a step in which it is hit: worth a word, and followed.
+_TURNED, _FOLLOWED = 0.5, 0.1
+# Parts that a step is taken in where it is too long for what happens in it, one after the other.
+_PARTS = (4, 16, 64)
+
+
+class SteppedHeap:
+    """One run of colliding bodies: what lasts from step to step.
+
+    Parameters
+    ----------
+    names, surfaces : sequence of str
+        Of the bodies, and of what they touch.
+    numbers : BodyNumbers
+    around : Surroundings
+        What acts on them.
+    plastic : bool
+        Whether what is hit together does not rebound.
+    allowed : float
+        Residual of impulses that are good enough.
+    deepest : float
+        A gap that no step may close.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        surfaces: Sequence[str],
+        numbers: BodyNumbers,
+        around: Surroundings,
+        plastic: bool,
+        allowed: float,
+        deepest: float = math.inf,
+    ) -> None:
+        self._surfaces = surfaces
+        self.numbers, self._names, self._around, self._plastic = numbers, names, around, plastic
+        count = len(names)
+        self._memory = self._kept = Memory.room(numbers)
+        self._room = Room.of(self.numbers, self._memory)
+        self._allowed = allowed
+        self._least = np.full(count, np.inf)
+        self._deepest = deepest
+        self._turned = self._length = 0.0
+        self._parted, self._most_parts = 0, 1
+        # A disc about its centre of mass looks the same however it turns.
+        self._angular = np.ones(count, dtype=np.bool_)
+        pieces = numbers.pieces
+        self._angular[pieces.bodies] = pieces.spans != pieces.radii
+
+    def switch(self, states: Mapping[str, str]) -> None:
+        """Go on with controllers in other states."""
+        self._around.switch(states)
+
+    def forget(self) -> None:
+        """Take back the last steps."""
+        while len(self._kept.keys) < len(self._memory.keys):
+            self._kept = self._kept.larger()
+        self._memory = self._kept.copy()
+        self._around.forget()
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """The least gaps seen of every body, at the midpoints of steps."""
+        return {
+            f"{name}.gap": float(gap)
+            for name, gap in zip(self._names, self._least, strict=True)
+            if np.isfinite(gap)
+        }
+
+    def deepest_of(self, body: str) -> tuple[str, str] | None:
+        """Return what a body touches the deepest since the last step, and how it is to move."""
+        b, touches = self._names.index(body), self._room.touches
+        mine = [i for i in range(int(self._memory.many[0])) if b in touches.bodies[i].tolist()]
+        if not mine:
+            return None
+        i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]))
+        depth, (nx, ny) = -float(self._memory.contacts[i, 0]), touches.rows[i, 0, :2].tolist()
+        one, other = touches.bodies[i].tolist()
+        sign, partner = (1.0, other) if one == b else (-1.0, one)
+        pieces = len(self.numbers.pieces.sizes)
+        surface = int(touches.keys[i, 0]) % (pieces + len(self._surfaces)) - pieces
+        where = f"surface {self._surfaces[surface]!r}" if surface >= 0 else (
+            f"body {self._names[partner]!r}"
+        )  # fmt: skip
+        return where, f"move it by ({sign * depth * nx:.6g}, {sign * depth * ny:.6g})"
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader must know of the run."""
+        found: tuple[str, ...] = ()
+        if self._turned > _TURNED:
+            found += (
+                f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
+                f"{self._length:g}, in which nothing follows how they touch; take "
+                f"{_FOLLOWED * self._length / self._turned:.1g} or less",
+            )
+        found += ratio_remarks(self._room.worst, self._names, self._allowed)
+        if self._parted:
+            found += (
+                f"in {self._parted} steps of {self._length:g} bodies would pass through each "
+                f"other or sink into each other, or turn by more than half a turn: they were taken "
+                f"in up to "
+                f"{self._most_parts} parts; with a step of {self._length / self._most_parts:.1g} "
+                "none needs that",
+            )
+        return found
+
+    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
+        """Take steps; see `SteppedScene.steps`.
+
+        One that is too long for what happens in it is taken in parts.
+        """
+        if self._around.controlled:
+            # Steps after a transition of a controller are taken back.
+            self._kept = self._memory.copy()
+        chunk, status = self._taken(start, h, state, count, self._deepest)
+        parts = iter(_PARTS)
+        while status == COARSE and not len(chunk.codes):
+            before, most = self._memory.copy(), next(parts)
+            deepest = math.inf if most == _PARTS[-1] else self._deepest
+            chunk, status = self._taken(start, h / most, state, most, deepest)
+            if status == COARSE:
+                self._memory = before
+                chunk = chunk.first(0)
+            else:
+                self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
+        if status == NOT_FINITE and not len(chunk.codes):
+            raise NonFinite("a coordinate became infinite or undefined")
+        bodies = len(self._names)
+        self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
+        self._around.passed(len(chunk.codes))
+        rates = np.abs(chunk.states[1:, 3 * bodies + 2 : 6 * bodies : 3])
+        turns = chunk.h * rates * self._angular
+        self._turned = max(self._turned, float(np.max(turns, where=chunk.struck, initial=0.0)))
+        self._length = max(self._length, h)
+        return chunk
+
+    def _taken(
+        self, start: float, h: float, state: Array, count: int, deepest: float
+    ) -> tuple[Chunk, int]:
+        """Return the steps that could be taken, and how they ended."""
+        bodies = len(self._names)
+        joint_forces = int((1 + (self.numbers.joints.holds == BOTH)).sum())
+        solved = 3 * bodies + joint_forces
+        chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
+        ahead, remembered = self._around.ahead(start, h, state[6 * bodies :], count)
+        done, status = 0, FULL
+        while status == FULL:
+            taken, status = step_bodies(
+                self.numbers, ahead.after(done), start + done * h, self._plastic, self._memory,
+                self._room, (self._allowed, deepest), chunk.after(done),
+            )  # fmt: skip
+            done += taken
+            if status == FULL:
+                self._memory = self._memory.larger()
+                worst = self._room.worst
+                self._room = Room.of(self.numbers, self._memory)._replace(worst=worst)
+        chunk.states[1:, 6 * bodies :] = remembered
+        chunk = chunk.first(done)
+        if self._around.count:
+            chunk.solved[:, solved:] = self._around.given(start, h, chunk.states)
+        return chunk, status

@@ -1,0 +1,102 @@
+"""The contacts that take part in a step, as arrays of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.collisions.body_numbers import MEMORY, Memory
+from contacts.collisions.islands import velocity
+from contacts.collisions.look import Look
+from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.jit import part
+
+
+class Touches(NamedTuple):
+    """Contacts that take part in a step.
+
+    Attributes
+    ----------
+    bodies : (c, 2) array of int
+        Which touch; -1: a surface.
+    rows : (c, 2, 6)
+        Velocities, normal and tangential, per unit rates of the two.
+    keys : (c, 2) array of int, memory : (c, MEMORY)
+        See `Memory`; in the place of lasting, how far the contact is above its level.
+    materials : (c, 3)
+        See `BodyNumbers`.
+    before, free, wanted : (c, 2)
+        Velocities before the step, and after it without impulses; what these may not fall below,
+        negated.
+    pushes : (c, 2)
+        Impulses of the step before.
+    carries : (c,)
+        Velocity of the surface along the contact, where it has a path.
+    hit : (c,) array of bool
+        Who is struck.
+    """
+
+    bodies: Ints
+    rows: Array
+    keys: Ints
+    memory: Array
+    materials: Array
+    before: Array
+    free: Array
+    wanted: Array
+    pushes: Array
+    carries: Array
+    hit: Bools
+
+    @classmethod
+    def room(cls, most: int) -> Touches:
+        """Return place for so many contacts."""
+        return cls(
+            np.empty((most, 2), np.int64),
+            np.zeros((most, 2, 6)),
+            np.empty((most, 2), np.int64),
+            np.empty((most, MEMORY)),
+            np.empty((most, 3)),
+            np.empty((most, 2)),
+            np.empty((most, 2)),
+            np.empty((most, 2)),
+            np.empty((most, 2)),
+            np.empty(most),
+            np.empty(most, np.bool_),
+        )
+
+
+@part
+def felt(look: Look, b: int, c: int, found: Array, m: int, touches: Touches) -> None:
+    """Write the rows of a point of contact, and its velocities."""
+    bodies, rows, centres = touches.bodies, touches.rows, look.places
+    nx, ny, x, y = found[0], found[1], found[2], found[3]
+    bodies[m, 0], bodies[m, 1] = b, c
+    for d in range(2):
+        ux, uy = (nx, ny) if d == 0 else (ny, -nx)
+        rx, ry = x - centres[b, 0], y - centres[b, 1]
+        rows[m, d, 0], rows[m, d, 1], rows[m, d, 2] = ux, uy, rx * uy - ry * ux
+        if c >= 0:
+            rx, ry = x - centres[c, 0], y - centres[c, 1]
+            rows[m, d, 3], rows[m, d, 4], rows[m, d, 5] = -ux, -uy, -(rx * uy - ry * ux)
+        touches.before[m, d] = velocity(bodies, rows, look.old, m, d)
+        touches.free[m, d] = velocity(bodies, rows, look.loose, m, d)
+
+
+@part
+def recalled(
+    memory: Memory, first: int, pair: int, feature: int, h: float, m: int, touches: Touches
+) -> tuple[float, bool]:
+    """Write the impulses that a contact had in a step; return its level, and if it lasts."""
+    touches.pushes[m, 0] = touches.pushes[m, 1] = 0.0
+    level, lasting, at = 0.0, False, first
+    # Forces last, so that impulses go with the length of a step.
+    longer = h / memory.past[0] if memory.past[0] > 0.0 else 1.0
+    while at < memory.many[0] and memory.keys[at, 0] == pair:
+        if memory.keys[at, 1] == feature:
+            level, lasting = memory.contacts[at, 0], memory.contacts[at, 1] > 0.0
+            touches.pushes[m, 0] = longer * memory.contacts[at, 2]
+            touches.pushes[m, 1] = longer * memory.contacts[at, 3]
+        at += 1
+    return level, lasting
