@@ -24,8 +24,10 @@ from statechart.automaton.laws import moving_mode
 from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.errors import DeclarationError
 from statechart.tabular import shortest
-from statechart.testing.agreement import Reading, assert_same, identical
-from statechart.testing.properties import Property, dense, each
+from statechart.testing.agreement import assert_same, identical
+from statechart.testing.guards import dense
+from statechart.testing.properties import Property, each
+from statechart.testing.stories import Reading
 from statechart.testing.subject import Case, Subject
 
 # Errors of the energy add up to at most so many times steps times tolerance.

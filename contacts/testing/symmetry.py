@@ -25,7 +25,7 @@ from statechart.documents.fields import FormulaText
 from statechart.documents.settings import Stop
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
 from statechart.formulas.tree import names_in
-from statechart.testing.agreement import Reading
+from statechart.testing.stories import Reading
 
 # Powers of two: scaling is exact, so that what differs is a number that does not scale.
 LENGTH = 2.0**20

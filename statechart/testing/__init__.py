@@ -1,30 +1,23 @@
 """Properties of runs, for users' tests and for `statechart check`.
 
 `subject` compiles a model for its engines and makes its cases, which `strategies` draws; what must
-hold of every automaton is in `properties`, whether two runs agree in `agreement`; `checking` tests
-them by Hypothesis and reports.
+hold of every automaton is in `properties`: of the trace of a run on `hybrid_time`, of its `guards`,
+and that two runs are in `agreement`, by the `stories` that they tell; `checking` tests these by
+Hypothesis and reports.
 """
 
-from statechart.testing.agreement import (
-    Reading,
-    Sensitivity,
-    Undecidable,
-    assert_same,
-)
+from statechart.testing.agreement import Sensitivity, Undecidable, assert_same
+from statechart.testing.guards import assert_invariants, assert_margins, dense
+from statechart.testing.hybrid_time import assert_continuous, assert_edges, assert_ordered
 from statechart.testing.properties import (
     Property,
-    assert_continuous,
-    assert_edges,
     assert_ended,
     assert_engines_agree,
-    assert_invariants,
-    assert_margins,
-    assert_ordered,
     assert_prefix,
     assert_start,
-    dense,
     generic,
 )
+from statechart.testing.stories import Reading
 from statechart.testing.strategies import (
     parameters,
     ranges,

@@ -9,17 +9,17 @@ can tell from two runs whether they agree, and `Undecidable` says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import accumulate, pairwise, zip_longest
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, zip_longest
 from typing import NoReturn
 
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.trace import Jump, Key, Trace
-from statechart.observation.zeno_tails import without_summed
+from statechart.automaton.trace import Trace
 from statechart.tabular import shortest
+from statechart.testing.stories import Event, Reading, Story, without_skipped
 
 NUDGE = 1e-7
 """Relative change of parameters that shows how errors grow; above the errors of the runs."""
@@ -43,25 +43,6 @@ class Undecidable(Exception):  # noqa: N818 -- nothing went wrong: there is no a
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """How to read a trace of a transformed model in the terms of the original.
-
-    Attributes
-    ----------
-    factors : (n,) array or float
-        Original variable per transformed one.
-    time : float
-        Original time per transformed one.
-    states : mapping
-        State of a region as transformed -> as original, where they differ.
-    """
-
-    factors: Array | float = 1.0
-    time: float = 1.0
-    states: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
 class Sensitivity:
     """How errors grow in a run.
 
@@ -77,36 +58,6 @@ class Sensitivity:
 
     nudged: Sequence[Trace]
     conditions: Sequence[float | None]
-
-
-@dataclass(frozen=True, eq=False)
-class _Event:
-    """A jump as numbers to compare: what it is, and (time, state before, state after).
-
-    `rounded` is the relative error that rounding has caused by then, `rates` how fast the numbers
-    change, `hit` the first words of its path: the contacts in the order in which they were hit.
-    """
-
-    what: tuple[str, str, Key, Key]
-    numbers: Array
-    skipped: float
-    rounded: float = 0.0
-    rates: Array | float = 0.0
-    hit: tuple[str, ...] = ()
-
-    @property
-    def t(self) -> float:
-        return float(self.numbers[0])
-
-
-@dataclass(frozen=True, eq=False)
-class _Story:
-    """The events of a run, where it ended (mode; time, state, state), how large all gets."""
-
-    events: tuple[_Event, ...]
-    mode: Key
-    end: Array
-    sizes: Array
 
 
 def assert_same(
@@ -170,12 +121,12 @@ def _compare(
 
     Their impulses miss the laws of contact by `residual`.
     """
-    stories = [_story(trace, Reading()) for trace in (reference, *sensitivity.nudged)]
-    stories[0] = _rounded(stories[0], reference, sensitivity.conditions, known)
-    stories.append(_story(other, reading or Reading()))
+    stories = [Story.of(trace, Reading()) for trace in (reference, *sensitivity.nudged)]
+    stories[0] = stories[0].rounded(reference, sensitivity.conditions, known)
+    stories.append(Story.of(other, reading or Reading()))
     if until is not None:
-        stories = [*(_shortened(story, *until) for story in stories[:-1]), stories[-1]]
-    first, *near, second = _without_skipped(stories)
+        stories = [*(story.shortened(*until) for story in stories[:-1]), stories[-1]]
+    first, *near, second = without_skipped(stories)
     error = bare = _FACTOR * (_error(reference) + _error(other) + residual)
     floor = np.zeros(len(first.end))
     traces = (reference,) if reading else (reference, other)
@@ -204,7 +155,7 @@ def _compare(
         raise Undecidable(f"the end: a change of {NUDGE:g} takes another course")
     if first.mode != second.mode:
         raise AssertionError(f"{first.mode} at the end of one run, {second.mode} of the other")
-    last = _Event(("", "end", (), ()), first.end, 0.0)
+    last = Event(("", "end", (), ()), first.end, 0.0)
     allowed = _allowed(last, [story.end for story in near], first, error, floor)
     _close(first.end, second.end, allowed, reference, "the end")
 
@@ -212,11 +163,11 @@ def _compare(
 def identical(reference: Trace, other: Trace, reading: Reading) -> bool:
     """Whether two runs have the same events and the same end to the last bit."""
 
-    def told(story: _Story) -> object:
+    def told(story: Story) -> object:
         events = [(event.what, event.numbers.tolist()) for event in story.events]
         return story.mode, story.end.tolist(), events
 
-    return told(_story(reference, Reading())) == told(_story(other, reading))
+    return told(Story.of(reference, Reading())) == told(Story.of(other, reading))
 
 
 def _error(trace: Trace) -> float:
@@ -226,89 +177,8 @@ def _error(trace: Trace) -> float:
     return steps * trace.tolerance + (_START + len(trace.jumps)) * _LOCATED
 
 
-def _story(trace: Trace, reading: Reading) -> _Story:
-    def key(mode: Key) -> Key:
-        return tuple(reading.states.get(state, state) for state in mode)
-
-    def event(jump: Jump) -> _Event:
-        states = [jump.before * reading.factors, jump.after * reading.factors]
-        return _Event(
-            (jump.region, jump.cause, key(jump.source), key(jump.target)),
-            np.concatenate([[jump.t * reading.time], *states]),
-            jump.skipped * reading.time,
-            hit=tuple(piece.split()[0] for piece in jump.path),
-        )
-
-    ends = [arc.coefficients[:, :, 0] for arc in trace.arcs]
-    visited = np.concatenate([*ends, trace.initial[None], trace.final[None]]) * reading.factors
-    sizes = np.abs(visited).max(axis=0)
-    t_end, final = trace.t_end * reading.time, trace.final * reading.factors
-    return _Story(
-        tuple(map(event, trace.jumps)),
-        key(trace.final_mode),
-        np.concatenate([[t_end], final, final]),
-        np.concatenate([[t_end], sizes, sizes]),
-    )
-
-
-def _rounded(
-    story: _Story, trace: Trace, conditions: Sequence[float | None], known: float
-) -> _Story:
-    """Note at every event what it makes of states known to the part `known`, and its rates."""
-    rounded, events = 0.0, []
-    pairs = zip_longest(story.events, conditions[: len(story.events)])
-    for (event, condition), rates in zip(pairs, _rates(trace), strict=True):
-        rounded += known * min(condition or 0.0, 1.0 / known)
-        events.append(replace(event, rounded=rounded, rates=rates))
-    return replace(story, events=tuple(events))
-
-
-def _rates(trace: Trace) -> list[Array]:
-    """Return how fast the numbers of every jump change, 0 for its time."""
-    starts: dict[int, Array] = {}
-    ends: dict[int, Array] = {}
-    for arc in trace.arcs:
-        first, last = arc.coefficients[0], arc.coefficients[-1]
-        starts.setdefault(arc.j, first[:, 1:2].sum(axis=1) / arc.times[1])
-        ends[arc.j] = last @ np.arange(last.shape[1]) / (arc.times[-1] - arc.times[-2])
-    # Of jumps at one instant the first has an arc before it, and the last one after it.
-    count, still = len(trace.jumps), np.zeros(len(trace.variables))
-    before = [*accumulate(range(count), lambda rates, j: ends.get(j, rates), initial=still)]
-    after = [*accumulate(range(count, 0, -1), lambda r, j: starts.get(j, r), initial=still)]
-    pairs = zip(before[1:], after[:0:-1], strict=True)
-    return [np.abs(np.concatenate([[0.0], *pair])) for pair in pairs]
-
-
-def _without_skipped(stories: list[_Story]) -> list[_Story]:
-    """Leave out the bounces that at least one run summed up; see `without_summed`."""
-    left = without_summed([story.events for story in stories])
-    if left is None:
-        return stories
-    return [
-        replace(story, events=tuple(_resolved(event) if end else event for event, end in events))
-        for story, events in zip(stories, left, strict=True)
-    ]
-
-
-def _resolved(event: _Event) -> _Event:
-    """Return the end of a sequence without what depends on which jump was the last resolved."""
-    n = len(event.numbers) // 2
-    after = event.numbers[n + 1 :]
-    numbers = np.concatenate([event.numbers[:1], after, after])
-    rates = np.zeros_like(numbers) + event.rates
-    rates[1 : n + 1] = rates[n + 1 :]
-    what = ("", event.what[1], (), event.what[3])
-    return replace(event, what=what, numbers=numbers, rates=rates)
-
-
-def _shortened(story: _Story, t: float, state: Array) -> _Story:
-    events = tuple(event for event in story.events if event.t <= t)
-    mode = events[-1].what[3] if events else story.events[0].what[2] if story.events else story.mode
-    return replace(story, events=events, mode=mode, end=np.concatenate([[t], state, state]))
-
-
 def _allowed(
-    event: _Event, near: Sequence[Array], story: _Story, error: float, floor: Array
+    event: Event, near: Sequence[Array], story: Story, error: float, floor: Array
 ) -> Array:
     """Return how far numbers may differ: the error, grown as a nudge grows, and rounding."""
     grown = np.zeros(len(event.numbers))
@@ -331,7 +201,7 @@ def _close(mine: Array, its: Array, allowed: Array, trace: Trace, place: str) ->
         )
 
 
-def _hit_otherwise(first: _Story, second: _Story, i: int) -> None:
+def _hit_otherwise(first: Story, second: Story, i: int) -> None:
     """Event `i` hits other contacts in one run: raise `Undecidable` where rounding decides which.
 
     Impacts within the tolerance of a gap are one; of contacts that move together any may be hit
@@ -356,12 +226,12 @@ def _hit_otherwise(first: _Story, second: _Story, i: int) -> None:
 
 
 def _within_tolerance(
-    loosened: Callable[[], Trace] | None, other: Trace, i: int, event: _Event
+    loosened: Callable[[], Trace] | None, other: Trace, i: int, event: Event
 ) -> None:
     """Raise `Undecidable` where the runs part at `event` because their tolerances differ."""
     if loosened is None:
         return
-    first, second = _without_skipped([_story(t, Reading()) for t in (loosened(), other)])
+    first, second = without_skipped([Story.of(t, Reading()) for t in (loosened(), other)])
     count = sum(one.t <= event.t for one in second.events)
     courses = [[one.what for one in s.events[: count + 1]] for s in (first, second)]
     if courses[0] == courses[1] and courses[0][count:] != [event.what]:
@@ -371,9 +241,9 @@ def _within_tolerance(
 
 
 def _part(
-    first: _Story,
-    second: _Story,
-    near: Sequence[_Story],
+    first: Story,
+    second: Story,
+    near: Sequence[Story],
     i: int,
     error: float,
     residual: float,
@@ -408,5 +278,5 @@ def _part(
     raise AssertionError(f"{place}: {shown[0]} in one run, {shown[1]} in the other")
 
 
-def _place(i: int, event: _Event) -> str:
+def _place(i: int, event: Event) -> str:
     return f"event {i + 1} ({event.what[0]} {event.what[1]}, t = {shortest(event.t)})"

@@ -16,25 +16,24 @@ knows of bodies; `contacts.testing` has what holds for contacts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from statechart.arrays import Array
-from statechart.automaton.automaton import Automaton
-from statechart.automaton.regions import Margin, Mode
-from statechart.automaton.trace import Arc, Outcome, Role, Trace
+from statechart.automaton.trace import Outcome, Role, Trace
 from statechart.tabular import shortest
-from statechart.testing.agreement import NUDGE, Undecidable, assert_same
+from statechart.testing.agreement import Undecidable, assert_same
+from statechart.testing.guards import GOLDEN, assert_invariants, assert_margins
+from statechart.testing.hybrid_time import (
+    assert_continuous,
+    assert_edges,
+    assert_ordered,
+    projected,
+)
 from statechart.testing.subject import Case, Subject
 
-_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-_PER_STEP = 9
-# What is added up from terms is off by some units in the last place of them.
-_ROUNDING = 1e-13
-_CONTINUOUS = 100.0
 # A start that is inside a constraint by so little is brought onto it.
 _START = 1e-8
 
@@ -57,28 +56,6 @@ class Property:
     name: str
     holds: Callable[[Case], None]
     skipped: str = ""
-
-
-def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
-    """Yield every arc with local times that no integrator used.
-
-    The places in the steps are multiples of the golden ratio: never an end, never the same ones.
-
-    Parameters
-    ----------
-    trace : Trace
-        A run.
-
-    Yields
-    ------
-    (Arc, (m,) array)
-        Times are since the start of the arc, in the model's unit of time.
-    """
-    for arc in trace.arcs:
-        steps = np.diff(arc.times)
-        places = (np.arange(1, _PER_STEP * len(steps) + 1) * _GOLDEN) % 1.0
-        places = np.sort(places.reshape(len(steps), _PER_STEP), axis=1)
-        yield arc, (arc.times[:-1, None] + places * steps[:, None]).ravel()
 
 
 def assert_ended(case: Case) -> None:
@@ -116,215 +93,15 @@ def assert_start(case: Case) -> None:
     """
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
-        projected = _projected(trace)
+        moved = projected(trace)
         size = np.abs(declared).max(initial=0.0)
         off = np.abs(trace.initial - declared)
         worst = int(np.argmax(off))
-        if off[worst] > _START * size + projected:
+        if off[worst] > _START * size + moved:
             raise AssertionError(
                 f"{trace.engine}: {trace.variables[worst]} starts at "
                 f"{shortest(trace.initial[worst])}, declared is {shortest(declared[worst])}"
             )
-
-
-def assert_ordered(trace: Trace) -> None:
-    """Check that arcs and jumps follow one another on hybrid time (t, j).
-
-    Parameters
-    ----------
-    trace : Trace
-        A run.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
-    """
-    t, j = 0.0, 0
-    # Steps of one length add up to it with their roundings.
-    allowed = _ROUNDING * trace.t_end if trace.step is not None else 0.0
-    points = sorted(
-        [(arc.j, 1, arc.start.high, arc.end.high) for arc in trace.arcs]
-        + [(jump.j, 2, jump.t, jump.t) for jump in trace.jumps],
-        key=lambda point: point[:2],
-    )
-    for of, what, start, end in points:
-        place = f"{('arc', 'jump')[what - 1]} at t = {shortest(start)}, j = {of}"
-        off = abs(start - t)
-        assert off <= allowed, f"{place} does not begin where the run was, t = {shortest(t)}"
-        assert end >= start, f"{place} ends before it begins, at t = {shortest(end)}"
-        assert of == j, f"{place} comes after {j} jumps"
-        t, j = end, of + (what == 2)
-    assert abs(t - trace.t_end) <= allowed, (
-        f"the run ends at t = {shortest(trace.t_end)}, its parts at {shortest(t)}"
-    )
-
-
-def assert_edges(automaton: Automaton, trace: Trace) -> None:
-    """Check that every jump is an edge of the automaton, region by region.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        That of the model.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
-    """
-    mode = trace.start_mode
-    for jump in trace.jumps:
-        place = f"jump {jump.j} at t = {shortest(jump.t)} ({jump.region} {jump.cause})"
-        assert jump.source == mode, f"{place} leaves {jump.source}, but the mode was {mode}"
-        mode = jump.target
-        for region, before, after in zip(automaton.regions, jump.source, mode, strict=True):
-            edges = {(e.source, e.target, e.cause) for e in region.edges}
-            if region.name == jump.region:
-                known = (before, after, jump.cause) in edges
-            else:
-                known = before == after or any(e[:2] == (before, after) for e in edges)
-            assert known, f"{place}: {region.name} has no such edge from {before} to {after}"
-    assert mode == trace.final_mode, f"the run ends in {trace.final_mode}, its jumps in {mode}"
-    for arc in trace.arcs:
-        mode = trace.jumps[arc.j - 1].target if arc.j else trace.start_mode
-        assert arc.mode == mode, (
-            f"the arc at t = {shortest(arc.start.high)} shows {arc.mode}, not {mode}"
-        )
-
-
-def _projected(trace: Trace) -> float:
-    """Return how far states may be moved where they are brought back onto constraints."""
-    if trace.step is not None:
-        return 0.0
-    return trace.tolerances.get("gap", 0.0) + trace.tolerances.get("speed", 0.0)
-
-
-def assert_continuous(trace: Trace) -> None:
-    """Check that states change only by jumps, and that steps of an arc join.
-
-    Parameters
-    ----------
-    trace : Trace
-        A run.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
-    """
-    visited = [arc.coefficients[:, :, 0] for arc in trace.arcs]
-    sizes = np.abs(np.concatenate([*visited, trace.initial[None], trace.final[None]])).max(axis=0)
-    error = _ROUNDING if trace.step is not None else max(trace.tolerance, _ROUNDING)
-    allowed = _CONTINUOUS * error * sizes + _projected(trace)
-    state, j = trace.initial, 0
-    for arc in trace.arcs:
-        state = _through(trace, state, j, arc.j, allowed)
-        j = arc.j
-        starts, ends = arc.coefficients[:, :, 0], arc.coefficients.sum(axis=2)
-        before = np.concatenate([state[None], ends[:-1]])
-        _join(trace, before, starts, arc.start.high, allowed)
-        state = ends[-1]
-    state = _through(trace, state, j, len(trace.jumps), allowed)
-    _join(trace, state[None], trace.final[None], trace.t_end, allowed)
-
-
-def _through(trace: Trace, state: Array, first: int, last: int, allowed: Array) -> Array:
-    for jump in trace.jumps[first:last]:
-        _join(trace, state[None], jump.before[None], jump.t, allowed)
-        state = jump.after
-    return state
-
-
-def _join(trace: Trace, before: Array, after: Array, t: float, allowed: Array) -> None:
-    off = np.abs(after - before)
-    if not (off <= allowed).all():
-        step, variable = np.unravel_index(int(np.argmax(off / (allowed + 1e-300))), off.shape)
-        raise AssertionError(
-            f"{trace.variables[variable]} changes by {off[step, variable]:.3g} without a jump "
-            f"in the arc from t = {shortest(t)}"
-        )
-
-
-def assert_margins(subject: Subject, trace: Trace) -> None:
-    """Check that no guard's margin is negative between events, on a grid of its own.
-
-    Parameters
-    ----------
-    subject : Subject
-        The model.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
-    """
-    for arc, tau in dense(trace):
-        mode = subject.mode(trace, arc)
-        if mode.margins:
-            _assert_margins(subject, trace, arc, tau, mode.margins, mode)
-
-
-def assert_invariants(subject: Subject, trace: Trace) -> None:
-    """Check that declared invariants hold, of states in these, on a grid of its own.
-
-    Parameters
-    ----------
-    subject : Subject
-        The model.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
-    """
-    for arc, tau in dense(trace):
-        mode = subject.mode(trace, arc)
-        margins = [
-            margin
-            for region, state in zip(subject.automaton.regions, arc.mode, strict=True)
-            for margin in region.build(Role(state)).invariants
-        ]
-        margins += subject.automaton.invariants
-        if margins:
-            _assert_margins(subject, trace, arc, tau, margins, mode)
-
-
-def _assert_margins(
-    subject: Subject,
-    trace: Trace,
-    arc: Arc,
-    tau: Array,
-    margins: Sequence[Margin],
-    mode: Mode | None,
-) -> None:
-    expressions = [margin.expression for margin in margins]
-    states, times = arc.states(tau), arc.start.high + (arc.start.low + tau)
-    values = subject.values(trace, expressions, states, times, mode)
-    rounding = np.zeros(values.shape)
-    sizes = [np.abs(a.coefficients[:, :, 0]).max(axis=0, initial=0.0) for a in trace.arcs]
-    for i, size in enumerate(np.max(sizes, axis=0)):
-        changed = states.copy()
-        changed[:, i] *= 1.0 + NUDGE
-        moved = subject.values(trace, expressions, changed, times, mode)
-        rounding += np.abs(moved - values) * (max(trace.tolerance, _ROUNDING) / NUDGE)
-        # What a jump leaves of a variable carries the rounding of what it was before.
-        changed[:, i] = states[:, i] + _ROUNDING * size
-        moved = subject.values(trace, expressions, changed, times, mode)
-        rounding += np.nan_to_num(np.abs(moved - values), nan=0.0)
-    allowed = rounding + [trace.tolerances.get(margin.kind, 0.0) for margin in margins]
-    if not (values >= -allowed).all():
-        m, k = np.unravel_index(int(np.argmin(values + allowed)), values.shape)
-        raise AssertionError(
-            f"{margins[int(k)].name} is {values[m, k]:.6g} at t = {shortest(times[m])} in "
-            f"{subject.automaton.label(arc.mode)}"
-        )
 
 
 def assert_engines_agree(case: Case) -> None:
@@ -366,7 +143,7 @@ def assert_prefix(case: Case) -> None:
     trace = case.sound[0]
     if not trace.arcs:
         raise Undecidable("nothing flows")
-    until = _GOLDEN * trace.t_end
+    until = GOLDEN * trace.t_end
     if trace.step is not None:
         _assert_same_steps(trace, case.shorter(trace.step * math.ceil(until / trace.step)))
         return

@@ -16,15 +16,10 @@ from statechart.automaton.regions import State
 from statechart.charts.chart import Chart
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret, load
-from statechart.testing.agreement import Reading
 from statechart.testing.checking import check, examine
-from statechart.testing.properties import (
-    assert_invariants,
-    assert_margins,
-    assert_prefix,
-    dense,
-    generic,
-)
+from statechart.testing.guards import assert_invariants, assert_margins, dense
+from statechart.testing.properties import assert_prefix, generic
+from statechart.testing.stories import Reading
 from statechart.testing.strategies import ranges
 from statechart.testing.subject import Subject
 
