@@ -16,8 +16,9 @@ from statechart.engines.request import Plan
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
+from statechart.running.answer import UNTOLD, Answer, Cost
 from statechart.running.confirmed import confirmed
-from statechart.running.estimate import UNTOLD, Answer, Cost, tighten, within
+from statechart.running.estimate import tighten, within
 from statechart.running.halving import SHARE, halve
 
 

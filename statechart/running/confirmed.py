@@ -9,7 +9,8 @@ from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
 from statechart.engines.request import Chosen
 from statechart.observation.outputs import Outputs
-from statechart.running.estimate import Answer, Cost, Once
+from statechart.running.answer import Answer, Cost
+from statechart.running.estimate import Once
 
 
 def confirmed(

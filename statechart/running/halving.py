@@ -17,7 +17,7 @@ from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
 from statechart.observation.difference import compare, distance, modes_apart
 from statechart.observation.observer import Observer
-from statechart.running.estimate import Answer, Cost, Made
+from statechart.running.answer import Answer, Cost, Made
 from statechart.tabular import shortest
 
 SHORTER = math.sqrt(0.5)

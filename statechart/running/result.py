@@ -16,7 +16,7 @@ from statechart.documents.setting import Record, Setting
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.reporting.pieces import Pieces
-from statechart.running.estimate import Cost
+from statechart.running.answer import Cost
 
 if TYPE_CHECKING:
     import pandas as pd

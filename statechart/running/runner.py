@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
 from statechart.automaton.sampling import Control
 from statechart.automaton.trace import Arc, Jump, Key, Outcome
@@ -21,16 +20,16 @@ from statechart.documents.validation import located
 from statechart.documents.yaml_reader import read
 from statechart.engines.budget import Allowance
 from statechart.engines.request import planned
-from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
+from statechart.errors import DeclarationError, FormulaError
 from statechart.execution.outcome import error_of
 from statechart.execution.rows import RowRunner
 from statechart.execution.simulator import Simulator
-from statechart.formulas.formula import parse
 from statechart.loading.kind import kind
 from statechart.loading.load import find, interpret
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.answers import Answers
+from statechart.running.given import Given
 from statechart.running.result import Asked, Result
 from statechart.running.streaming import sampled, unsearched
 
@@ -109,14 +108,13 @@ class Runner:
             model = read(find(str(model)))
         if isinstance(model, Document):
             self.document = model
-            model = _declaration(model)
+            model = interpret(model)
         self.model = model
-        self._constants = model.constants()
-        self._end = None if model.stop.time is None else parse(model.stop.time)
+        self._given = Given(model)
         self._counting = bool(model.whole)
         read_at = working_time()
         try:
-            self.automaton = _automaton(model)
+            self.automaton = kind(model.kind).automaton(model)
         except FormulaError as error:
             loc = self.document.where(error.text) if self.document else ()
             with located(self.document, {}, loc):
@@ -270,9 +268,9 @@ class Runner:
             if variant is not self.model:
                 other = self._other(variant, None)
                 return other.stream(overrides, until=end, every=every, control=control)
-            self._check(overrides)
+            self._given.values(overrides, self.document)
             simulator = self.observers.fresh(unsearched(self.setting))
-            sampling = sampled(every, control, self._check_names)
+            sampling = sampled(every, control, partial(self._given.check, document=self.document))
             limit = self.model.settings.max_jumps
             return simulator.stream(overrides, sampling, until=end, max_jumps=limit)
 
@@ -298,7 +296,14 @@ class Runner:
             If no run can start there.
         """
         overrides = dict(parameters or {})
-        mode, warnings = self._begin(overrides)
+        with located(self.document, overrides):
+            if self.automaton.stepper is not None and self.setting.stepped:
+                self._given.values(overrides, self.document)
+                mode, warnings = self.automaton.stepper().start(overrides)
+            else:
+                setup = self.setup(overrides)
+                flow, _ = self.automaton.laws_of_events.begin(setup)
+                mode, warnings = flow.mode, (*setup.warnings, flow.warning)
         found = (self._answers.reason, *warnings)
         return mode, tuple(dict.fromkeys(text for text in found if text))
 
@@ -316,7 +321,7 @@ class Runner:
             If a parameter or a number that follows from it is wrong.
         """
         overrides = dict(parameters or {})
-        self._check(overrides)
+        self._given.values(overrides, self.document)
         stepped = self.setting.stepped
         relative = math.nan if stepped else self.observers.engine(self.setting).tolerance
         with located(self.document, overrides):
@@ -337,66 +342,20 @@ class Runner:
         DeclarationError
             If a parameter or the end is wrong, or there is none.
         """
-        overrides = dict(parameters or {})
-        self._check_names(overrides)
-        if until is not None:
-            if not 0.0 <= until < math.inf:
-                raise DeclarationError(f"the end must be a finite time from 0 on, not {until:g}")
-            return until
-        with located(self.document, {} if self._end is None else overrides, ("stop", "time")):
-            if self._end is None:
-                raise DeclarationProblem(
-                    "the run has no end",
-                    advice="write stop: {time: 10}, or say until when",
-                    loc=("stop",),
-                )
-            end = self._end.value(self._check(overrides) if self._end.names else {})
-            if not 0.0 <= end < math.inf:
-                raise DeclarationProblem(
-                    f"must be a finite time, not {end:g}", loc=("stop", "time")
-                )
-        return end
-
-    def _check(self, overrides: Mapping[str, float]) -> dict[str, float]:
-        """Return the parameters' values with `overrides`."""
-        self._check_names(overrides)
-        with located(self.document, overrides):
-            return self._constants.values(overrides)
-
-    def _check_names(self, overrides: Mapping[str, float]) -> None:
-        for name, value in overrides.items():
-            if name not in self.model.parameters:
-                raise DeclarationError(
-                    f"no parameter {name!r}",
-                    advice=close_matches(name, self.model.parameters),
-                    source=self.document.source if self.document else "",
-                )
-            if math.isnan(value):
-                raise DeclarationError(f"parameter {name!r} must be a number, not nan")
+        return self._given.end(dict(parameters or {}), until, self.document)
 
     def with_modes(self) -> Runner:
         """Return what runs the same and keeps modes: this one where it does."""
         if self.setting.kept is Record.MODES:
             return self
-        asked = replace(self._asked, record=Record.MODES.value)
-        return Runner(self.model, **asdict(asked), once=self._alone, progress=self._progress)
+        return self._other(self.model, None, record=Record.MODES.value)
 
-    def _other(self, model: Declaration, study: Measured | None) -> Runner:
-        """Return what runs another model, or by another study, in the place of this one."""
-        other = Runner(
-            model, **asdict(self._asked), study=study, once=self._alone, progress=self._progress
-        )
+    def _other(self, model: Declaration, study: Measured | None, **changed: str) -> Runner:
+        """Return what runs another model, or is asked otherwise, in the place of this one."""
+        asked = {**asdict(self._asked), **changed}
+        other = Runner(model, **asked, study=study, once=self._alone, progress=self._progress)
         other.document = self.document
         return other
-
-    def _begin(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
-        with located(self.document, overrides):
-            if self.automaton.stepper is not None and self.setting.stepped:
-                self._check(overrides)
-                return self.automaton.stepper().start(overrides)
-            setup = self.setup(overrides)
-            flow, _ = self.automaton.laws_of_events.begin(setup)
-        return flow.mode, (*setup.warnings, flow.warning)
 
 
 # As `Runner` and `Runner.run` together.
@@ -436,17 +395,3 @@ def run(
     )  # fmt: skip
     runner = Runner(model, **asdict(asked), study=study, once=True, progress=progress)
     return runner.run(parameters, until=until, certify=certify, throw=throw)
-
-
-def _declaration(document: Document) -> Declaration:
-    model = interpret(document)
-    if not isinstance(model, Declaration):
-        raise TypeError(f"a kind of document must be a Declaration, not {type(model).__name__}")
-    return model
-
-
-def _automaton(model: Declaration) -> Automaton:
-    automaton = kind(model.kind).automaton(model)
-    if not isinstance(automaton, Automaton):
-        raise TypeError(f"a kind must build an Automaton, not {type(automaton).__name__}")
-    return automaton

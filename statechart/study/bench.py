@@ -14,7 +14,8 @@ from statechart.documents.setting import Setting
 from statechart.execution.outcome import error_of
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.running.estimate import Answer, Cost, tighten
+from statechart.running.answer import Answer, Cost
+from statechart.running.estimate import tighten
 from statechart.study.point import Errors, Point
 from statechart.study.record import Study
 from statechart.study.reference import References, Run, errors_of

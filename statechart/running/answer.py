@@ -1,0 +1,85 @@
+"""The answer to what is asked of a model: the best of several runs, with its error and its cost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from statechart.automaton.trace import Outcome, Trace
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
+from statechart.observation.outputs import OutputValue as Output
+
+UNTOLD = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
+"""How runs end that say nothing of their error."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What an answer took.
+
+    Attributes
+    ----------
+    runs, steps, evaluations : int
+        Over all runs; evaluations of the rates are 0 where the engine does not count them.
+    seconds : float
+        Wall time; kernels that were compiled meanwhile, once on a machine, are no part of it.
+    """
+
+    runs: int
+    steps: int
+    evaluations: int
+    seconds: float
+
+    def __add__(self, other: Cost) -> Cost:
+        """Return what both took."""
+        return Cost(
+            self.runs + other.runs,
+            self.steps + other.steps,
+            self.evaluations + other.evaluations,
+            self.seconds + other.seconds,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The best of several runs, with an estimate of its error.
+
+    Attributes
+    ----------
+    observer, trace
+        Of that run.
+    estimate : float or None
+        Its largest difference from the run at the tolerance before; inf where the two took
+        different modes, None where there was only one.
+    cost : Cost
+        Of all runs.
+    warnings : tuple of str
+        Why the estimate is not what was asked for; empty where it is.
+    not_judged : tuple of str
+        Outputs that the estimate leaves out: they count or list the events of a Zeno sequence,
+        which have no end. Of lists, what both runs have is compared.
+    """
+
+    observer: Observer
+    trace: Trace
+    estimate: float | None
+    cost: Cost
+    warnings: tuple[str, ...] = ()
+    not_judged: tuple[str, ...] = ()
+
+
+class Made(NamedTuple):
+    """A run, its outputs, how large they are, and those that have any number of events."""
+
+    trace: Trace
+    outputs: Mapping[str, Output]
+    sizes: Mapping[str, Output]
+    endless: frozenset[str]
+
+    @classmethod
+    def of(cls, observer: Observer, trace: Trace) -> Made:
+        """Evaluate the outputs of a run."""
+        outputs = Outputs(observer)
+        return cls(trace, outputs.of(trace), outputs.sizes(trace), outputs.endless(trace))
