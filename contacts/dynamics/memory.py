@@ -14,8 +14,8 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from statechart.arrays import Array
+from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.trace import Clock
 from statechart.charts.flat_region import Updates
 from statechart.errors import NonFinite
 from statechart.formulas.formula import parse

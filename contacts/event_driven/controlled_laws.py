@@ -23,12 +23,13 @@ from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Candidate, Case, candidates
 from contacts.states import OPEN
 from statechart.arrays import Array
+from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Clock, Jump, Key, Roles
+from statechart.automaton.trace import Jump, Key, Roles
 from statechart.charts.firing import Guard, Listening, considered
 
 

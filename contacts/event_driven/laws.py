@@ -32,6 +32,7 @@ from contacts.modes.configuration import judged
 from contacts.modes.fast_classification import fast_mode
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
+from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.deferred import Deferred
 from statechart.automaton.feasibility import Feasibility
@@ -46,7 +47,7 @@ from statechart.automaton.laws import (
     uncaptured,
 )
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Clock, Jump, Key, Role, Roles
+from statechart.automaton.trace import Jump, Key, Role, Roles
 from statechart.errors import NoConsistentMode, SingularMode
 
 _EPS = float(np.finfo(float).eps)

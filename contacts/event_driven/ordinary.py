@@ -27,10 +27,11 @@ from contacts.impacts.impulses import STATES as IMPULSE_STATES
 from contacts.modes.fast_classification import allowed
 from contacts.states import CODES, OFF, OFF_CODE, OPEN
 from statechart.arrays import Array
+from statechart.automaton.clock import Clock
 from statechart.automaton.deferred import Deferred
 from statechart.automaton.laws import Flow, Instant, Setup, roles_in
 from statechart.automaton.recording import Event
-from statechart.automaton.trace import Clock, Jump, Key, Roles
+from statechart.automaton.trace import Jump, Key, Roles
 from statechart.engines.whole_flow import KINDS, Watch
 from statechart.execution.loops import Loop
 from statechart.formulas.tape import Tape

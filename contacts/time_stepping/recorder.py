@@ -26,8 +26,9 @@ from contacts.states import (
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.polynomials import defined, smooth, struck
 from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.clock import Clock
 from statechart.automaton.laws import roles_in
-from statechart.automaton.trace import Arc, Clock, Jump, Key
+from statechart.automaton.trace import Arc, Jump, Key
 
 # An arc longer than so many bytes goes on as another one.
 _LONGEST = 2**23

@@ -10,10 +10,11 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.polynomials import TERMS, defined, smooth, struck
 from contacts.time_stepping.stops import cut
 from statechart.arrays import Array, Bools
+from statechart.automaton.clock import Clock
 from statechart.automaton.deferred import Recorded
 from statechart.automaton.laws import roles_in
 from statechart.automaton.recording import IN_MEMORY, on_disk
-from statechart.automaton.trace import Arc, Clock, Key
+from statechart.automaton.trace import Arc, Key
 
 # A block is written when it holds so many bytes; an arc made of one takes some times as many.
 _BLOCK = 2**22

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from statechart.arrays import Array
+from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Clock, Jump, Key, Role, Roles
+from statechart.automaton.trace import Jump, Key, Role, Roles
 
 if TYPE_CHECKING:
     from statechart.automaton.constraints import Constraints

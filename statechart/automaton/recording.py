@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array
+from statechart.automaton.clock import Clock
 from statechart.automaton.deferred import Recorded
-from statechart.automaton.trace import Arc, Clock, Jump, Key, Roles
+from statechart.automaton.trace import Arc, Jump, Key, Roles
 from statechart.errors import TooLong
 
 Kind = tuple[Key, Roles]

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from statechart.arrays import Array
+from statechart.automaton.clock import Clock
 from statechart.documents.setting import Record
 from statechart.errors import TooLong
 from statechart.tabular import shortest
@@ -53,31 +54,6 @@ class Outcome(Enum):
     def succeeded(self) -> bool:
         """Whether the run reached an end that its declaration names."""
         return self in (Outcome.HORIZON, Outcome.STOPPED)
-
-
-class Clock(NamedTuple):
-    """Time as an unevaluated sum of two floats, so that long runs keep their resolution.
-
-    Attributes
-    ----------
-    high, low : float
-        The time is ``high + low``; ``|low|`` is at most half an ulp of ``high``.
-    """
-
-    high: float = 0.0
-    low: float = 0.0
-
-    def later(self, duration: float) -> Clock:
-        """Return the clock `duration` later (Knuth's two-sum)."""
-        total = self.high + duration
-        part = total - self.high
-        error = (self.high - (total - part)) + (duration - part) + self.low
-        high = total + error
-        return Clock(high, error - (high - total))
-
-    def until(self, end: float) -> float:
-        """Return the time left until `end`."""
-        return (end - self.high) - self.low
 
 
 FAR_TOO_MANY = 1000
@@ -406,8 +382,3 @@ def sizes(trace: Trace) -> Array:
     for jump in trace.jumps:
         found = np.maximum(found, np.abs(jump.after))
     return found
-
-
-def between(start: Clock, end: Clock) -> float:
-    """Return the time from `start` to `end`, to full precision even where it is tiny."""
-    return (end.high - start.high) + (end.low - start.low)

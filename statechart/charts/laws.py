@@ -18,11 +18,12 @@ import sympy as sp
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.clock import Clock, between
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.regions import Margin, Region, State, stop_margins
-from statechart.automaton.trace import Clock, Jump, Role, Roles, between
+from statechart.automaton.trace import Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
 from statechart.charts.firing import (

@@ -13,9 +13,9 @@ import numpy as np
 
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.clock import Clock
 from statechart.automaton.laws import Flow, Ordinary, Setup
 from statechart.automaton.recording import Kind
-from statechart.automaton.trace import Clock
 from statechart.execution.flow import floors
 from statechart.execution.loops import Loop, Modes
 from statechart.kernels.polynomials import summands
@@ -115,7 +115,6 @@ class Ahead:
             What a loop has made of it from its start; else one is called.
         """
         while True:
-            assert run.flow is not None
             if made is None:
                 if not self._ordinary.takes(self._setup, run.flow):
                     return None

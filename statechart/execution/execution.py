@@ -9,19 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from statechart import interrupts
-from statechart.arrays import Array
+from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
 from statechart.automaton.recording import Recording
-from statechart.automaton.trace import (
-    Clock,
-    Jump,
-    Key,
-    Outcome,
-    Roles,
-    Trace,
-    between,
-    check_size,
-)
+from statechart.automaton.trace import Jump, Key, Outcome, Roles, Trace, check_size
 from statechart.engines.engine import FlowWatch
 from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
@@ -100,7 +91,7 @@ class Execution:
 
     def __post_init__(self) -> None:
         self.automaton, self.engine = self.modes.automaton, self.modes.engine
-        self.flow: Flow | None = None
+        self.flow: Flow  # from `begin` on
         self.state = self.started_state = self.setup.initial
         self.started_mode: Key | None = None
         self.horizon = min(self.setup.horizon, FARTHEST)
@@ -130,8 +121,8 @@ class Execution:
         except KeyboardInterrupt:
             self._end(Outcome.INTERRUPTED, "interrupted by the user")
         except SimulationError as error:
-            flow = self.flow
-            where = "at the start" if flow is None else self.automaton.label(flow.mode)
+            begun = self.started_mode is not None
+            where = self.automaton.label(self.flow.mode) if begun else "at the start"
             self._end(Outcome[error.outcome], f"mode {where}: {error}" if where else str(error))
         finally:
             self._progress.close()
@@ -141,7 +132,10 @@ class Execution:
 
     def begin(self) -> bool:
         """Find the mode at the start; whether the run ends there."""
-        self.flow, self.state = self._first()
+        if self.begun and self.ahead:
+            self.flow = self.ahead.modes.flow(self.setup, self.begun.kind)
+        else:
+            self.flow, self.state = self.automaton.laws_of_events.begin(self.setup)
         self.started_mode, self.started_state = self.flow.mode, self.state
         self._warn()
         return not self.flow.settled and self.settle()
@@ -158,17 +152,10 @@ class Execution:
             self.message = f"reached t = {shortest(self.clock.high)}"
         return True
 
-    def _first(self) -> tuple[Flow, Array]:
-        """Return the first flow, and the state that it starts from."""
-        if not (self.begun and self.ahead):
-            return self.automaton.laws_of_events.begin(self.setup)
-        return self.ahead.modes.flow(self.setup, self.begun.kind), self.setup.initial
-
     def _flow(self) -> tuple[str, ...]:
         """Flow to the next event; return what fired, or nothing at the end of the run."""
         interrupts.check()
         flow = self.flow
-        assert flow is not None
         remaining = flow.remaining
         if flow.held:
             remaining = min(remaining, *(between(self.clock, end) for end in flow.held.values()))
@@ -265,7 +252,7 @@ class Execution:
     def _unbounded(self) -> bool:
         """Whether rates have grown without bound towards here, and a jump resolves it."""
         flow, laws = self.flow, self.automaton.laws_of_events
-        if flow is None or flow.terms is None or not self.record.arcs:
+        if flow.terms is None or not self.record.arcs:
             return False
         sizes = np.abs(self.record.arcs[-1].coefficients[:, :, 0]).max(axis=0)
         if not (np.abs(flow.terms[:, -1]) > _STEEP * sizes).any():
@@ -273,7 +260,6 @@ class Execution:
         return laws.jump(self._instant(UNBOUNDED)) is not None
 
     def _instant(self, *fired: str) -> Instant:
-        assert self.flow is not None
         return Instant(self.setup, self.clock, len(self.record.jumps), self.flow, self.state, fired)
 
     def _ending(self) -> bool:
@@ -282,7 +268,6 @@ class Execution:
         Gaps are searched for below zero, and a guard may fall short of its boundary by what the
         run is off.
         """
-        assert self.flow is not None
         compiled = self.entered.get(self.flow.roles)
         if compiled is None:
             return False
@@ -293,7 +278,6 @@ class Execution:
         return happens
 
     def _warn(self) -> None:
-        assert self.flow is not None
         self.warnings |= dict.fromkeys(self.flow.notes)
         if self.flow.warning:
             self.warnings[f"t = {shortest(self.clock.high)}: {self.flow.warning}"] = None
@@ -304,7 +288,6 @@ class Execution:
         self.instants += 1
         moved = False
         for _ in range(JUMPS_AT_ONCE):
-            assert self.flow is not None
             made = laws.jump(self._instant(*fired))
             if made is None:
                 break
@@ -375,7 +358,6 @@ class Execution:
         self._skip_by(self.accumulation.found(place, rest))
 
     def _skip_by(self, rest: float) -> None:
-        assert self.flow is not None
         recent, laws = self.record.jumps[-JUMPS_AT_ONCE:], self.automaton.laws_of_events
         made = laws.accumulate(self.setup, self.clock, self.flow, recent, rest)
         if made is not None:
@@ -390,7 +372,6 @@ class Execution:
         Where a force is zero as a whole (balls that fall side by side) its enclosure is wider
         than the band of its kind. The laws may take a speed for none that is beyond its own.
         """
-        assert self.flow is not None
         compiled = self.entered[self.flow.roles]
         kind = dict(compiled.watched).get(margin)
         if kind is None or not (self.grazed or kind == "speed"):

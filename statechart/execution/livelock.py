@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-from statechart.automaton.trace import FAR_TOO_MANY, Clock, Jump
+from statechart.automaton.clock import Clock
+from statechart.automaton.trace import FAR_TOO_MANY, Jump
 from statechart.errors import EventLoop, TooLong
 from statechart.tabular import shortest
 

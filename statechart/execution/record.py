@@ -114,7 +114,7 @@ def trace_of(run: Execution) -> Trace:
         initial=run.started_state,
         final=run.state,
         start_mode=start,
-        final_mode=run.flow.mode if run.flow else start,
+        final_mode=run.flow.mode if run.started_mode else start,
         t_end=run.clock.high,
         outcome=run.outcome,
         message=run.message,

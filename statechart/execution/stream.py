@@ -44,7 +44,7 @@ def streamed(
     with made.told():
         ended = made.begin()
     while made.outcome is Outcome.HORIZON and not ended:
-        if control is not None and made.flow is not None:
+        if control is not None:
             changed = control(_sample(made))
             if changed:
                 values |= changed
@@ -74,7 +74,6 @@ def _change(made: Execution, overrides: Mapping[str, float]) -> bool:
 
 
 def _sample(made: Execution) -> Sample:
-    assert made.flow is not None
     automaton = made.automaton
     states = zip((region.name for region in automaton.regions), made.flow.mode, strict=True)
     values = zip(automaton.names, made.state.tolist(), strict=True)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.trace import Clock
+from statechart.automaton.clock import Clock
 from statechart.kernels.accumulation import COUNT, FIRST, HIGH, WIDTH, follow
 
 # That spread corrects the sum by no more than this part of it.

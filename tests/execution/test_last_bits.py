@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import pytest
 
-from statechart.automaton.trace import Clock
+from statechart.automaton.clock import Clock
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner, run
 

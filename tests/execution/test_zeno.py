@@ -13,7 +13,8 @@ import pytest
 
 from models import path
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.trace import Clock, Outcome, Trace
+from statechart.automaton.clock import Clock
+from statechart.automaton.trace import Outcome, Trace
 from statechart.charts.chart import Chart
 from statechart.charts.laws import automaton
 from statechart.engines.scipy import SciPy

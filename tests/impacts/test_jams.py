@@ -11,8 +11,9 @@ from runs import ENGINES, engine
 
 from contacts.kind import automaton
 from contacts.scene.scene import Scene
+from statechart.automaton.clock import Clock
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant
-from statechart.automaton.trace import Clock, Outcome, Trace
+from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
 from statechart.execution.simulator import Simulator

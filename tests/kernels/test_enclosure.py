@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import P, T, X, Y, examples, expressions, tape_of
 
+from statechart.automaton.clock import Clock
 from statechart.automaton.dense_output import integrals, lowest, sample
-from statechart.automaton.trace import Arc, Clock, Role
+from statechart.automaton.trace import Arc, Role
 from statechart.engines.event_location import Verdict
 from statechart.formulas.tape import contiguous
 from statechart.formulas.writer import compile_tape

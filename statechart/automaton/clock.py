@@ -1,0 +1,35 @@
+"""Time along a run, to full precision however long that is."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Clock(NamedTuple):
+    """Time as an unevaluated sum of two floats, so that long runs keep their resolution.
+
+    Attributes
+    ----------
+    high, low : float
+        The time is ``high + low``; ``|low|`` is at most half an ulp of ``high``.
+    """
+
+    high: float = 0.0
+    low: float = 0.0
+
+    def later(self, duration: float) -> Clock:
+        """Return the clock `duration` later (Knuth's two-sum)."""
+        total = self.high + duration
+        part = total - self.high
+        error = (self.high - (total - part)) + (duration - part) + self.low
+        high = total + error
+        return Clock(high, error - (high - total))
+
+    def until(self, end: float) -> float:
+        """Return the time left until `end`."""
+        return (end - self.high) - self.low
+
+
+def between(start: Clock, end: Clock) -> float:
+    """Return the time from `start` to `end`, to full precision even where it is tiny."""
+    return (end.high - start.high) + (end.low - start.low)
