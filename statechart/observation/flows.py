@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
@@ -20,15 +19,6 @@ from statechart.observation.sampling import Points
 
 Where = tuple[tuple[str, str], ...]
 """Regions, and the states or superstates that they have to be in."""
-
-
-@dataclass(frozen=True, eq=False)
-class Active:
-    """What is integrated in one mode: places among the formulas, and whether it is solved for."""
-
-    places: list[int]
-    expressions: tuple[sp.Expr, ...]
-    needed: bool
 
 
 def wanted(during: Sequence[Mapping[str, str]]) -> tuple[Where, ...]:

@@ -7,8 +7,7 @@ its simulator, so that the next run finds its programs ready.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
@@ -22,27 +21,21 @@ from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
-from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape, contiguous
-from statechart.formulas.writer import compile_tape
 from statechart.kernels.extremes import widen
 from statechart.observation.flows import (
-    Active,
     PassedModes,
     Where,
     beside,
     end_of,
     instants,
-    places_in,
     roles_at,
     seen,
     start_of,
     wanted,
 )
+from statechart.observation.programs import FormulaLike, Programs
 from statechart.observation.sampling import Points, Samples, along, at_times, subdivided
-
-FormulaLike: TypeAlias = "str | int | float | sp.Expr"
-"""Text over the observables' names, or an expression in the automaton's own symbols."""
 
 
 class Observer:
@@ -61,15 +54,7 @@ class Observer:
 
     def __init__(self, simulator: Simulator | SteppingSimulator) -> None:
         self.simulator = simulator
-        self._expressions: dict[str | int | float, sp.Expr] = {}
-        automaton = simulator.automaton
-        # What a mode solves for, or sets.
-        self._solved = (*automaton.unknowns, *automaton.controls)
-        given = (*automaton.variables, *automaton.parameters, automaton.time)
-        self._given: frozenset[sp.Basic] = frozenset(given)
-        self._needs: dict[tuple[sp.Expr, ...], bool] = {}
-        self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None, bool], Tape] = {}
-        self._actives: dict[tuple[Key, tuple[Where, ...], tuple[sp.Expr, ...]], Active] = {}
+        self.programs = Programs(simulator.automaton)
         self._passed = PassedModes(simulator) if isinstance(simulator, Simulator) else None
 
     @property
@@ -88,20 +73,6 @@ class Observer:
             if expression not in constant and name not in automaton.names
         ]
         return (*automaton.names, *others)
-
-    def expression(self, formula: FormulaLike) -> sp.Expr:
-        """Return a formula in the automaton's symbols.
-
-        Raises
-        ------
-        FormulaError
-            If it cannot be read, or uses a name that is no observable.
-        """
-        if isinstance(formula, sp.Expr):
-            return formula
-        if formula not in self._expressions:
-            self._expressions[formula] = parse(formula).to_sympy(self.automaton.observables)
-        return self._expressions[formula]
 
     def sample(
         self,
@@ -134,7 +105,7 @@ class Observer:
         """
         check_kept(trace)
         formulas = self.names if formulas is None else tuple(formulas)
-        expressions = tuple(self.expression(formula) for formula in formulas)
+        expressions = tuple(self.programs.expression(formula) for formula in formulas)
         if times is None:
             arcs = list(trace.arcs)
             local = subdivided(arcs, per_step)
@@ -146,7 +117,7 @@ class Observer:
             held, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
         else:  # nothing flowed: the run is its last state
             rows = 1 if times is None else np.size(times)
-            points = end_of(trace, len(self._solved), rows)
+            points = end_of(trace, len(self.programs.solved), rows)
             counts, held, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
         modes = tuple(dict.fromkeys(held))
         places = {key: place for place, key in enumerate(modes)}
@@ -161,17 +132,19 @@ class Observer:
 
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
-        expressions = self.expressions(formulas)
-        if not self.needed(expressions):
-            return self.tape(expressions, None).values(trace.initial, trace.values, 0.0)
-        return self._table(trace, expressions, start_of(trace, len(self._solved)))[0]
+        expressions = self.programs.expressions(formulas)
+        if not self.programs.needed(expressions):
+            return self.programs.tape(expressions, None).values(trace.initial, trace.values, 0.0)
+        return self._table(trace, expressions, start_of(trace, len(self.programs.solved)))[0]
 
     def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the end, after all jumps."""
-        expressions = self.expressions(formulas)
-        if not self.needed(expressions):
-            return self.tape(expressions, None).values(trace.final, trace.values, trace.t_end)
-        return self._table(trace, expressions, end_of(trace, len(self._solved)))[0]
+        expressions = self.programs.expressions(formulas)
+        if not self.programs.needed(expressions):
+            return self.programs.tape(expressions, None).values(
+                trace.final, trace.values, trace.t_end
+            )
+        return self._table(trace, expressions, end_of(trace, len(self.programs.solved)))[0]
 
     def at(
         self,
@@ -195,11 +168,13 @@ class Observer:
             The state just before each jump, in the mode left; else just after it, in the mode
             entered.
         """
-        expressions = self.expressions(formulas)
-        if not self.needed(expressions):
+        expressions = self.programs.expressions(formulas)
+        if not self.programs.needed(expressions):
             times, states = instants(trace, jumps, before)
-            return self.tape(expressions, None).table(states, trace.values, times)
-        return self._table(trace, expressions, beside(trace, jumps, before, len(self._solved)))
+            return self.programs.tape(expressions, None).table(states, trace.values, times)
+        return self._table(
+            trace, expressions, beside(trace, jumps, before, len(self.programs.solved))
+        )
 
     def margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
         """Return the margins of the flow that each of the jumps ended, just before it.
@@ -219,7 +194,7 @@ class Observer:
             if mode is None or not mode.margins:
                 continue
             names = [margin.name for margin in mode.margins]
-            rows = self.tape(tuple(m.expression for m in mode.margins), mode).table(
+            rows = self.programs.tape(tuple(m.expression for m in mode.margins), mode).table(
                 np.array([jumps[place].before for place in places]),
                 values,
                 np.array([jumps[place].t for place in places]),
@@ -267,7 +242,7 @@ class Observer:
             Those of what precedes; they are added to.
         """
         check_kept(trace)
-        expressions = self.expressions(formulas)
+        expressions = self.programs.expressions(formulas)
         where = wanted(during) if during else ((),) * len(expressions)
         total = np.zeros(len(expressions)) if total is None else total
         for arc, places, tape, coefficients, _ in self._pieces(trace, expressions, where):
@@ -286,7 +261,7 @@ class Observer:
         """
         modes = None
         for arc in trace.arcs:
-            active = self.active(arc.mode, where, expressions)
+            active = self.programs.active(arc.mode, where, expressions)
             if not active.places:
                 continue
             if active.needed and arc.solved is not None:
@@ -294,14 +269,14 @@ class Observer:
                 resolved, variables = known.copy(), len(trace.variables)
                 known[:, variables:, 0] = arc.solved
                 resolved[:, variables:, 0] = np.nan_to_num(arc.solved)
-                tape = self.tape(active.expressions, None, known=True)
+                tape = self.programs.tape(active.expressions, None, known=True)
                 yield arc, active.places, tape, resolved, known
                 continue
             mode = None
             if active.needed:
                 modes = modes or self._modes(trace)
                 mode = modes(arc.roles)
-            tape = self.tape(seen(active.expressions, mode), mode)
+            tape = self.programs.tape(seen(active.expressions, mode), mode)
             yield arc, active.places, tape, arc.coefficients, arc.coefficients
 
     def extremes(self, trace: Trace, formula: FormulaLike) -> tuple[float, float]:
@@ -311,7 +286,7 @@ class Observer:
         everywhere.
         """
         check_kept(trace)
-        expressions = (self.expression(formula),)
+        expressions = (self.programs.expression(formula),)
         if not trace.arcs:
             ends = self.initial(trace, expressions)[0], self.final(trace, expressions)[0]
             return float(min(ends)), float(max(ends))
@@ -321,7 +296,7 @@ class Observer:
 
     def widened(self, trace: Trace, formula: FormulaLike, found: Array) -> None:
         """Let an interval (2,) hold the values of a formula over all arcs, too."""
-        expressions = (self.expression(formula),)
+        expressions = (self.programs.expression(formula),)
         for arc, _, tape, resolved, coefficients in self._pieces(trace, expressions, ((),)):
             widen(
                 *tape.program,
@@ -335,31 +310,16 @@ class Observer:
                 found,
             )
 
-    def expressions(self, formulas: Iterable[FormulaLike]) -> tuple[sp.Expr, ...]:
-        """Return formulas in the automaton's symbols."""
-        return tuple([self.expression(formula) for formula in formulas])
-
-    def active(
-        self, key: Key, where: tuple[Where, ...], expressions: tuple[sp.Expr, ...]
-    ) -> Active:
-        """Return what is integrated in the mode `key`."""
-        known = self._actives.get((key, where, expressions))
-        if known is not None:
-            return known
-        places = places_in(self.automaton.told(key), key, where)
-        chosen = tuple([expressions[i] for i in places])
-        found = Active(places, chosen, self.needed(chosen))
-        self._actives[key, where, expressions] = found
-        return found
-
     def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
         """Return the values (m, f) of expressions, one call of a kernel per flow."""
         values = trace.values
-        if not self.needed(expressions):
-            return self.tape(expressions, None).table(points.states, values, points.times)
+        if not self.programs.needed(expressions):
+            return self.programs.tape(expressions, None).table(points.states, values, points.times)
         if points.unknowns is not None:
             rows = np.hstack([points.states, points.unknowns])
-            return self.tape(expressions, None, known=True).table(rows, values, points.times)
+            return self.programs.tape(expressions, None, known=True).table(
+                rows, values, points.times
+            )
         result = np.full((len(points.times), len(expressions)), np.nan)
         owners: dict[Roles, list[NDArray[np.intp]]] = {}
         start = 0
@@ -370,42 +330,16 @@ class Observer:
         for roles, parts in owners.items():
             mode = modes(roles)
             columns = [
-                i for i, e in enumerate(expressions) if mode is not None or not self.needed((e,))
+                i
+                for i, e in enumerate(expressions)
+                if mode is not None or not self.programs.needed((e,))
             ]
             if columns:
                 index = np.concatenate(parts)
-                tape = self.tape(seen([expressions[i] for i in columns], mode), mode)
+                tape = self.programs.tape(seen([expressions[i] for i in columns], mode), mode)
                 found = tape.table(points.states[index], values, points.times[index])
                 result[np.ix_(index, np.array(columns))] = found
         return result
-
-    def needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
-        """Tell whether the expressions use what a mode solves for."""
-        found = self._needs.get(expressions)
-        if found is None:
-            found = any(e.free_symbols - self._given for e in expressions)
-            self._needs[expressions] = found
-        return found
-
-    def tape(
-        self, expressions: tuple[sp.Expr, ...], mode: Mode | None, *, known: bool = False
-    ) -> Tape:
-        """Return the program for expressions in a mode, or in any that they do not depend on.
-
-        `known`: over states with the unknowns and controls appended.
-        """
-        key = (expressions, mode, known)
-        tape = self._tapes.get(key)
-        if tape is None:
-            automaton = self.automaton
-            tape = self._tapes[key] = compile_tape(
-                expressions,
-                variables=(*automaton.variables, *(self._solved if known else ())),
-                parameters=automaton.parameters,
-                time=automaton.time,
-                definitions=mode.definitions if mode else (),
-            )
-        return tape
 
     def _modes(self, trace: Trace) -> Callable[[Roles], Mode | None]:
         assert self._passed is not None  # steps have no equations of modes

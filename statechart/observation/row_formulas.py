@@ -91,16 +91,16 @@ class RowFormulas:
         where: tuple[Where, ...],
     ) -> tuple[Ints, Ints]:
         """Add what formulas are in every kind of mode; return the tapes and their places there."""
-        observer = self._observer
-        expressions = observer.expressions(formulas)
+        programs = self._observer.programs
+        expressions = programs.expressions(formulas)
         tapes = np.zeros((len(batch.kinds), TAPE), np.int64)
         columns = np.zeros((len(batch.kinds), len(expressions)), np.int64)
         for place, kind in enumerate(batch.kinds):
-            active = observer.active(kind[0], where, expressions)
+            active = programs.active(kind[0], where, expressions)
             if not (active.places and batch.modes.knows(kind)):
                 continue
             mode = self._mode(batch, place) if active.needed else None
-            tapes[place] = packed.tape(observer.tape(seen(active.expressions, mode), mode))
+            tapes[place] = packed.tape(programs.tape(seen(active.expressions, mode), mode))
             columns[place, : len(active.places)] = active.places
         return tapes, columns
 
