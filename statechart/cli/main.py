@@ -16,7 +16,11 @@ if TYPE_CHECKING:
 
 _DONE, _FAILED, _WRONG = 0, 1, 2
 
-_TEXTS = ("schema", "new", "completion")
+_ROOMS = {
+    **dict.fromkeys(("schema", "new", "completion"), "texts"),
+    **dict.fromkeys(("trade", "sweep", "check"), "studies"),
+}
+"""Where verbs stand that run no model once; the others in `verbs`."""
 
 
 # Objects that are made between two looks for garbage; Python's 700 are too few for so many.
@@ -35,7 +39,7 @@ def program() -> int:
         import gc
 
         # Imports, and what is composed of a model, make a million objects that stay; to look for
-        # garbage among them is a tenth of a start. From then on it is looked for (`verbs._runner`).
+        # garbage among them is a tenth of a start. From then on it is looked for (`runner_of`).
         gc.disable()
         gc.set_threshold(_COLLECTED_AFTER)
         return main()
@@ -114,7 +118,7 @@ def _unexpected(error: Exception) -> str:
 def _verb(name: str) -> Callable[[argparse.Namespace], int]:
     from importlib import import_module
 
-    room = import_module(f"statechart.cli.{'texts' if name in _TEXTS else 'verbs'}")
+    room = import_module(f"statechart.cli.{_ROOMS.get(name, 'verbs')}")
     verb: Callable[[argparse.Namespace], int] = getattr(room, name)
     return verb
 

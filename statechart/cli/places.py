@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from statechart.running.runner import Runner
     from statechart.study.record import Study
 
+PATIENCE = 0.9
+"""Seconds after a signal in which what was computed is saved, but for what is always saved."""
+
 
 def check_folder(output: str | None) -> None:
     """Check that results can be written, before the work that leads to them.

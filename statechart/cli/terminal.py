@@ -1,10 +1,12 @@
-"""Texts on stdout: with tables that fit where it is a terminal, plain where it is not."""
+"""What is printed: texts on stdout, with tables that fit where it is a terminal, and warnings."""
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterable
 
+from statechart.reporting.pieces import Pieces
 from statechart.tabular import Block, Table, plain
 
 
@@ -36,3 +38,21 @@ def _ruled(table: Table) -> object:
     for row in rows:
         ruled.add_row(*row)
     return ruled
+
+
+def warn(warnings: Iterable[str]) -> None:
+    """Print warnings to stderr."""
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+
+
+def say_left_out(pieces: Pieces) -> None:
+    """Say what could not be done."""
+    if pieces.failed:
+        print(f"left out: {pieces.text()}", file=sys.stderr)
+
+
+def print_json(value: object) -> None:
+    """Print plain data as JSON."""
+    # Floats are printed with the fewest digits that read back as the same float.
+    print(json.dumps(value, indent=2, allow_nan=False))
