@@ -269,7 +269,6 @@ class SceneLaws:
         """Return the jump to the one mode that agrees with the state."""
         if target == at.flow.mode:
             return None
-
         jump = at.jump(
             *cause(self._names, at.flow.mode, target, False),
             target,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import sympy as sp
 
@@ -29,6 +29,19 @@ class Singular(SingularMode):
         self.unknowns = tuple(unknowns)
 
 
+def naming(word: str, named: list[Definition]) -> Callable[[sp.Expr], sp.Expr]:
+    """Return what gives an expression a symbol, and notes it; of symbols and numbers themselves."""
+
+    def name(entry: sp.Expr) -> sp.Expr:
+        if entry.is_number or entry.is_Symbol:
+            return entry
+        symbol = sp.Dummy(word, real=True)
+        named.append((symbol, entry))
+        return symbol
+
+    return name
+
+
 def by_determinants(
     matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]
 ) -> list[Definition]:
@@ -36,14 +49,7 @@ def by_determinants(
     size = len(unknowns)
     tag = str(unknowns[0])
     named: list[Definition] = []
-
-    def name(entry: sp.Expr) -> sp.Expr:
-        if entry.is_number or entry.is_Symbol:
-            return entry
-        symbol = sp.Dummy(f"entry_{tag}", real=True)
-        named.append((symbol, entry))
-        return symbol
-
+    name = naming(f"entry_{tag}", named)
     matrix = matrix.applyfunc(name)
     right = right.applyfunc(name)
     if size > CRAMER_LIMIT:
@@ -65,14 +71,7 @@ def _gauss(matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]) -
     size = len(unknowns)
     rows = [[matrix[i, k] for k in range(size)] + [right[i]] for i in range(size)]
     definitions: list[Definition] = []
-
-    def name(entry: sp.Expr) -> sp.Expr:
-        if entry.is_number or entry.is_Symbol:
-            return entry
-        symbol = sp.Dummy("elimination", real=True)
-        definitions.append((symbol, entry))
-        return symbol
-
+    name = naming("elimination", definitions)
     order: list[tuple[int, list[sp.Expr]]] = []
     columns = list(range(size))
     while rows:

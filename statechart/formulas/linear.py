@@ -18,6 +18,7 @@ from statechart.formulas.determinants import (
     Definition,
     Singular,
     by_determinants,
+    naming,
 )
 
 # A force that follows from an acceleration is a difference: of weight and what moves, say, of which
@@ -303,14 +304,7 @@ def _by_pairs(
     """
     named: list[Definition] = []
     last: list[Definition] = []
-
-    def name(entry: sp.Expr) -> sp.Expr:
-        if entry.is_number or entry.is_Symbol:
-            return entry
-        symbol = sp.Dummy("pair", real=True)
-        named.append((symbol, entry))
-        return symbol
-
+    name = naming("pair", named)
     rest = [({u: name(c) for u, c in row.items()}, name(b), i) for row, b, i in rows]
     for unknown in sorted(unknowns, key=place.__getitem__):
         own = [e for e in rest if e[2] == place[unknown] < paired and unknown in e[0]]
