@@ -19,7 +19,7 @@ import numpy as np
 
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import StatechartError
-from statechart.observation.difference import difference
+from statechart.observation.difference import compare
 from statechart.observation.outputs import Outputs
 from statechart.running.result import Result
 from statechart.running.runner import Runner
@@ -190,7 +190,7 @@ class Judges:
 
 def _apart(one: Result, other: Result) -> float:
     sizes = Outputs(one.observer).sizes(one.trace)
-    return difference(
+    return compare(
         one.trace,
         other.trace,
         one.outputs,
@@ -198,7 +198,7 @@ def _apart(one: Result, other: Result) -> float:
         sizes_of_outputs=sizes,
         endless=one.endless | other.endless,
         brief=ACCURACY,
-    )[0]
+    ).largest
 
 
 def requests(count: int, seed: int) -> dict[str, list[Judgement]]:

@@ -25,7 +25,7 @@ from statechart.documents.outputs import Count, Integral, Maximum, Value
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import StatechartError
 from statechart.loading.load import interpret, load
-from statechart.observation.difference import difference
+from statechart.observation.difference import compare
 from statechart.observation.outputs import Outputs
 from statechart.running.result import Result
 from statechart.running.runner import Runner
@@ -88,10 +88,10 @@ def references(scene: str) -> tuple[Runner, Runner]:
 
 def apart(one: Result, other: Result, accuracy: float) -> float:
     sizes = Outputs(one.observer).sizes(one.trace)
-    return difference(
+    return compare(
         one.trace, other.trace, one.outputs, other.outputs, sizes_of_outputs=sizes,
         endless=one.endless | other.endless, brief=accuracy,
-    )[0]  # fmt: skip
+    ).largest  # fmt: skip
 
 
 def timed(call: Callable[[], Result]) -> tuple[Result, float]:

@@ -130,32 +130,6 @@ def compare(
     )
 
 
-def difference(
-    coarse: Trace,
-    fine: Trace,
-    coarse_outputs: Mapping[str, Output],
-    fine_outputs: Mapping[str, Output],
-    *,
-    sizes_of_outputs: Mapping[str, Output] = MappingProxyType({}),
-    endless: Collection[str] = (),
-    brief: float = 0.0,
-) -> tuple[float, float | None]:
-    """Return the largest relative difference of two runs, and when they took different modes.
-
-    See `compare`; the difference is inf where they did, and the time None where they did not.
-    """
-    found = compare(
-        coarse,
-        fine,
-        coarse_outputs,
-        fine_outputs,
-        sizes_of_outputs=sizes_of_outputs,
-        endless=endless,
-        brief=brief,
-    )
-    return found.largest, found.diverged
-
-
 def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | None:
     """Return when a run left another for good to the eye; None if it did not.
 

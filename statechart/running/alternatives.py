@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from statechart.observation.difference import difference
+from statechart.observation.difference import compare
 from statechart.reporting.report import json_safe
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def compared(result: Result, others: Mapping[str, Result]) -> list[dict[str, Any
     """
     rows: list[dict[str, Any]] = []
     for choice, other in others.items():
-        apart, diverged = difference(
+        found = compare(
             result.trace,
             other.trace,
             result.outputs,
@@ -43,9 +43,9 @@ def compared(result: Result, others: Mapping[str, Result]) -> list[dict[str, Any
             {
                 "choice": choice,
                 "outcome": other.trace.outcome.name,
-                "same_modes": diverged is None,
-                "diverged": diverged,
-                "difference": None if diverged is not None else json_safe(apart),
+                "same_modes": found.diverged is None,
+                "diverged": found.diverged,
+                "difference": None if found.diverged is not None else json_safe(found.largest),
                 "final": report["final"],
                 "outputs": report["outputs"],
             }

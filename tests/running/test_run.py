@@ -19,7 +19,7 @@ from statechart.engines.choice import choose
 from statechart.engines.path import Path as Steps
 from statechart.errors import DeclarationError, SimulationError, StepFailure, Unsupported
 from statechart.loading.load import load
-from statechart.observation.difference import difference
+from statechart.observation.difference import compare
 from statechart.running.runner import Runner, run
 
 BALL = """\
@@ -92,11 +92,9 @@ def test_the_accuracy_asked_for_is_estimated_and_kept(name: str) -> None:
     rough = run(name, accuracy=1e-5, engine="scipy")
     assert rough.error_estimate is not None
     assert rough.error_estimate <= 1e-5
-    error, diverged = difference(
-        exact.trace, rough.trace, exact.outputs, rough.outputs, endless=exact.endless
-    )
-    assert diverged is None
-    assert error <= 1e-5
+    found = compare(exact.trace, rough.trace, exact.outputs, rough.outputs, endless=exact.endless)
+    assert found.diverged is None
+    assert found.largest <= 1e-5
     assert rough.asked is not None
     assert set(rough.asked.not_judged) == exact.endless
 
@@ -112,28 +110,28 @@ def test_runs_of_different_modes_have_no_accuracy() -> None:
     result = run("toppling_stick")
     trace = result.trace
     other = replace(trace, jumps=(trace.jumps[0], *trace.jumps[2:]))
-    error, diverged = difference(trace, other, result.outputs, result.outputs)
-    assert error == math.inf
-    assert diverged == trace.jumps[1].t
+    found = compare(trace, other, result.outputs, result.outputs)
+    assert found.largest == math.inf
+    assert found.diverged == trace.jumps[1].t
     ended = replace(trace, jumps=trace.jumps[:1])
-    assert difference(trace, ended, result.outputs, result.outputs)[1] == trace.jumps[1].t
+    assert compare(trace, ended, result.outputs, result.outputs).diverged == trace.jumps[1].t
 
 
 def test_the_difference_of_runs_is_relative_to_each_quantity() -> None:
     result = run("bouncing_ball_hills", until=0.2)
     trace = result.trace
     shifted = replace(trace, final=trace.final * np.array([1.0, 1.0 + 1e-6, 1.0, 1.0]))
-    error, _ = difference(trace, shifted, {}, {})
+    error = compare(trace, shifted, {}, {}).largest
     # The largest value on the way counts, not those at the ends.
     largest = result.observer.extremes(trace, trace.variables[1])
     size = max(map(abs, largest))
     assert error == pytest.approx(1e-6 * abs(trace.final[1]) / size, rel=2e-2)
-    assert difference(trace, trace, {"a": 1.0}, {"a": 1.5})[0] == pytest.approx(1 / 3)
-    assert difference(trace, trace, {"a": 3}, {"a": 4})[0] == 0.25
-    assert difference(trace, trace, {"a": 3}, {"a": 4}, endless=["a"])[0] == 0.0
-    assert difference(trace, trace, {"a": [1.0]}, {"a": [1.0, 2.0]})[0] == 0.5
-    assert difference(trace, trace, {"a": None}, {"a": 1.0})[0] == math.inf
-    assert difference(trace, trace, {"a": 1.0}, {"a": math.nan})[0] == math.inf
+    assert compare(trace, trace, {"a": 1.0}, {"a": 1.5}).largest == pytest.approx(1 / 3)
+    assert compare(trace, trace, {"a": 3}, {"a": 4}).largest == 0.25
+    assert compare(trace, trace, {"a": 3}, {"a": 4}, endless=["a"]).largest == 0.0
+    assert compare(trace, trace, {"a": [1.0]}, {"a": [1.0, 2.0]}).largest == 0.5
+    assert compare(trace, trace, {"a": None}, {"a": 1.0}).largest == math.inf
+    assert compare(trace, trace, {"a": 1.0}, {"a": math.nan}).largest == math.inf
 
 
 def test_a_flow_without_a_taylor_series_falls_back_to_scipy_and_says_so() -> None:
