@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-
 import heyoka
 import pytest
 
@@ -57,19 +54,6 @@ def lines(clock):
     said: list[str] = []
     compiling.announce(said.append)
     return said
-
-
-@pytest.fixture
-def kernels(tmp_path, monkeypatch):
-    (tmp_path / "announced_kernels.py").write_text(KERNELS)
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def imported():
-        sys.modules.pop("announced_kernels", None)
-        return importlib.import_module("announced_kernels")
-
-    yield imported
-    sys.modules.pop("announced_kernels", None)
 
 
 def slow(monkeypatch, clock, seconds):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import subprocess
 import sys
 
@@ -49,20 +48,6 @@ from late_kernels import rare, upper
 print(upper(1.5, np.zeros(3)))
 print(*("hit" if made.stats.cache_hits else "missed" for made in (upper.made, rare.made)))
 """
-
-
-@pytest.fixture
-def kernels(tmp_path, monkeypatch):
-    """Return what imports the kernels as a new process would."""
-    (tmp_path / "late_kernels.py").write_text(KERNELS)
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def imported():
-        sys.modules.pop("late_kernels", None)
-        return importlib.import_module("late_kernels")
-
-    yield imported
-    sys.modules.pop("late_kernels", None)
 
 
 @pytest.fixture
