@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
-import scipy.special
-from runs import ENGINES, engine, outputs, run
+from controllers import BALL, BLOCK, CART, DRIVE, ICE, SPRINT, STEP, TWO, both, compose, jumps, ran
+from runs import engine, run
 
 from contacts.scene.scene import Scene
 from contacts.testing.scene_properties import properties
 from contacts.testing.violations import violations
-from statechart.automaton.automaton import Automaton
-from statechart.automaton.product import feasibility
-from statechart.automaton.trace import Trace
-from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
-from statechart.documents.yaml_text import dump
-from statechart.errors import DeclarationError, EventLoop
+from statechart.errors import EventLoop
 from statechart.execution.simulator import Simulator
-from statechart.loading.kind import kind
 from statechart.loading.load import interpret
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
@@ -30,72 +23,6 @@ from statechart.running.result import Result
 from statechart.running.runner import Runner
 from statechart.testing.properties import generic
 from statechart.testing.subject import Subject
-
-both = pytest.mark.parametrize("name", ENGINES)
-
-CART = """\
-kind: scene
-name: cart
-parameters: {F: 2, mu: 0.5, g: 10}
-gravity: g
-bodies:
-  cart: {mass: 1}
-surfaces:
-  ground: {height: 0}
-contacts:
-  wheel:
-    point: {body: cart}
-    surface: ground
-    modes: [free, slide]
-    friction: 0
-    restitution: 0
-"""
-BLOCK = CART.replace("    modes: [free, slide]\n    friction: 0", "    friction: mu")
-DRIVE = "forces: {drive: {body: cart, force: [push, 0]}}\n"
-
-
-def compose(text: str) -> Automaton:
-    document = read_text(text, "f.yaml")
-    built = kind("scene").automaton(interpret(document))
-    assert isinstance(built, Automaton)
-    return built
-
-
-def ran(text: str, name: str, until: float, **parameters: float) -> Trace:
-    return Simulator(compose(text), engine(name)).run(parameters, until=until)
-
-
-def jumps(trace: Trace) -> list[tuple[str, str]]:
-    return [(jump.region, jump.cause) for jump in trace.jumps]
-
-
-def refused(text: str) -> str:
-    with pytest.raises(DeclarationError) as caught:
-        interpret(read_text(text, "f.yaml"))
-    return str(caught.value)
-
-
-# A push over the first metre, a brake until the cart stops, then nothing.
-SPRINT = (
-    CART
-    + DRIVE
-    + """\
-controls: {push: 0}
-regions:
-  driver:
-    initial: go
-    states:
-      go: {sets: {push: F}}
-      brake: {sets: {push: -F}}
-      rest: {}
-    transitions:
-      - {name: far, from: go, to: brake, guard: cart.x >= 1}
-      - {name: halt, from: brake, to: rest, guard: cart.dx <= 0}
-outputs:
-  pushes: {value: push, at: each driver.far or driver.halt}
-  energy_in: {integral: push*cart.dx, during: {driver: go}}
-"""
-)
 
 
 @both
@@ -116,23 +43,6 @@ def test_controls_are_outputs_and_states_of_controllers_select_times(name: str) 
     assert found["energy_in"] == pytest.approx(2.0, abs=1e-9)
 
 
-STEP = (
-    BLOCK
-    + DRIVE
-    + """\
-controls: {push: 0}
-regions:
-  pusher:
-    initial: idle
-    states:
-      idle: {}
-      busy: {sets: {push: F}}
-    transitions:
-      - {name: start, from: idle, to: busy, guard: time >= 0.7}
-"""
-)
-
-
 @both
 @pytest.mark.parametrize("force", [5.1, -7.0])
 def test_a_push_makes_a_pinned_block_slip_at_that_very_instant(name: str, force: float) -> None:
@@ -150,36 +60,6 @@ def test_a_push_within_friction_leaves_a_block_pinned(name: str) -> None:
     trace = ran(STEP, name, 1.7, F=4.9)
     assert jumps(trace) == [("pusher", "start")]
     assert abs(trace.final).max() < 1e-15
-
-
-# Ice under a block on a slope, then grip again.
-ICE = """\
-kind: scene
-name: ice
-parameters: {alpha: 0.3, rough: 0.5, smooth: 0.1, g: 10, T: 1, melt: 1.5}
-gravity: g
-bodies:
-  block: {mass: 2}
-surfaces:
-  slope: {incline: alpha}
-contacts:
-  base: {point: {body: block}, surface: slope, friction: 2*grip, restitution: 0}
-controls: {grip: rough/2}
-regions:
-  weather:
-    initial: dry
-    states:
-      dry: {}
-      icy: {sets: {grip: smooth/2}}
-      wet: {}
-    transitions:
-      - {name: freeze, from: dry, to: icy, guard: time >= T}
-      - {name: thaw, from: icy, to: wet, guard: time >= melt}
-outputs:
-  t_slip: {value: time, at: first base.slip}
-  t_stick: {value: time, at: first base.stick}
-  mu: {value: 2*grip, at: each weather.icy or weather.wet}
-"""
 
 
 @both
@@ -211,37 +91,6 @@ def test_friction_of_states_may_be_zero_or_infinite(
     assert np.hypot(*trace.final[2:]) == pytest.approx(speed, abs=1e-9)
 
 
-BALL = """\
-kind: scene
-name: ball
-parameters: {h: 1, g: 10, hard: 0.8, soft: 0.25}
-gravity: g
-coordinates: {y: {start: h}}
-bodies:
-  ball: {mass: 1, position: [0, y]}
-surfaces:
-  floor: {height: 0}
-contacts:
-  skin:
-    point: {body: ball}
-    surface: floor
-    modes: [free, slide]
-    friction: 0
-    restitution: bounce
-controls: {bounce: hard}
-regions:
-  pump:
-    initial: full
-    states:
-      full: {}
-      flat: {sets: {bounce: soft}}
-    transitions:
-      - {name: puncture, from: full, to: flat, on: skin.touchdown}
-outputs:
-  speeds: {value: dy, at: each skin.touchdown}
-"""
-
-
 @both
 def test_restitution_changes_with_the_first_bounce(name: str) -> None:
     simulator = Simulator(compose(BALL), engine(name))
@@ -270,34 +119,6 @@ def test_a_controller_that_counts_bounces_does_not_disturb_their_accumulation(na
     # What happens at their end is an event like another.
     rests = [jump.t for t in (trace, plain) for jump in t.jumps if jump.cause == "zeno"]
     assert rests == pytest.approx([rests[1]] * 2, abs=1e-12)
-
-
-TWO = (
-    CART
-    + DRIVE
-    + """\
-controls: {push: 0, gain: 1}
-regions:
-  motor:
-    initial: off
-    states:
-      off: {}
-      on: {sets: {push: gain*F}}
-      done: {}
-    transitions:
-      - {name: start, from: off, to: on, guard: time >= 1}
-      - {name: end, from: on, to: done, on: gear.over}
-  gear:
-    initial: low
-    states:
-      low: {}
-      high: {sets: {gain: 3}}
-      over: {sets: {gain: 9}}
-    transitions:
-      - {name: shift, from: low, to: high, on: motor.on}
-      - {name: shift, from: high, to: over, guard: cart.dx >= 3}
-"""
-)
 
 
 @both
@@ -378,91 +199,6 @@ regions:
     assert caught.value.trace.t_end == pytest.approx(0.5, abs=1e-11)
 
 
-def place(text: str, token: str, after: str) -> str:
-    """Return line and column of a token, the first one after some text."""
-    at = text.index(token, text.index(after))
-    return f"f.yaml:{text.count(chr(10), 0, at) + 1}:{at - text.rfind(chr(10), 0, at)}: "
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "token", "words"),
-    [
-        ("{push: F}", "{pull: F}", "pull", "no control 'pull'; known: push"),
-        ("{push: F}", "{push: E}", "E", "unknown name 'E'"),
-        ("{push: F}", "{push: 2*wheel.V}", "wheel", "unknown name 'wheel.V'"),
-        ("{push: 0}", "{push: 0, pull: 1}", "pull", "no state sets 'pull'"),
-        ("{push: 0}", "{push: 2*push}", "push", "in a circle: push -> push"),
-        ("{push: 0}", "{push: 0, F: 1}", "F", "'F' is declared twice"),
-        ("{push: 0}", "{push: 0, cart: 1}", "cart", "'cart' is a body already"),
-        ("regions:\n  driver:", "regions:\n  wheel:", "wheel", "'wheel' is a contact already"),
-        ("regions:\n  driver:", "regions:\n  push:", "push", "'push' is a control already"),
-        ("initial: go", "initial: gone", "gone", "no state 'gone'; did you mean 'go'"),
-        ("to: rest", "to: rust", "rust", "no state 'rust'; did you mean 'rest'"),
-        ("guard: cart.dx <= 0", "guard: cart.v <= 0", "cart.v", "unknown name 'cart.v'"),
-        ("guard: cart.dx <= 0", "on: wheel.land", "wheel", "no cause or state 'land'"),
-        ("guard: cart.dx <= 0", "on: weel.touchdown", "weel", "no region 'weel'; did you mean"),
-        ("guard: cart.dx <= 0", "on: wheel.stop", "wheel", "no cause or state 'stop'"),
-        ("guard: cart.dx <= 0", "on: driver.far", "driver", "waits for an event of its own"),
-        ("guard: cart.dx <= 0", "on: a.b.c", "a.b.c", "'a.b.c' is not an event"),
-        ("guard: cart.dx <= 0", "on: 3", "3", "must be text"),
-        ("guard: cart.dx <= 0", "guard: cart.dx <= 0, updates: {x: 0}", "x: 0", "no variable 'x'"),
-        ("{driver: go}", "{driver: gone}", "gone", "no state 'gone'"),
-        ("each driver.far or", "each driver.fur or", "each", "no cause or state 'fur'"),
-    ],
-)
-def test_what_is_wrong_with_controllers_is_said_with_its_place(
-    old: str, new: str, token: str, words: str
-) -> None:
-    assert SPRINT.count(old) == 1
-    text = SPRINT.replace(old, new)
-    error = refused(text)
-    assert error.startswith(place(text, token, after=new)), error
-    assert words in error, error
-
-
-def test_a_transition_has_one_trigger() -> None:
-    text = SPRINT.replace(", guard: cart.dx <= 0", "")
-    error = refused(text)
-    assert error.startswith(place(text, "{name", after="x >= 1}")), error
-    assert "transition 'halt' needs one of guard, on" in error
-
-
-def test_two_regions_that_set_one_quantity_are_named() -> None:
-    text = TWO.replace("high: {sets: {gain: 3}}", "high: {sets: {push: 3}}")
-    error = refused(text)
-    assert error.startswith(place(text, "push", after="high:")), error
-    assert "region 'gear' in state 'high' and region 'motor' in state 'on' both set 'push'" in error
-
-
-def test_coefficients_of_contacts_are_constant_in_a_state_of_one_region() -> None:
-    for old, new, words in (
-        ("smooth/2", "block.x", "'grip' depends on 'block.x': a coefficient of a contact is"),
-        ("smooth/2", "-1", "must be zero or positive in state 'icy' of 'weather', not -2"),
-        ("friction: 2*grip", "friction: 2*grap", "unknown name 'grap'"),
-    ):
-        assert old in ICE
-        error = refused(ICE.replace(old, new))
-        assert words in error, error
-    two = TWO.replace("    friction: 0\n", "    friction: gain*push\n")
-    assert "regions 'motor' and 'gear' both set what it depends on" in refused(two)
-
-
-def test_a_scene_with_controllers_equals_what_is_read_back_from_its_own_text() -> None:
-    for text in (SPRINT, ICE, BALL, TWO):
-        model = interpret(read_text(text))
-        assert isinstance(model, Scene)
-        again = validate(read_text(dump(model)), Scene)
-        assert again == model
-
-
-def test_the_product_counts_states_of_controllers_as_well() -> None:
-    built = compose(TWO)
-    assert [region.name for region in built.regions] == ["wheel", "motor", "gear"]
-    assert (built.modes_declared, built.modes_total) == (18, 18)
-    edges = {(e.cause, e.guard, e.reset) for e in built.regions[1].edges}
-    assert edges == {("start", "time >= 1", "push := gain*F"), ("end", "on gear.over", "push := 0")}
-
-
 @pytest.mark.parametrize("text", [SPRINT, STEP, ICE, BALL, TWO], ids=lambda text: text[18:24])
 def test_every_property_of_runs_holds_with_controllers(text: str) -> None:
     model = interpret(read_text(text + "stop: {time: 2.7}\n"))
@@ -512,15 +248,6 @@ regions:
     assert [jump.t for jump in trace.jumps[:4]] == pytest.approx(expected, abs=1e-9)
 
 
-def test_every_mode_of_contacts_is_possible_with_every_state_of_controllers() -> None:
-    held = ICE.replace("friction: 2*grip, restitution: 0", "modes: [slide, pin], friction: 2*grip")
-    built = compose(held)
-    setup = built.setup({}, 1e-9)
-    found = feasibility(built, setup, setup.initial, 0.0)
-    assert found is not None
-    assert found.declared == {(m, w): "" for m in ("slide", "pin") for w in ("dry", "icy", "wet")}
-
-
 def test_a_scene_without_contacts_may_have_controllers() -> None:
     text = SPRINT.replace(CART, CART[: CART.index("surfaces:")]).replace("gravity: g", "gravity: 0")
     trace = ran(text, "taylor", 4.0)
@@ -538,142 +265,6 @@ def test_the_figure_shows_controls_and_the_cone_of_every_state() -> None:
     weight = 20 * math.cos(0.3)
     for at, mu in ((0.5, 0.5), (1.2, 0.1), (2.5, 0.5)):
         assert np.interp(at, times, values) == pytest.approx(mu * weight, abs=1e-9)
-
-
-PENDULUM = """\
-kind: scene
-name: pendulum
-parameters: {g: 10, lean: 1, hard: 0}
-gravity: g
-bodies:
-  rod: {mass: 2, inertia: 0.5, start: {x: sin(lean), y: -cos(lean), angle: lean}}
-joints:
-  pivot: {point: {body: rod, at: [0, 1]}, to: [0, 0]}
-regions:
-  swing:
-    initial: there
-    states: {there: {}, back: {}}
-    transitions:
-      - {name: turn, from: there, to: back, guard: rod.dangle >= 0}
-      - {name: turn, from: back, to: there, guard: rod.dangle <= 0}
-  load:
-    initial: light
-    states: {light: {}, heavy: {}}
-    transitions:
-      - {name: grow, from: light, to: heavy, guard: pivot.Y >= hard}
-      - {name: drop, from: heavy, to: light, guard: pivot.Y <= hard}
-"""
-
-
-@both
-def test_guards_of_jointed_bodies_fire_where_closed_forms_say(name: str) -> None:
-    rate = math.sqrt(2 * 10 / 2.5)
-    half = 2 * scipy.special.ellipk(math.sin(0.5) ** 2) / rate
-
-    def force(angle: float) -> float:
-        spin = 2 * rate**2 * (math.cos(angle) - math.cos(1))
-        return 2 * (10 + math.cos(angle) * spin - (rate * math.sin(angle)) ** 2)
-
-    trace = ran(PENDULUM, name, 2.2 * half, hard=force(0.3))
-    turns = [jump.t for jump in trace.jumps if jump.cause == "turn"]
-    # At rest at the start it is about to swing there, so that it does not turn back at once.
-    assert turns == pytest.approx([half, 2 * half], abs=1e-9)
-    loads = [(jump.cause, jump.after[2]) for jump in trace.jumps if jump.region == "load"]
-    assert [cause for cause, _ in loads] == ["grow", "drop"] * 2
-    assert [angle for _, angle in loads] == pytest.approx([0.3, -0.3, -0.3, 0.3], abs=1e-9)
-
-
-STAIRS = (
-    BLOCK
-    + DRIVE
-    + """\
-controls: {push: F0}
-regions:
-  stairs:
-    initial: s0
-    states: {s0: {}, s1: {sets: {push: F1}}, s2: {sets: {push: F2}}, s3: {sets: {push: F3}}}
-    transitions:
-      - {name: step, from: s0, to: s1, guard: time >= 0.5}
-      - {name: step, from: s1, to: s2, guard: time >= 1}
-      - {name: step, from: s2, to: s3, guard: time >= 1.5}
-"""
-).replace("{F: 2, ", "{F0: 0, F1: 0, F2: 0, F3: 0, ")
-
-
-def staircase(forces: list[float]) -> tuple[float, float, int]:
-    """Return place, speed and number of changes of mode of a block of weight 10, mu = 1/2."""
-    x, v, mode, changes = 0.0, 0.0, 0, 0
-    for force in forces:
-        left = 0.5
-        while left > 0.0:
-            now = 0 if v == 0.0 and abs(force) <= 5.0 else math.copysign(1, v or force)
-            changes += now != mode
-            mode = now
-            a = 0.0 if now == 0 else force - 5.0 * now
-            dt = min(left, -v / a) if v * a < 0.0 else left
-            stops = dt < left
-            x, v, left = x + v * dt + a * dt**2 / 2, 0.0 if stops else v + a * dt, left - dt
-    return x, v, changes
-
-
-def test_a_staircase_of_forces_moves_a_block_as_its_parabolas_say() -> None:
-    random = np.random.default_rng(8)
-    simulators = {name: Simulator(compose(STAIRS), engine(name)) for name in ENGINES}
-    seen: set[str] = set()
-    for _ in range(60):
-        forces = (random.choice([0, 4.8, 5.15, 7.3, 12.1], 4) * random.choice([-1, 1], 4)).tolist()
-        x, v, changes = staircase(forces)
-        for name, simulator in simulators.items():
-            trace = simulator.run({f"F{i}": f for i, f in enumerate(forces)}, until=2.0)
-            assert trace.final[[0, 2]] == pytest.approx([x, v], abs=1e-9), (name, forces)
-            modes = [trace.start_mode[0], *(jump.target[0] for jump in trace.jumps)]
-            found = sum(a != b for a, b in zip(["pin", *modes], modes, strict=False))
-            assert found == changes, (name, forces)
-            seen |= {jump.cause for jump in trace.jumps}
-    assert seen == {"step", "slip", "stick", "reverse"}
-
-
-def hops(until: float, **parameters: float) -> dict[str, list[float]]:
-    """Return the hopper's events in closed form: falls, half periods of springs, an impact."""
-    p = {"m": 1.0, "foot": 0.05, "k": 200.0, "l0": 1.0, "d": 0.03, "h0": 0.2, "g": 9.81}
-    p |= parameters
-    rate, sag = math.sqrt(p["k"] / p["m"]), p["m"] * p["g"] / p["k"]
-    found: dict[str, list[float]] = {"landings": [], "bottoms": [], "lift_offs": [], "speeds": []}
-    t, speed = math.sqrt(2 * p["h0"] / p["g"]), math.sqrt(2 * p["h0"] * p["g"])
-    while t < until:
-        found["landings"].append(t)
-        t += (math.pi - math.atan2(speed * rate, p["g"])) / rate
-        bottom = p["l0"] - sag - math.hypot(sag, speed / rate)
-        if t > until:
-            break
-        found["bottoms"].append(bottom)
-        # About the raised rest length, from rest at the bottom to the leg's full length.
-        swing = p["l0"] - sag + p["d"] - bottom
-        phase = math.acos((p["d"] - sag) / swing)
-        t += phase / rate
-        if t > until:
-            break
-        speed = swing * rate * math.sin(phase) * p["m"] / (p["m"] + p["foot"])
-        found["lift_offs"].append(t)
-        found["speeds"].append(speed)
-        t += 2 * speed / p["g"]
-    return found
-
-
-@both
-@pytest.mark.parametrize(
-    "parameters", [{}, {"k": 1000.0, "foot": 0.2}, {"d": 0.01, "foot": 0.01, "h0": 0.4}]
-)
-def test_the_hopper_lands_and_leaves_as_its_closed_form_says(
-    name: str, parameters: dict[str, float]
-) -> None:
-    trace = run("hopper", name, 5.0, **parameters)
-    found: dict[str, Any] = outputs("hopper", name, trace)
-    expected = hops(5.0, **parameters)
-    assert found["hops"] == len(expected["lift_offs"]) >= 5
-    for key, values in expected.items():
-        assert found[key] == pytest.approx(values, abs=1e-9)
-    assert trace.certified
 
 
 def test_violations_of_friction_that_a_controller_sets_are_measured_by_its_state() -> None:

@@ -1,0 +1,114 @@
+"""Controllers as they are declared: what is refused, and which modes they make."""
+
+from __future__ import annotations
+
+import pytest
+from controllers import BALL, ICE, SPRINT, TWO, compose
+
+from contacts.scene.scene import Scene
+from statechart.automaton.product import feasibility
+from statechart.documents.validation import validate
+from statechart.documents.yaml_reader import read_text
+from statechart.documents.yaml_text import dump
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
+
+
+def refused(text: str) -> str:
+    with pytest.raises(DeclarationError) as caught:
+        interpret(read_text(text, "f.yaml"))
+    return str(caught.value)
+
+
+def place(text: str, token: str, after: str) -> str:
+    """Return line and column of a token, the first one after some text."""
+    at = text.index(token, text.index(after))
+    return f"f.yaml:{text.count(chr(10), 0, at) + 1}:{at - text.rfind(chr(10), 0, at)}: "
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "token", "words"),
+    [
+        ("{push: F}", "{pull: F}", "pull", "no control 'pull'; known: push"),
+        ("{push: F}", "{push: E}", "E", "unknown name 'E'"),
+        ("{push: F}", "{push: 2*wheel.V}", "wheel", "unknown name 'wheel.V'"),
+        ("{push: 0}", "{push: 0, pull: 1}", "pull", "no state sets 'pull'"),
+        ("{push: 0}", "{push: 2*push}", "push", "in a circle: push -> push"),
+        ("{push: 0}", "{push: 0, F: 1}", "F", "'F' is declared twice"),
+        ("{push: 0}", "{push: 0, cart: 1}", "cart", "'cart' is a body already"),
+        ("regions:\n  driver:", "regions:\n  wheel:", "wheel", "'wheel' is a contact already"),
+        ("regions:\n  driver:", "regions:\n  push:", "push", "'push' is a control already"),
+        ("initial: go", "initial: gone", "gone", "no state 'gone'; did you mean 'go'"),
+        ("to: rest", "to: rust", "rust", "no state 'rust'; did you mean 'rest'"),
+        ("guard: cart.dx <= 0", "guard: cart.v <= 0", "cart.v", "unknown name 'cart.v'"),
+        ("guard: cart.dx <= 0", "on: wheel.land", "wheel", "no cause or state 'land'"),
+        ("guard: cart.dx <= 0", "on: weel.touchdown", "weel", "no region 'weel'; did you mean"),
+        ("guard: cart.dx <= 0", "on: wheel.stop", "wheel", "no cause or state 'stop'"),
+        ("guard: cart.dx <= 0", "on: driver.far", "driver", "waits for an event of its own"),
+        ("guard: cart.dx <= 0", "on: a.b.c", "a.b.c", "'a.b.c' is not an event"),
+        ("guard: cart.dx <= 0", "on: 3", "3", "must be text"),
+        ("guard: cart.dx <= 0", "guard: cart.dx <= 0, updates: {x: 0}", "x: 0", "no variable 'x'"),
+        ("{driver: go}", "{driver: gone}", "gone", "no state 'gone'"),
+        ("each driver.far or", "each driver.fur or", "each", "no cause or state 'fur'"),
+    ],
+)
+def test_what_is_wrong_with_controllers_is_said_with_its_place(
+    old: str, new: str, token: str, words: str
+) -> None:
+    assert SPRINT.count(old) == 1
+    text = SPRINT.replace(old, new)
+    error = refused(text)
+    assert error.startswith(place(text, token, after=new)), error
+    assert words in error, error
+
+
+def test_a_transition_has_one_trigger() -> None:
+    text = SPRINT.replace(", guard: cart.dx <= 0", "")
+    error = refused(text)
+    assert error.startswith(place(text, "{name", after="x >= 1}")), error
+    assert "transition 'halt' needs one of guard, on" in error
+
+
+def test_two_regions_that_set_one_quantity_are_named() -> None:
+    text = TWO.replace("high: {sets: {gain: 3}}", "high: {sets: {push: 3}}")
+    error = refused(text)
+    assert error.startswith(place(text, "push", after="high:")), error
+    assert "region 'gear' in state 'high' and region 'motor' in state 'on' both set 'push'" in error
+
+
+def test_coefficients_of_contacts_are_constant_in_a_state_of_one_region() -> None:
+    for old, new, words in (
+        ("smooth/2", "block.x", "'grip' depends on 'block.x': a coefficient of a contact is"),
+        ("smooth/2", "-1", "must be zero or positive in state 'icy' of 'weather', not -2"),
+        ("friction: 2*grip", "friction: 2*grap", "unknown name 'grap'"),
+    ):
+        assert old in ICE
+        error = refused(ICE.replace(old, new))
+        assert words in error, error
+    two = TWO.replace("    friction: 0\n", "    friction: gain*push\n")
+    assert "regions 'motor' and 'gear' both set what it depends on" in refused(two)
+
+
+def test_a_scene_with_controllers_equals_what_is_read_back_from_its_own_text() -> None:
+    for text in (SPRINT, ICE, BALL, TWO):
+        model = interpret(read_text(text))
+        assert isinstance(model, Scene)
+        again = validate(read_text(dump(model)), Scene)
+        assert again == model
+
+
+def test_the_product_counts_states_of_controllers_as_well() -> None:
+    built = compose(TWO)
+    assert [region.name for region in built.regions] == ["wheel", "motor", "gear"]
+    assert (built.modes_declared, built.modes_total) == (18, 18)
+    edges = {(e.cause, e.guard, e.reset) for e in built.regions[1].edges}
+    assert edges == {("start", "time >= 1", "push := gain*F"), ("end", "on gear.over", "push := 0")}
+
+
+def test_every_mode_of_contacts_is_possible_with_every_state_of_controllers() -> None:
+    held = ICE.replace("friction: 2*grip, restitution: 0", "modes: [slide, pin], friction: 2*grip")
+    built = compose(held)
+    setup = built.setup({}, 1e-9)
+    found = feasibility(built, setup, setup.initial, 0.0)
+    assert found is not None
+    assert found.declared == {(m, w): "" for m in ("slide", "pin") for w in ("dry", "icy", "wet")}
