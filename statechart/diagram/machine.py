@@ -62,7 +62,6 @@ class Written:
     """
 
     def __init__(self, machine: Machine) -> None:
-        self._machine = machine
         self.lost: dict[str, list[str]] = {}
         self.root = ET.Element("scxml", {"xmlns": SCXML, "xmlns:diagram": NOTES, "version": "1.0"})
         self._data = dict.fromkeys([n for n in machine.values if n.isidentifier()])

@@ -43,9 +43,7 @@ _ADVICE = "name a place that is writable and has room, nothing was written"
 _ROWS = 8  # in every step of the integrator
 
 
-def samples_table(
-    observer: Observer, trace: Trace, *, per_step: float | None = None
-) -> pd.DataFrame:
+def samples_table(observer: Observer, trace: Trace) -> pd.DataFrame:
     """Return a run as a table: t, j, mode, then every variable and observable.
 
     Parameters
@@ -54,17 +52,13 @@ def samples_table(
         Of the simulator that made the run.
     trace : Trace
         The run.
-    per_step : float, optional
-        Rows in every step of the integrator, 8 by default, and 1 where poses were kept; both ends
-        of an arc have one, so a jump shows as two rows of one time. Below one: 0.1 is a row every
-        ten steps.
 
     Returns
     -------
     DataFrame
         Its `attrs` have `units`, of the columns whose units are known, and `long_names`.
     """
-    return _table(observer, observer.sample(trace, per_step=per_step or _rows_of(trace)))
+    return _table(observer, observer.sample(trace, per_step=_rows_of(trace)))
 
 
 def _table(observer: Observer, samples: Samples) -> pd.DataFrame:
@@ -139,7 +133,9 @@ def to_xarray(observer: Observer, trace: Trace, *, per_step: float | None = None
     trace : Trace
         The run.
     per_step : float, optional
-        As in `samples_table`.
+        Rows in every step of the integrator, 8 by default, and 1 where poses were kept; both ends
+        of an arc have one, so a jump shows as two rows of one time. Below one: 0.1 is a row every
+        ten steps.
 
     Returns
     -------

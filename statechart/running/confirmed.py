@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
@@ -13,9 +12,7 @@ from statechart.running.answer import Answer, Cost
 from statechart.running.estimate import Once
 
 
-def confirmed(
-    once: Once, chosen: Chosen, *, clock: Callable[[], float] = working_time
-) -> Answer | None:
+def confirmed(once: Once, chosen: Chosen) -> Answer | None:
     """Make a run that was measured again; None where it turns out as another one.
 
     Its error needs no further run to be estimated: that of the same run was measured against a
@@ -28,14 +25,12 @@ def confirmed(
         Makes a run.
     chosen : Chosen
         What was measured: of this model, with these parameters, to this end.
-    clock : callable
-        Tells the time in seconds.
     """
-    began = clock()
+    began = working_time()
     assert chosen.setting.tolerance is not None
     observer, trace = once(chosen.setting.tolerance, False)
     steps, evaluations = (trace.counts.get(what, 0) for what in ("steps", "evaluations"))
-    cost = Cost(1, steps, evaluations, clock() - began)
+    cost = Cost(1, steps, evaluations, working_time() - began)
     if trace.outcome is Outcome.INTERRUPTED:
         warning = "interrupted before it came to its end"
         return Answer(observer, trace, math.inf, cost, (warning,))

@@ -52,9 +52,9 @@ class _Runs:
     def __init__(
         self,
         once: Once,
-        clock: Callable[[], float],
         floor: float,
         accuracy: float | None = None,
+        clock: Callable[[], float] = working_time,
     ) -> None:
         self._accuracy, self._floor = accuracy, floor
         self._brief = accuracy or BRIEF
@@ -204,7 +204,6 @@ def tighten(
     *,
     floor: float,
     first: float | None = None,
-    clock: Callable[[], float] = working_time,
 ) -> Answer:
     """Run at ever tighter tolerances until two runs differ by no more than `accuracy`.
 
@@ -219,11 +218,9 @@ def tighten(
     first : float, optional
         Tolerance of the first run; a tenth of the accuracy by default. At the floor it is the
         last one, too.
-    clock : callable
-        Tells the time in seconds.
     """
     tolerance = max(accuracy * _BELOW if first is None else first, floor)
-    runs = _Runs(once, clock, floor, accuracy)
+    runs = _Runs(once, floor, accuracy)
     observer, trace = runs.make(tolerance)
     if trace.outcome is Outcome.UNSUPPORTED:
         return Answer(observer, trace, None, runs.cost)
@@ -286,7 +283,7 @@ def within(
     """
     tolerance, stride = (_FIRST, _STRIDE) if first is None else (first, TIGHTER)
     tolerance = max(tolerance, floor)
-    runs = _Runs(once, clock, floor)
+    runs = _Runs(once, floor, clock=clock)
     answer: Answer | None = None
     while True:
         began = runs.seconds

@@ -58,8 +58,8 @@ class _Apart(NamedTuple):
 class _Steps:
     """Runs at ever shorter steps, what they took, and the error of the last."""
 
-    def __init__(self, once: Once, accuracy: float, clock: Callable[[], float]) -> None:
-        self._once, self._clock, self._began = once, clock, clock()
+    def __init__(self, once: Once, accuracy: float) -> None:
+        self._once, self._began = once, working_time()
         self._accuracy = accuracy
         self._before: deque[Made] = deque(maxlen=_COMPARED)
         self._runs = self._taken = 0
@@ -94,7 +94,7 @@ class _Steps:
 
     @property
     def cost(self) -> Cost:
-        return Cost(self._runs, self._taken, self._taken, self._clock() - self._began)
+        return Cost(self._runs, self._taken, self._taken, working_time() - self._began)
 
     def _between(self, coarse: Made, fine: Made) -> _Apart:
         found = compare(
@@ -117,14 +117,7 @@ class _Steps:
         return _Apart(parts[what], what, found.diverged)
 
 
-def halve(
-    once: Once,
-    accuracy: float,
-    *,
-    first: float,
-    end: float,
-    clock: Callable[[], float] = working_time,
-) -> Answer:
+def halve(once: Once, accuracy: float, *, first: float, end: float) -> Answer:
     """Run at ever shorter steps until the estimated error is no more than `accuracy`.
 
     Parameters
@@ -137,15 +130,13 @@ def halve(
         The longest step.
     end : float
         When runs end at the latest.
-    clock : callable
-        Tells the time in seconds.
 
     Returns
     -------
     Answer
         Of the run at the shortest step: a run as it is, nothing in it is extrapolated.
     """
-    steps = _Steps(once, accuracy, clock)
+    steps = _Steps(once, accuracy)
     step = min(first, end) or first
     last: Answer | None = None
     while True:
