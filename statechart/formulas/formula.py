@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
-from statechart.errors import Position
 from statechart.formulas.syntax import RELATIONS, Reader
 from statechart.formulas.tree import (
     FUNCTIONS,
@@ -138,13 +137,10 @@ class Formula:
         As written.
     root : Node
         Its syntax tree.
-    position : Position or None
-        Where its first character stands.
     """
 
     text: str
     root: Node
-    position: Position | None = field(default=None, compare=False)
 
     @cached_property
     def names(self) -> frozenset[str]:
@@ -214,7 +210,7 @@ class Formula:
 
     @property
     def _source(self) -> Source:
-        return Source(self.text, self.position)
+        return Source(self.text)
 
 
 @dataclass(frozen=True)
@@ -268,7 +264,7 @@ class Relation:
         return _finished(margin, self.left.root, self.left._source)
 
 
-def parse(text: str | int | float, *, position: Position | None = None) -> Formula:
+def parse(text: str | int | float) -> Formula:
     """Read a formula; the same text is read once.
 
     Fields keep what was written, so that a model is typed, compared and written as its user wrote
@@ -278,8 +274,6 @@ def parse(text: str | int | float, *, position: Position | None = None) -> Formu
     ----------
     text : str, int or float
         The formula, or a number.
-    position : Position, optional
-        Where its first character stands, for the errors.
 
     Raises
     ------
@@ -287,44 +281,42 @@ def parse(text: str | int | float, *, position: Position | None = None) -> Formu
         If it cannot be read, is beyond the bounds, or has a constant part without a value.
     """
     if isinstance(text, bool) or not isinstance(text, str | int | float):
-        Source(str(text), position).fail("not a number and not a formula")
-    return _read(text if isinstance(text, str) else _number_text(text, position), position)
+        Source(str(text)).fail("not a number and not a formula")
+    return _read(text if isinstance(text, str) else _number_text(text))
 
 
 @lru_cache(_REMEMBERED)
-def _read(text: str, position: Position | None) -> Formula:
-    reader = Reader(Source(text, position))
+def _read(text: str) -> Formula:
+    reader = Reader(Source(text))
     root = reader.sum()
     reader.expect_end()
-    return Formula(text, root, position)
+    return Formula(text, root)
 
 
-def _number_text(value: int | float, position: Position | None) -> str:
+def _number_text(value: int | float) -> str:
     try:
         as_float = float(value)
     except OverflowError:
-        Source("integer", position).fail("the number is too large for a float")
+        Source("integer").fail("the number is too large for a float")
     if math.isnan(as_float):
-        Source("nan", position).fail("a finite number or inf was expected")
+        Source("nan").fail("a finite number or inf was expected")
     return str(value) if isinstance(value, int) else repr(as_float)
 
 
-def parse_relation(text: str, *, position: Position | None = None) -> Relation:
+def parse_relation(text: str) -> Relation:
     """Read a comparison: two formulas with one of ``< <= > >=`` between them.
 
     Parameters
     ----------
     text : str
         The comparison.
-    position : Position, optional
-        Where its first character stands, for the errors.
 
     Raises
     ------
     FormulaError
         If it cannot be read; see `parse`.
     """
-    source = Source(text, position)
+    source = Source(text)
     reader = Reader(source)
     left = reader.sum()
     if reader.token.kind == "end":
@@ -335,4 +327,4 @@ def parse_relation(text: str, *, position: Position | None = None) -> Relation:
     right = reader.sum()
     reader.expect_end()
     # Both sides keep the whole text, so that offsets and messages point into what was written.
-    return Relation(Formula(text, left, position), Formula(text, right, position), operator, text)
+    return Relation(Formula(text, left), Formula(text, right), operator, text)

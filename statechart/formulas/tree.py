@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
-from statechart.errors import FormulaError, Position
+from statechart.errors import FormulaError
 from statechart.formulas.words import meant
 
 
@@ -120,21 +120,16 @@ RESERVED = frozenset(FUNCTIONS) | frozenset(CONSTANTS)
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The text being read and where it stands, to point into it."""
+    """The text being read, to point into it."""
 
     text: str
-    position: Position | None
 
     def fail(self, message: str, offset: int = 0, advice: str = "", name: str = "") -> NoReturn:
         """Raise a `FormulaError` that points `offset` characters into the text."""
         shown = self.text if len(self.text) <= 80 else self.text[:77] + "..."
-        place = self.position.shifted(offset) if self.position else None
         raise FormulaError(
             f"formula {shown!r}: {message}",
             advice=advice,
-            source=place.source if place else "",
-            line=place.line if place else None,
-            column=place.column if place else None,
             offset=offset,
             name=name,
             text=self.text,
