@@ -46,6 +46,8 @@ _ROWS = 8  # in every step of the integrator
 def samples_table(observer: Observer, trace: Trace) -> pd.DataFrame:
     """Return a run as a table: t, j, mode, then every variable and observable.
 
+    Both ends of an arc have a row, so a jump shows as two rows of one time.
+
     Parameters
     ----------
     observer : Observer
@@ -123,7 +125,7 @@ def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
     return table
 
 
-def to_xarray(observer: Observer, trace: Trace, *, per_step: float | None = None) -> xr.Dataset:
+def to_xarray(observer: Observer, trace: Trace) -> xr.Dataset:
     """Return a run as a data set that NetCDF can hold.
 
     Parameters
@@ -132,10 +134,6 @@ def to_xarray(observer: Observer, trace: Trace, *, per_step: float | None = None
         Of the simulator that made the run.
     trace : Trace
         The run.
-    per_step : float, optional
-        Rows in every step of the integrator, 8 by default, and 1 where poses were kept; both ends
-        of an arc have one, so a jump shows as two rows of one time. Below one: 0.1 is a row every
-        ten steps.
 
     Returns
     -------
@@ -146,7 +144,7 @@ def to_xarray(observer: Observer, trace: Trace, *, per_step: float | None = None
         parameter X. A name that the format does not allow has an underscore appended. Variables
         have `long_name`, and `units` where they are known.
     """
-    return _data_set(observer, trace, observer.sample(trace, per_step=per_step or _rows_of(trace)))
+    return _data_set(observer, trace, observer.sample(trace, per_step=_rows_of(trace)))
 
 
 def _data_set(observer: Observer, trace: Trace, samples: Samples) -> xr.Dataset:
