@@ -87,7 +87,8 @@ def touching(
     # Between looks bodies move in straight lines.
     since = 0.5 * (h + (memory.past[0] if memory.past[0] > 0.0 else h))
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
-    lowest = _LANDED * memory.past[2]
+    # Where it starts, a contact may be deeper.
+    lowest = _LANDED * memory.past[2] if memory.past[0] > 0.0 else math.inf
     m, at_old, at_pair = 0, 0, 0
     approach = closing = passed = sunk = 0.0
     many = near_pairs(centres, sizes + look.reach, grid)

@@ -64,14 +64,15 @@ def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> N
         Setting(engine="impulse", step=1e-3, impulse_tolerance=tolerance)
         for tolerance in (0.5, 1e-8)
     ]
-    found = traded(runner, settings=settings, until=0.6, folder=tmp_path)
+    # Impulses of up to eight contacts are exact to rounding, whatever is asked.
+    column = Runner("granular_column")
+    found = traded(column, settings=settings, until=0.1, folder=tmp_path)
     assert found.reference.startswith("impulse to 1e-10 step ")
     assert [point.setting for point in found.points] == settings
     assert found.points == load(tmp_path).points
     assert "impulse to 1e-08 step 0.001" in text(found)
     write(tmp_path, found)
     assert "1e-08" in (tmp_path / "trade.csv").read_text()
-    # Of ten dice that have met the laws are missed by what was allowed.
     loose, tight = (point.errors.energy for point in found.points)
     assert loose != tight
 
