@@ -37,12 +37,22 @@ def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, floa
         `constraint`: how deep a contact point is in its surface, unless the contact is off, or
         how far off it while the contact is closed. `cone`: how far a force of a closed contact is
         outside the cone of friction, measured across its edge, or pulls. Both 0 without contacts.
+        Of colliding bodies `overlap`: how deep one was in another or a surface; `impulse`: by how
+        much the impulses of a step missed the contact laws, in parts of its fastest approach;
+        `inexact`: the part of the steps that missed them by more than they may.
     """
-    if not scene.contacts:
+    if not scene.contacts and not scene.collisions:
         return {"constraint": 0.0, "cone": 0.0}
     values = {name: trace.parameters[name] for name in scene.parameters}
     setup = observer.automaton.setup(values, 1e-12)
     assert isinstance(setup, SceneSetup)
+    if scene.collisions:
+        gaps = [margin for name, margin in (trace.margins or {}).items() if name.endswith(".gap")]
+        return {
+            "overlap": _largest(-np.array(gaps)) / setup.scales.length,
+            "impulse": trace.tolerances["impulse"],
+            "inexact": trace.counts["inexact_steps"] / max(trace.counts["steps"], 1),
+        }
     steps = sum(len(arc.coefficients) for arc in trace.arcs)
     names = [f"{name}.{what}" for name in scene.contacts for what in ("gap", "V", "H")]
     samples = observer.sample(trace, names, per_step=8 if steps < _MANY else 1)

@@ -73,8 +73,12 @@ def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> N
     assert "impulse to 1e-08 step 0.001" in text(found)
     write(tmp_path, found)
     assert "1e-08" in (tmp_path / "trade.csv").read_text()
-    loose, tight = (point.errors.energy for point in found.points)
-    assert loose != tight
+    loose, tight = (point.errors for point in found.points)
+    assert loose.energy != tight.energy
+    assert loose.violations.keys() == {"overlap", "impulse", "inexact"}
+    assert 0.5 > loose.violations["impulse"] > 1e-8 > tight.violations["impulse"] > 0.0
+    assert 0.0 < tight.violations["overlap"] < 1e-2
+    assert loose.violations["inexact"] == 0.0
 
 
 def test_what_is_told_of_a_step_is_the_worst_of_steps_near_it() -> None:
