@@ -9,8 +9,9 @@ import numpy as np
 from contacts.collisions.surfaces import SurfaceNumbers
 from statechart.arrays import Array, Ints
 
-MEMORY = 4
-"""What is kept of a contact from step to step: level, lasting, impulses."""
+MEMORY = 8
+"""What is kept of a contact from step to step: level, lasting, impulses; its velocities, normal and
+tangential, after the step, and its normal."""
 
 BOTH, ALONG_X, ALONG_Y = range(3)
 """What a joint holds."""

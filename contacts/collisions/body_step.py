@@ -211,10 +211,15 @@ def _kept(
         # What lasts is nearer to the next step's impulses than what others' impacts made it bear.
         kept = pressed if touches.hit[i] else room.steady
         memory.contacts[i, 2], memory.contacts[i, 3] = kept[i]
+        for d in range(2):
+            gained = velocity(touches.bodies, touches.rows, rates, i, d)
+            gained -= velocity(touches.bodies, touches.rows, room.look.loose, i, d)
+            memory.contacts[i, 4 + d] = touches.free[i, d] + gained
+            memory.contacts[i, 6 + d] = touches.rows[i, 0, d]
         if lasts and not touches.hit[i]:
             chunk.closing[k] = max(chunk.closing[k], touches.memory[i, 1])
         normal, tangential = touches.materials[i, 0], touches.materials[i, 1]
-        slip = velocity(touches.bodies, touches.rows, rates, i, 1) - touches.carries[i]
+        slip = memory.contacts[i, 5] + touches.wanted[i, 1]
         inside = tangential * pn - normal * abs(pt) > _EDGE * pn
         sticks = tangential > 0.0 and (inside or abs(slip) <= allowed * fall)
         for side in range(2):

@@ -97,7 +97,6 @@ def carried_along(frames: Array, found: Array, h: float, m: int, touches: Touche
     before[m, 0] -= (nx * (x - u) + ny * (y - v)) / h
     before[m, 1] -= (ny * (x - u) - nx * (y - v)) / h
     u, v = _moved(frames, x, y, 2)
-    touches.carries[m] = (ny * (u - x) - nx * (v - y)) / h
     free[m, 0] -= (nx * (u - x) + ny * (v - y)) / h
-    free[m, 1] -= touches.carries[m]
+    free[m, 1] -= (ny * (u - x) - nx * (v - y)) / h
     return math.hypot(free[m, 0] - before[m, 0], free[m, 1] - before[m, 1])

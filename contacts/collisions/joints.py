@@ -101,7 +101,7 @@ def joined(
         )  # fmt: skip
         look.pull[b] += bent
         touches.materials[m, 0] = HELD if joints.holds[j] == BOTH else GUIDED
-        touches.materials[m, 1] = touches.materials[m, 2] = touches.carries[m] = 0.0
+        touches.materials[m, 1] = touches.materials[m, 2] = 0.0
         touches.hit[m] = False
         while at_old < memory.many[0] and memory.keys[at_old, 0] < first + j:
             at_old += 1

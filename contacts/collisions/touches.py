@@ -12,6 +12,9 @@ from contacts.collisions.look import Look
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import part
 
+# The cosine of the angle by which the normal of a contact that lasts turns in a step at most.
+_ALIKE = 0.95
+
 
 class Touches(NamedTuple):
     """Contacts that take part in a step.
@@ -31,8 +34,6 @@ class Touches(NamedTuple):
         negated.
     pushes : (c, 2)
         Impulses of the step before.
-    carries : (c,)
-        Velocity of the surface along the contact, where it has a path.
     hit : (c,) array of bool
         Who is struck.
     """
@@ -46,7 +47,6 @@ class Touches(NamedTuple):
     free: Array
     wanted: Array
     pushes: Array
-    carries: Array
     hit: Bools
 
     @classmethod
@@ -62,7 +62,6 @@ class Touches(NamedTuple):
             np.empty((most, 2)),
             np.empty((most, 2)),
             np.empty((most, 2)),
-            np.empty(most),
             np.empty(most, np.bool_),
         )
 
@@ -87,16 +86,32 @@ def felt(look: Look, b: int, c: int, found: Array, m: int, touches: Touches) -> 
 @part
 def recalled(
     memory: Memory, first: int, pair: int, feature: int, h: float, m: int, touches: Touches
-) -> tuple[float, bool]:
-    """Write the impulses that a contact had in a step; return its level, and if it lasts."""
+) -> tuple[float, bool, int]:
+    """Write the impulses that a contact had in a step; return its level, if it lasts, its place.
+
+    The place is that in the memory, -1 where it is new.
+    """
     touches.pushes[m, 0] = touches.pushes[m, 1] = 0.0
-    level, lasting, at = 0.0, False, first
+    level, lasting, at, place = 0.0, False, first, -1
     # Forces last, so that impulses go with the length of a step.
     longer = h / memory.past[0] if memory.past[0] > 0.0 else 1.0
     while at < memory.many[0] and memory.keys[at, 0] == pair:
         if memory.keys[at, 1] == feature:
-            level, lasting = memory.contacts[at, 0], memory.contacts[at, 1] > 0.0
+            level, lasting, place = memory.contacts[at, 0], memory.contacts[at, 1] > 0.0, at
             touches.pushes[m, 0] = longer * memory.contacts[at, 2]
             touches.pushes[m, 1] = longer * memory.contacts[at, 3]
         at += 1
-    return level, lasting
+    return level, lasting, place
+
+
+@part
+def turned(memory: Memory, place: int, m: int, touches: Touches) -> tuple[float, float]:
+    """Return by how much the turning of bodies has changed the velocities of a contact.
+
+    Since the last look nothing acts on them. Contacts of other features with the same key are not
+    compared: their normals differ.
+    """
+    last, rows, before = memory.contacts[place], touches.rows, touches.before
+    if last[6] * rows[m, 0, 0] + last[7] * rows[m, 0, 1] < _ALIKE:
+        return 0.0, 0.0
+    return before[m, 0] - last[4], before[m, 1] - last[5]

@@ -15,7 +15,7 @@ from contacts.collisions.joints import held
 from contacts.collisions.look import Look
 from contacts.collisions.meeting import arrives, came, nearby, overlap
 from contacts.collisions.seams import exposed
-from contacts.collisions.touches import Touches, felt, recalled
+from contacts.collisions.touches import Touches, felt, recalled, turned
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.kernels.jit import beside
 
@@ -143,9 +143,8 @@ def touching(
                 look.gaps[b] = min(look.gaps[b], gap)
                 if other >= 0:
                     look.gaps[other] = min(look.gaps[other], gap)
-                level, lasting = recalled(memory, at_old, pair, features[at], h, m, touches)
+                level, lasting, place = recalled(memory, at_old, pair, features[at], h, m, touches)
                 felt(look, b, other, found[at], m, touches)
-                touches.carries[m] = 0.0
                 if moves:
                     pull = carried_along(ground.frames, found[at], h, m, touches)
                     look.pull[b] = max(look.pull[b], pull)
@@ -187,10 +186,16 @@ def touching(
                 else:
                     # No deeper than an impact leaves a contact does it stay.
                     above, level = min(above, gap + lowest), max(level, -lowest)
-                    # A point that turns away faster than forces follow lifts off. What is deeper
-                    # than that makes came there as its normal turned, and goes back as fast, or
-                    # by a change of features.
-                    touches.wanted[m, 0] = max(above / h, -max(0.5 * gained, nearing))
+                    # On the way to the next look it is to be where it is kept, and the velocities
+                    # of what sticks to be none on average. What is deeper than turning takes it
+                    # was moved there by a change of features: it goes back no faster than forces
+                    # take it, or than it came.
+                    turn, shift = turned(memory, place, m, touches) if lasting else (0.0, 0.0)
+                    if above < 0.0:
+                        above = min(above - 0.5 * since * min(turn, 0.0), 0.0)
+                    back, part = max(0.5 * gained, nearing), 0.5 * h / since
+                    touches.wanted[m, 0] = max(above / h + part * turn, -back)
+                    touches.wanted[m, 1] = part * shift
                     approach = max(approach, nearing)
                 for d in range(3):
                     touches.materials[m, d] = numbers.materials[material, d]

@@ -213,6 +213,33 @@ def test_a_disc_that_loops_in_a_drum_stays_on_its_wall_and_keeps_its_energy():
     assert lost[0] / lost[1] == pytest.approx(4, rel=0.1)
 
 
+def test_a_box_that_pivots_on_its_corner_follows_the_closed_form_to_second_order():
+    # A pendulum upside down about the corner, which neither slips nor sinks.
+    a, b, start, speed, time = 0.2, 0.1, math.pi / 2 - 0.3, -0.5, 0.2
+    arm = np.array([a, b])
+
+    def centre(angle):
+        cos, sin = math.cos(angle), math.sin(angle)
+        return np.array([cos * arm[0] - sin * arm[1], sin * arm[0] + cos * arm[1]])
+
+    square = (a**2 + b**2) / 3 + a**2 + b**2
+    swing = solve_ivp(
+        lambda _, y: [y[1], -G * centre(y[0])[0] / square], (0.0, time), [start, speed],
+        rtol=1e-12, atol=1e-12,
+    )  # fmt: skip
+    (x, y), errors = centre(start).tolist(), []
+    moving = f"angle: {start!r}, dx: {-speed * y!r}, dy: {speed * x!r}, dangle: {speed}"
+    for step in (2e-3, 1e-3):
+        text = scene({"box": f"{at(x, y)}, {moving}"}, {"floor": "height: 0"}, mu=50, step=step,
+                     time=time)  # fmt: skip
+        trace = run(text)
+        assert trace.final_mode == ("pin",)
+        place = centre(swing.y[0, -1])
+        errors.append(float(np.abs(trace.final[:3] - [*place, swing.y[0, -1]]).max()))
+    assert errors[1] < 1e-5
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.2)
+
+
 def test_a_disc_at_rest_beside_a_turning_drum_rolls_in_it():
     surfaces = {"drum": "circle: [1, 2], radius: 0.5, hollow: true, turn: 2*time"}
     # Without gravity and slip it goes round as a planet does; started on that way.
