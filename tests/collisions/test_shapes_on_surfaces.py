@@ -121,10 +121,10 @@ def test_a_disc_rolls_along_a_curve(curve):
         starts = {"disc": at(*path(start)[0].tolist())}
         trace = run(scene(starts, surfaces, mu=10, step=step, time=time))
         errors.append(math.hypot(*(trace.final[:2] - expected)))
-        # In a step it leaves the tangent by (h v)^2/(2 R), and is brought back in the next one.
+        # In a step it leaves the tangent by (h v)^2/(2 R).
         assert trace.margins["disc.gap"] > -5 * step**2
-    assert errors[0] < 3e-3
-    assert errors[1] < 0.6 * errors[0]
+    assert errors[0] < 2e-5
+    assert errors[1] < 0.3 * errors[0]
 
 
 @pytest.mark.parametrize(
