@@ -35,8 +35,8 @@ from statechart.testing.subject import Subject
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-_STEP, _END, _LONG = 1e-3, 0.6, 1.0
-_RADIUS, _MASS, _FRICTION, _RESTITUTION = 0.01, 0.01, 0.5, 0.2
+STEP, END, _LONG = 1e-3, 0.6, 1.0
+RADIUS, MASS, FRICTION, RESTITUTION = 0.01, 0.01, 0.5, 0.2
 
 
 def median(function: Callable[[], object], repeats: int) -> float:
@@ -67,7 +67,7 @@ def ours(name: str, count: int, tolerance: float, repeats: int) -> None:
 
 def starts(count: int) -> list[tuple[float, float]]:
     """Return where the discs of granular_column start."""
-    trace = Runner("granular_column").run({"n": count}, until=_STEP).trace
+    trace = Runner("granular_column").run({"n": count}, until=STEP).trace
     places = trace.initial[: 3 * count].reshape(-1, 3)
     return [(x, y) for x, y, _ in places.tolist()]
 
@@ -75,8 +75,8 @@ def starts(count: int) -> list[tuple[float, float]]:
 def by_box2d(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float, float]]]:
     box2d = importlib.import_module("pyb2d3")
     # Of two coefficients of friction the geometric mean is taken, of restitution the larger.
-    material = box2d.surface_material(friction=_FRICTION, restitution=_RESTITUTION)
-    shape = box2d.shape_def(density=_MASS / (math.pi * _RADIUS**2), material=material)
+    material = box2d.surface_material(friction=FRICTION, restitution=RESTITUTION)
+    shape = box2d.shape_def(density=MASS / (math.pi * RADIUS**2), material=material)
 
     def run() -> list[tuple[float, float]]:
         world = box2d.World(gravity=(0.0, -9.81))
@@ -86,9 +86,9 @@ def by_box2d(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float
         discs = []
         for place in places:
             discs.append(world.create_dynamic_body(position=place))
-            discs[-1].create_shape(shape, box2d.circle(radius=_RADIUS))
-        for _ in range(round(_END / _STEP)):
-            world.step(_STEP, 4)
+            discs[-1].create_shape(shape, box2d.circle(radius=RADIUS))
+        for _ in range(round(END / STEP)):
+            world.step(STEP, 4)
         found = [(disc.position[0], disc.position[1]) for disc in discs]
         world.destroy()
         return found
@@ -96,51 +96,65 @@ def by_box2d(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float
     return run
 
 
-def by_pymunk(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float, float]]]:
+def pymunk_world(
+    places: list[tuple[float, float]], iterations: int = 30, restitution: float = RESTITUTION
+) -> tuple[object, list[object]]:
+    """Return pymunk's space, and the bodies of its discs."""
     pymunk = importlib.import_module("pymunk")
+    space = pymunk.Space()
+    space.gravity, space.iterations = (0.0, -9.81), iterations
+    for ends in (((-10.0, 0.0), (10.0, 0.0)), ((0.0, 0.0), (0.0, 10.0))):
+        wall = pymunk.Segment(space.static_body, *ends, 0.0)
+        # Coefficients of a pair are products.
+        wall.friction, wall.elasticity = FRICTION**0.5, restitution**0.5
+        space.add(wall)
+    discs = []
+    for place in places:
+        body = pymunk.Body(MASS, MASS * RADIUS**2 / 2)
+        body.position = place
+        disc = pymunk.Circle(body, RADIUS)
+        disc.friction, disc.elasticity = FRICTION**0.5, restitution**0.5
+        space.add(body, disc)
+        discs.append(body)
+    return space, discs
+
+
+def by_pymunk(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float, float]]]:
+    importlib.import_module("pymunk")
 
     def run() -> list[tuple[float, float]]:
-        space = pymunk.Space()
-        space.gravity, space.iterations = (0.0, -9.81), 30
-        for ends in (((-10.0, 0.0), (10.0, 0.0)), ((0.0, 0.0), (0.0, 10.0))):
-            wall = pymunk.Segment(space.static_body, *ends, 0.0)
-            # Coefficients of a pair are products.
-            wall.friction, wall.elasticity = _FRICTION**0.5, _RESTITUTION**0.5
-            space.add(wall)
-        discs = []
-        for place in places:
-            body = pymunk.Body(_MASS, _MASS * _RADIUS**2 / 2)
-            body.position = place
-            disc = pymunk.Circle(body, _RADIUS)
-            disc.friction, disc.elasticity = _FRICTION**0.5, _RESTITUTION**0.5
-            space.add(body, disc)
-            discs.append(body)
-        for _ in range(round(_END / _STEP)):
-            space.step(_STEP)
+        space, discs = pymunk_world(places)
+        for _ in range(round(END / STEP)):
+            space.step(STEP)
         return [(body.position.x, body.position.y) for body in discs]
 
     return run
 
 
-def by_mujoco(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float, float]]]:
+def mujoco_model(places: list[tuple[float, float]], options: str = "") -> object:
+    """Return MuJoCo's model, with further options of its solver."""
     mujoco = importlib.import_module("mujoco")
-    inertia = _MASS * _RADIUS**2 / 2
+    inertia = MASS * RADIUS**2 / 2
     discs = "".join(
         f'<body pos="{x} 0 {z}"><joint type="slide" axis="1 0 0"/>'
         f'<joint type="slide" axis="0 0 1"/><joint type="hinge" axis="0 1 0"/>'
-        f'<geom type="sphere" size="{_RADIUS}"/><inertial '
-        f'pos="0 0 0" mass="{_MASS}" diaginertia="{inertia} {inertia} {inertia}"/></body>'
+        f'<geom type="sphere" size="{RADIUS}"/><inertial '
+        f'pos="0 0 0" mass="{MASS}" diaginertia="{inertia} {inertia} {inertia}"/></body>'
         for x, z in places
     )
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><option timestep="{_STEP}" gravity="0 0 -9.81"/><default><geom condim="3" '
-        f'friction="{_FRICTION} 0 0"/></default><worldbody><geom type="plane" size="9 9 1"/>'
-        f'<geom type="plane" size="9 9 1" zaxis="1 0 0"/>{discs}</worldbody></mujoco>'
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{STEP}" gravity="0 0 -9.81" {options}/><default><geom '
+        f'condim="3" friction="{FRICTION} 0 0"/></default><worldbody><geom type="plane" '
+        f'size="9 9 1"/><geom type="plane" size="9 9 1" zaxis="1 0 0"/>{discs}</worldbody></mujoco>'
     )
+
+
+def by_mujoco(places: list[tuple[float, float]]) -> Callable[[], list[tuple[float, float]]]:
+    mujoco, model = importlib.import_module("mujoco"), mujoco_model(places)
 
     def run() -> list[tuple[float, float]]:
         data = mujoco.MjData(model)
-        for _ in range(round(_END / _STEP)):
+        for _ in range(round(END / STEP)):
             mujoco.mj_step(model, data)
         return [(x, z) for x, _, z in data.xpos[1:].tolist()]
 
@@ -158,11 +172,11 @@ def peer(name: str, count: int, repeats: int) -> None:
         print(f"{name:16}{count:6}  is not installed", flush=True)
         return
     taken, places = median(run, repeats), np.array(run())
-    away = scipy.spatial.distance.pdist(places).min() - 2 * _RADIUS
-    deepest = max(0.0, -min(float(away), float(places.min()) - _RADIUS))
+    away = scipy.spatial.distance.pdist(places).min() - 2 * RADIUS
+    deepest = max(0.0, -min(float(away), float(places.min()) - RADIUS))
     print(
-        f"{name:16}{count:6}{'':10}{taken:10.3f} s  overlap at the end {deepest / _RADIUS:.1e} r, "
-        f"height {places[:, 1].max() / _RADIUS:.2f} r",
+        f"{name:16}{count:6}{'':10}{taken:10.3f} s  overlap at the end {deepest / RADIUS:.1e} r, "
+        f"height {places[:, 1].max() / RADIUS:.2f} r",
         flush=True,
     )
 
@@ -203,7 +217,7 @@ def memory(count: int, record: str) -> None:
     """Print how much more than after its imports a run takes at most, in this process."""
     runner = Runner("granular_column", record=record)
     # Loads what is compiled.
-    runner.run({"n": 4}, until=_STEP)
+    runner.run({"n": 4}, until=STEP)
     status = Path("/proc/self/status").read_text(encoding="ascii")
     before = int(status.split("VmRSS:")[1].split()[0])
     trace = runner.run({"n": count}, until=_LONG, throw=False).trace

@@ -23,14 +23,24 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from many_bodies import _END, _FRICTION, _MASS, _RADIUS, _STEP, median, starts
+from many_bodies import (
+    END,
+    FRICTION,
+    MASS,
+    RADIUS,
+    STEP,
+    median,
+    mujoco_model,
+    pymunk_world,
+    starts,
+)
 
 from contacts.collisions.bodies import SteppedHeap
 from statechart.arrays import Array
 from statechart.running.runner import Runner
 
-STEPS = round(_END / _STEP)
-FELT = np.array([1.0, 1.0, 2.0 / _RADIUS**2]) / _MASS
+STEPS = round(END / STEP)
+FELT = np.array([1.0, 1.0, 2.0 / RADIUS**2]) / MASS
 """What a unit of force or torque does to the rates of a disc."""
 
 
@@ -67,7 +77,7 @@ def missed(step: Step) -> float:
     if size == 0.0:
         return 0.0
     pushed = own[:, 0] * pn - np.maximum(own[:, 0] * pn - normal, 0.0)
-    edge = own[:, 1] * _FRICTION * pn
+    edge = own[:, 1] * FRICTION * pn
     held = own[:, 1] * pt - np.clip(own[:, 1] * pt - slip, -edge, edge)
     return float(np.maximum(np.abs(pushed), np.abs(held)).max() / size)
 
@@ -82,10 +92,10 @@ def of_discs(
     rows = np.zeros((len(pairs), 2, before.size))
     for i, (one, other, nx, ny) in enumerate(pairs):
         # The tangent is the normal turned clockwise; the arm goes from a centre against the normal.
-        rows[i, :, 3 * one : 3 * one + 3] = [[nx, ny, 0.0], [ny, -nx, _RADIUS]]
+        rows[i, :, 3 * one : 3 * one + 3] = [[nx, ny, 0.0], [ny, -nx, RADIUS]]
         if other >= 0:
-            rows[i, :, 3 * other : 3 * other + 3] = [[-nx, -ny, 0.0], [-ny, nx, _RADIUS]]
-    free = before + np.array([0.0, -9.81 * _STEP, 0.0])
+            rows[i, :, 3 * other : 3 * other + 3] = [[-nx, -ny, 0.0], [-ny, nx, RADIUS]]
+    free = before + np.array([0.0, -9.81 * STEP, 0.0])
     felt = np.tile(FELT, len(before))
     return Step(rows, felt, rows @ free.ravel(), rows @ after.ravel(), impulses)
 
@@ -96,12 +106,12 @@ def by_us(count: int, tolerance: float) -> tuple[float, Iterator[Step]]:
     taken = median(lambda: runner.run(values, throw=False), 5)
 
     def steps() -> Iterator[Step]:
-        begun = runner.automaton.stepper()._begin(values, _STEP, tolerance)
+        begun = runner.automaton.stepper()._begin(values, STEP, tolerance)
         heap = begun.stepped
         assert isinstance(heap, SteppedHeap)
         state = begun.setup.initial
         for k in range(STEPS):
-            state = heap.steps(k * _STEP, _STEP, state, 1).states[-1]
+            state = heap.steps(k * STEP, STEP, state, 1).states[-1]
             yield ours(heap, count)
 
     return taken, steps()
@@ -122,29 +132,15 @@ def ours(heap: SteppedHeap, count: int) -> Step:
 
 
 def by_pymunk(count: int, iterations: int) -> tuple[float, Iterator[Step]]:
-    pymunk = importlib.import_module("pymunk")
     places = starts(count)
 
     def world() -> tuple[object, list[object]]:
-        space = pymunk.Space()
-        space.gravity, space.iterations = (0.0, -9.81), iterations
-        for ends in (((-10.0, 0.0), (10.0, 0.0)), ((0.0, 0.0), (0.0, 10.0))):
-            wall = pymunk.Segment(space.static_body, *ends, 0.0)
-            wall.friction = _FRICTION**0.5
-            space.add(wall)
-        bodies = []
-        for place in places:
-            bodies.append(pymunk.Body(_MASS, _MASS * _RADIUS**2 / 2))
-            bodies[-1].position = place
-            disc = pymunk.Circle(bodies[-1], _RADIUS)
-            disc.friction = _FRICTION**0.5
-            space.add(bodies[-1], disc)
-        return space, bodies
+        return pymunk_world(places, iterations, 0.0)
 
     def run() -> None:
         space, _ = world()
         for _ in range(STEPS):
-            space.step(_STEP)
+            space.step(STEP)
 
     def steps() -> Iterator[Step]:
         space, bodies = world()
@@ -164,7 +160,7 @@ def by_pymunk(count: int, iterations: int) -> tuple[float, Iterator[Step]]:
 
         for _ in range(STEPS):
             before, found[:] = rates(), []
-            space.step(_STEP)
+            space.step(STEP)
             for body in bodies:
                 body.each_arbiter(see, body)
             impulses = [[p.x * nx + p.y * ny, p.x * ny - p.y * nx] for _, _, nx, ny, p in found]
@@ -176,19 +172,7 @@ def by_pymunk(count: int, iterations: int) -> tuple[float, Iterator[Step]]:
 
 def by_mujoco(count: int, tolerance: float) -> tuple[float, Iterator[Step]]:
     mujoco = importlib.import_module("mujoco")
-    discs = "".join(
-        f'<body pos="{x} 0 {z}"><joint type="slide" axis="1 0 0"/>'
-        f'<joint type="slide" axis="0 0 1"/><joint type="hinge" axis="0 1 0"/>'
-        f'<geom type="sphere" size="{_RADIUS}"/><inertial pos="0 0 0" mass="{_MASS}" '
-        f'diaginertia="{" ".join(3 * [str(_MASS * _RADIUS**2 / 2)])}"/></body>'
-        for x, z in starts(count)
-    )
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><option timestep="{_STEP}" gravity="0 0 -9.81" cone="elliptic" '
-        f'tolerance="{tolerance}"/><default><geom condim="3" friction="{_FRICTION} 0 0"/></default>'
-        f'<worldbody><geom type="plane" size="9 9 1"/><geom type="plane" size="9 9 1" '
-        f'zaxis="1 0 0"/>{discs}</worldbody></mujoco>'
-    )
+    model = mujoco_model(starts(count), f'cone="elliptic" tolerance="{tolerance}"')
     # The plane's y is into it: it turns by -angle about that axis, as it is drawn.
     ahead = np.array([1.0, 1.0, -1.0])
 
@@ -214,7 +198,7 @@ def by_mujoco(count: int, tolerance: float) -> tuple[float, Iterator[Step]]:
                 if other < 0:
                     one, other, nx, ny, acting = other, one, -nx, -ny, -acting
                 pairs.append((other, one, nx, ny))
-                px, py = _STEP * acting[0], _STEP * acting[2]
+                px, py = STEP * acting[0], STEP * acting[2]
                 impulses.append([px * nx + py * ny, px * ny - py * nx])
             after = data.qvel.reshape(-1, 3) * ahead
             yield of_discs(pairs, before, after, np.array(impulses).reshape(-1, 2))
@@ -233,7 +217,7 @@ def by_siconos(
             whole[f"q{k}"] = step.least
         np.savez(asked, **whole)
         script = Path(__file__).with_name("by_siconos.py")
-        arguments = [solver, str(tolerance), str(_FRICTION), str(asked), str(answered)]
+        arguments = [solver, str(tolerance), str(FRICTION), str(asked), str(answered)]
         subprocess.run([python, str(script), *arguments], check=True)
         with np.load(answered) as found:
             taken, impulses = float(found["taken"]), [found[f"p{k}"] for k in range(len(problems))]

@@ -212,9 +212,9 @@ def _kept(
         kept = pressed if touches.hit[i] else room.steady
         memory.contacts[i, 2], memory.contacts[i, 3] = kept[i]
         for d in range(2):
-            gained = velocity(touches.bodies, touches.rows, rates, i, d)
-            gained -= velocity(touches.bodies, touches.rows, room.look.loose, i, d)
-            memory.contacts[i, 4 + d] = touches.free[i, d] + gained
+            pushed_by = velocity(touches.bodies, touches.rows, rates, i, d)
+            pushed_by -= velocity(touches.bodies, touches.rows, room.look.loose, i, d)
+            memory.contacts[i, 4 + d] = touches.free[i, d] + pushed_by
             memory.contacts[i, 6 + d] = touches.rows[i, 0, d]
         if lasts and not touches.hit[i]:
             chunk.closing[k] = max(chunk.closing[k], touches.memory[i, 1])

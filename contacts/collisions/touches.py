@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.body_numbers import MEMORY, Memory
+from contacts.collisions.body_numbers import Memory
 from contacts.collisions.islands import velocity
 from contacts.collisions.look import Look
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import part
 
 # The cosine of the angle by which the normal of a contact that lasts turns in a step at most.
-_ALIKE = 0.95
+_LASTS = 0.95
 
 
 class Touches(NamedTuple):
@@ -25,8 +25,10 @@ class Touches(NamedTuple):
         Which touch; -1: a surface.
     rows : (c, 2, 6)
         Velocities, normal and tangential, per unit rates of the two.
-    keys : (c, 2) array of int, memory : (c, MEMORY)
-        See `Memory`; in the place of lasting, how far the contact is above its level.
+    keys : (c, 2) array of int
+        See `Memory`.
+    memory : (c, 2)
+        The level at which each is kept, and how far above that it is.
     materials : (c, 3)
         See `BodyNumbers`.
     before, free, wanted : (c, 2)
@@ -56,7 +58,7 @@ class Touches(NamedTuple):
             np.empty((most, 2), np.int64),
             np.zeros((most, 2, 6)),
             np.empty((most, 2), np.int64),
-            np.empty((most, MEMORY)),
+            np.empty((most, 2)),
             np.empty((most, 3)),
             np.empty((most, 2)),
             np.empty((most, 2)),
@@ -112,6 +114,6 @@ def turned(memory: Memory, place: int, m: int, touches: Touches) -> tuple[float,
     compared: their normals differ.
     """
     last, rows, before = memory.contacts[place], touches.rows, touches.before
-    if last[6] * rows[m, 0, 0] + last[7] * rows[m, 0, 1] < _ALIKE:
+    if last[6] * rows[m, 0, 0] + last[7] * rows[m, 0, 1] < _LASTS:
         return 0.0, 0.0
     return before[m, 0] - last[4], before[m, 1] - last[5]

@@ -1,7 +1,7 @@
 """Impulses of contacts that feel each other: the best that are found, and how good they are.
 
-What rests is solved by its last impulses, once they are verified. A body's own contacts are solved
-by their status (Newton), to rounding; few contacts by sweeps and that in turn, then by Lemke's
+What rests is solved by its last impulses, once they are verified. Up to eight contacts are solved
+by their status (Newton), to rounding; a few more by sweeps and that in turn, then by Lemke's
 algorithm; many by some sweeps and then proximal points, from the last impulses or from nothing.
 There always are impulses: where they miss the contact laws their residual tells by how much, and
 they never add more energy than the scheme may.
