@@ -35,7 +35,7 @@ from statechart.kernels.jit import late, part
 _FIRST, _LEAST, _LARGEST = 1e-2, 1e-8, 1.0
 _FALLS, _GROWS = 0.5, 4.0
 # Newton's steps to a centre; eliminations in all.
-_SETTLING, _MOST = 10, 400
+_SETTLING, _MOST = 10, 3000
 
 
 @part
@@ -88,7 +88,7 @@ def _settled(
             away, aside = now[i, 0] - centre[i, 0], now[i, 1] - centre[i, 1]
             equations.right[i, 0] = -normal - compliance * contacts.own[i, 0] * away
             equations.right[i, 1] = -slip - compliance * contacts.own[i, 1] * aside
-        step(equations, status, edges, now)
+        step(contacts, equations, compliance, status, edges, now)
         moved(contacts, now, rates)
     return False, _SETTLING
 

@@ -93,12 +93,12 @@ def followed(
             equations.right[i, 0] = -normal - left * shift[i, 0] - compliance * own[i, 0] * away
             equations.right[i, 1] = -slip - left * shift[i, 1] - compliance * own[i, 1] * aside
         # Against rounding.
-        step(equations, status, edges, now)
+        step(contacts, equations, compliance, status, edges, now)
         moved(contacts, now, rates)
         for i in range(count):
             along[i, 0] = along[i, 1] = 0.0
             equations.right[i, 0], equations.right[i, 1] = -shift[i, 0], -shift[i, 1]
-        step(equations, status, edges, along)
+        step(contacts, equations, compliance, status, edges, along)
         moved(contacts, along, felt)
         if entered >= 0:
             i = entered

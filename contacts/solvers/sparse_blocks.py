@@ -1,10 +1,10 @@
-"""Equations of contacts that share bodies, eliminated block by block where they are not zero.
+"""Equations of bodies that share contacts, eliminated block by block where they are not zero.
 
-Contacts are neighbours that move a body together; in the plane those of a heap are eliminated with
-few new entries in order of their number of neighbours (minimum degree: Tinney and Walker 1967).
-The pattern of the entries is that of all contacts, whatever their status, so that it is found once
-for a problem. There is no pivoting between blocks: what is symmetric and positive but for friction,
-with a small part of its diagonal added, needs none, and where a pivot fails that is told.
+Bodies are neighbours that touch; in the plane those of a heap are eliminated with few new entries
+in order of their number of neighbours (minimum degree: Tinney and Walker 1967). The pattern of the
+entries is that of all contacts, whatever their status, so that it is found once for a problem.
+There is no pivoting between blocks: what is symmetric and positive but for friction needs none,
+and where a pivot fails that is told.
 """
 
 from __future__ import annotations
@@ -18,79 +18,80 @@ from contacts.solvers.contact_rows import ContactRows
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel, part
 
-# Entries of the elimination that there is place for at first, for each contact.
+# Entries of the elimination that there is place for at first, for each body.
 _ENTRIES = 16
 
 
 class Pattern(NamedTuple):
-    """Which entries the elimination of contacts fills.
+    """Which entries the elimination of bodies fills, each by its place in the order of that.
 
     Attributes
     ----------
-    order, place : (m,) array of int
-        The contacts in the order of their elimination, and the place of each.
-    begins : (m + 1,), others : (e,) array of int
-        By place: entries ``begins[p] : begins[p + 1]`` are the blocks beside the diagonal of
-        contact ``order[p]``, with contacts `others` that are eliminated later, in their order.
+    ends : (m, 2) array of int
+        Places of the two bodies of each contact; -1 for what nothing moves.
+    entries : (m,) array of int
+        Which entry its two bodies share; -1 for none.
+    begins : (b + 1,), others : (e,) array of int
+        Entries ``begins[p] : begins[p + 1]`` are the blocks beside the diagonal of the body at
+        place p, with those at the places `others`, later ones in their order.
     targets : (t,) array of int
-        Which entry each pair of entries of a contact changes, in the order of elimination.
-    diagonal : (m, 4), after : (e, 4), before : (e, 4)
-        Velocities per unit impulses, two by two: of a contact by its own; of it by another's, and
-        of another by its own.
+        Which entry each pair of entries of a body changes, in the order of elimination.
     """
 
-    order: Ints
-    place: Ints
+    ends: Ints
+    entries: Ints
     begins: Ints
     others: Ints
     targets: Ints
-    diagonal: Array
-    after: Array
-    before: Array
 
 
 @part
-def _neighbours(contacts: ContactRows, heads: Ints, joined: Ints, found: Ints, begins: Ints) -> int:
-    """Write the neighbours of every contact; return how many entries there are, or need be."""
-    count = len(contacts.own)
-    for b in range(len(heads)):
-        heads[b] = 0
+def _body(contacts: ContactRows, i: int, side: int) -> int:
+    """Return a body of a contact by its number; -1 where nothing moves."""
+    place = contacts.places[i, 3 * side]
+    return place // 3 if place != contacts.places[i, 3 * side + 1] else -1
+
+
+@part
+def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> Ints:
+    """Return the neighbours of the bodies one after the other, and write where each one's begin."""
+    count, bodies, total = len(contacts.own), len(sizes), 0
+    for b in range(bodies):
+        sizes[b] = 0
     for i in range(count):
-        for side in range(2):
-            heads[contacts.places[i, 3 * side] // 3 + 1] += 1
-    for b in range(len(heads) - 1):
-        heads[b + 1] += heads[b]
-    for i in range(count - 1, -1, -1):
-        for side in range(2):
-            b = contacts.places[i, 3 * side] // 3 + 1
-            heads[b] -= 1
-            joined[heads[b]] = i
-    for b in range(len(heads) - 1):
-        heads[b] = heads[b + 1]
-    heads[len(heads) - 1] = 2 * count
-    total = 0
+        one, other = _body(contacts, i, 0), _body(contacts, i, 1)
+        if one >= 0 and other >= 0:
+            sizes[one] += 1
+            sizes[other] += 1
+    for b in range(bodies):
+        first[b] = total
+        total += sizes[b]
+        sizes[b] = 0
+    found = np.empty(total + _ENTRIES * bodies, np.int64)
     for i in range(count):
-        begins[i] = total
-        for side in range(2):
-            b = contacts.places[i, 3 * side] // 3
-            if contacts.places[i, 3 * side] == contacts.places[i, 3 * side + 1]:
-                continue
-            for at in range(heads[b], heads[b + 1]):
-                j, new = joined[at], True
-                for k in range(begins[i], total):
-                    new = new and found[k] != j
-                if new and j != i:
-                    if total == len(found):
-                        return -1
-                    found[total] = j
-                    total += 1
-    begins[count] = total
-    return total
+        one, other = _body(contacts, i, 0), _body(contacts, i, 1)
+        if one >= 0 and other >= 0:
+            found[first[one] + sizes[one]] = other
+            found[first[other] + sizes[other]] = one
+            sizes[one] += 1
+            sizes[other] += 1
+    first[bodies] = total
+    # Two bodies may touch more than once.
+    for b in range(bodies):
+        kept = first[b]
+        for k in range(first[b], first[b] + sizes[b]):
+            other = found[k]
+            if mark[other] != b:
+                mark[other] = b
+                found[kept] = other
+                kept += 1
+        sizes[b] = kept - first[b]
+    return found
 
 
 @kernel
 def pattern_of(contacts: ContactRows) -> Pattern:
-    """Return how contacts are eliminated, and their compliances.
+    """Return how bodies are eliminated.
 
     Parameters
     ----------
@@ -98,29 +99,22 @@ def pattern_of(contacts: ContactRows) -> Pattern:
         Of bodies: of the six rates that a contact moves three are one body's; three that are one
         stand for what nothing moves.
     """
-    count = len(contacts.own)
-    heads = np.empty(contacts.places.max() // 3 + 3, np.int64)
-    joined, first = np.empty(2 * count, np.int64), np.empty(count + 1, np.int64)
-    pool = np.empty(_ENTRIES * count + 16, np.int64)
-    while True:
-        total = _neighbours(contacts, heads, joined, pool, first)
-        if total >= 0:
-            break
-        pool = np.empty(2 * len(pool), np.int64)
-    sizes, places = np.empty(count, np.int64), np.empty(count, np.int64)
-    for i in range(count):
-        sizes[i] = first[i + 1] - first[i]
-        places[i] = -1
-    order, begins = np.empty(count, np.int64), np.zeros(count + 1, np.int64)
-    others, mark = np.empty(_ENTRIES * count + 16, np.int64), np.full(count, -1)
+    bodies = contacts.places.max() // 3 + 1
+    first, sizes = np.empty(bodies + 1, np.int64), np.empty(bodies, np.int64)
+    mark = np.full(bodies, -1)
+    pool = _neighbours(contacts, first, sizes, mark)
+    total = first[bodies]
+    places, begins = np.full(bodies, -1), np.zeros(bodies + 1, np.int64)
+    others = np.empty(_ENTRIES * bodies, np.int64)
     filled = 0
-    for p in range(count):
-        chosen, fewest = -1, count + 1
-        for i in range(count):
-            if places[i] < 0 and sizes[i] < fewest:
-                chosen, fewest = i, sizes[i]
-        order[p], places[chosen] = chosen, p
-        begins[p] = filled
+    for b in range(bodies):
+        mark[b] = -1
+    for p in range(bodies):
+        chosen, fewest = -1, bodies + 1
+        for b in range(bodies):
+            if places[b] < 0 and sizes[b] < fewest:
+                chosen, fewest = b, sizes[b]
+        places[chosen], begins[p] = p, filled
         if filled + fewest > len(others):
             others = _longer(others, filled + fewest)
         for k in range(first[chosen], first[chosen] + fewest):
@@ -128,64 +122,75 @@ def pattern_of(contacts: ContactRows) -> Pattern:
             filled += 1
         # Its neighbours become neighbours of each other.
         for at in range(begins[p], filled):
-            i = others[at]
-            if total + sizes[i] + fewest > len(pool):
-                pool = _longer(pool, total + sizes[i] + fewest)
-            begin, mark[i] = total, i
-            for k in range(first[i], first[i] + sizes[i]):
-                j = pool[k]
-                if j != chosen:
-                    mark[j] = i
-                    pool[total] = j
+            b = others[at]
+            if total + sizes[b] + fewest > len(pool):
+                pool = _longer(pool, total + sizes[b] + fewest)
+            begin, mark[b] = total, b
+            for k in range(first[b], first[b] + sizes[b]):
+                other = pool[k]
+                if other != chosen:
+                    mark[other] = b
+                    pool[total] = other
                     total += 1
             for k in range(begins[p], filled):
-                j = others[k]
-                if mark[j] != i:
-                    mark[j] = i
-                    pool[total] = j
+                other = others[k]
+                if mark[other] != b:
+                    mark[other] = b
+                    pool[total] = other
                     total += 1
-            first[i], sizes[i] = begin, total - begin
+            first[b], sizes[b] = begin, total - begin
             for k in range(begin, total):
                 mark[pool[k]] = -1
-            mark[i] = -1
-    begins[count] = filled
-    targets = _targets(places, begins, others)
-    found = Pattern(
-        order, places, begins, others[:filled].copy(), targets, np.empty((count, 4)),
-        np.empty((filled, 4)), np.empty((filled, 4)),
-    )  # fmt: skip
-    for p in range(count):
-        i = order[p]
-        _between(contacts, i, i, found.diagonal[p])
-        for at in range(begins[p], begins[p + 1]):
-            _between(contacts, i, others[at], found.after[at])
-            _between(contacts, others[at], i, found.before[at])
-    return found
+            mark[b] = -1
+    begins[bodies] = filled
+    for k in range(filled):
+        others[k] = places[others[k]]
+    targets = _targets(begins, others)
+    ends, entries = _shared(contacts, places, begins, others)
+    return Pattern(ends, entries, begins, others[:filled].copy(), targets)
 
 
 @part
-def _targets(places: Ints, begins: Ints, others: Ints) -> Ints:
-    """Put the entries of each contact in order; return `Pattern.targets`."""
-    count, pairs = len(places), 0
-    for p in range(count):
+def _targets(begins: Ints, others: Ints) -> Ints:
+    """Put the entries of each body in order; return `Pattern.targets`."""
+    bodies, pairs = len(begins) - 1, 0
+    for p in range(bodies):
         begin, end = begins[p], begins[p + 1]
         pairs += (end - begin) * (end - begin - 1) // 2
         for at in range(begin + 1, end):
-            i, k = others[at], at
-            while k > begin and places[others[k - 1]] > places[i]:
+            q, k = others[at], at
+            while k > begin and others[k - 1] > q:
                 others[k] = others[k - 1]
                 k -= 1
-            others[k] = i
-    targets, where, last = np.empty(pairs, np.int64), np.empty(count, np.int64), 0
-    for p in range(count):
+            others[k] = q
+    targets, where, last = np.empty(pairs, np.int64), np.empty(bodies, np.int64), 0
+    for p in range(bodies):
         for at in range(begins[p], begins[p + 1]):
-            q = places[others[at]]
+            q = others[at]
             for k in range(begins[q], begins[q + 1]):
                 where[others[k]] = k
             for k in range(at + 1, begins[p + 1]):
                 targets[last] = where[others[k]]
                 last += 1
     return targets
+
+
+@part
+def _shared(contacts: ContactRows, places: Ints, begins: Ints, others: Ints) -> tuple[Ints, Ints]:
+    """Return `Pattern.ends` and `Pattern.entries`."""
+    count = len(contacts.own)
+    ends, entries = np.full((count, 2), -1), np.full(count, -1)
+    for i in range(count):
+        for side in range(2):
+            b = _body(contacts, i, side)
+            if b >= 0:
+                ends[i, side] = places[b]
+        early, late = min(ends[i, 0], ends[i, 1]), max(ends[i, 0], ends[i, 1])
+        if early >= 0:
+            for at in range(begins[early], begins[early + 1]):
+                if others[at] == late:
+                    entries[i] = at
+    return ends, entries
 
 
 @part
@@ -198,20 +203,31 @@ def _longer(array: Ints, needed: int) -> Ints:
 
 
 @part
-def _between(contacts: ContactRows, i: int, j: int, block: Array) -> None:
-    """Write the velocities of contact i per unit impulses of contact j."""
-    places, rows, columns = contacts.places, contacts.rows, contacts.columns
-    for k in range(4):
-        block[k] = 0.0
-    for one in range(2):
-        for other in range(2):
-            if places[i, 3 * one] != places[j, 3 * other]:
-                continue
-            for k in range(3):
-                for a in range(2):
-                    for b in range(2):
-                        product = rows[i, a, 3 * one + k] * columns[j, b, 3 * other + k]
-                        block[2 * a + b] += product
+def _inverted(block: Array) -> bool:
+    """Invert a block in place (Gauss and Jordan); False where a pivot fails."""
+    for k in range(3):
+        pivot = block[4 * k]
+        if pivot == 0.0 or not math.isfinite(pivot):
+            return False
+        block[4 * k] = 1.0
+        for c in range(3):
+            block[3 * k + c] /= pivot
+        for r in range(3):
+            if r != k:
+                factor = block[3 * r + k]
+                block[3 * r + k] = 0.0
+                for c in range(3):
+                    block[3 * r + c] -= factor * block[3 * k + c]
+    return True
+
+
+@part
+def _less(block: Array, left: Array, right: Array) -> None:
+    """Take a product of two blocks from one."""
+    for r in range(3):
+        a, b, c = left[3 * r], left[3 * r + 1], left[3 * r + 2]
+        for k in range(3):
+            block[3 * r + k] -= a * right[k] + b * right[3 + k] + c * right[6 + k]
 
 
 @part
@@ -221,66 +237,51 @@ def factored(pattern: Pattern, diagonal: Array, after: Array, before: Array) -> 
     Parameters
     ----------
     pattern : Pattern
-    diagonal, after, before
-        The blocks of the equations, as those of the pattern.
+    diagonal : (b, 9), after : (e, 9), before : (e, 9)
+        Blocks, three by three: of a body; of it with another, and of another with it.
     """
-    place, begins, others, targets = pattern.place, pattern.begins, pattern.others, pattern.targets
-    last = 0
-    for p in range(len(place)):
-        a, b, c, d = diagonal[p]
-        det = a * d - b * c
-        if det == 0.0 or not math.isfinite(det):
+    begins, others, targets = pattern.begins, pattern.others, pattern.targets
+    last, factor = 0, np.empty(9)
+    for p in range(len(diagonal)):
+        if not _inverted(diagonal[p]):
             return False
-        a, b, c, d = d / det, -b / det, -c / det, a / det
-        diagonal[p, 0], diagonal[p, 1], diagonal[p, 2], diagonal[p, 3] = a, b, c, d
         begin, end = begins[p], begins[p + 1]
         for at in range(begin, end):
-            e, f, g, h = before[at]
-            before[at, 0], before[at, 1] = e * a + f * c, e * b + f * d
-            before[at, 2], before[at, 3] = g * a + h * c, g * b + h * d
+            for k in range(9):
+                factor[k] = 0.0
+            _less(factor, before[at], diagonal[p])
+            for k in range(9):
+                before[at, k] = -factor[k]
         for at in range(begin, end):
-            q = place[others[at]]
-            e, f, g, h = before[at]
-            t, u, v, w = after[at]
-            if e == f == g == h == t == u == v == w == 0.0:
-                # One of the two is open.
-                last += end - at - 1
-                continue
-            diagonal[q, 0] -= e * t + f * v
-            diagonal[q, 1] -= e * u + f * w
-            diagonal[q, 2] -= g * t + h * v
-            diagonal[q, 3] -= g * u + h * w
+            _less(diagonal[others[at]], before[at], after[at])
             for k in range(at + 1, end):
                 target = targets[last]
                 last += 1
-                r, s, x, y = after[k]
-                after[target, 0] -= e * r + f * x
-                after[target, 1] -= e * s + f * y
-                after[target, 2] -= g * r + h * x
-                after[target, 3] -= g * s + h * y
-                i, j, m, n = before[k]
-                before[target, 0] -= i * t + j * v
-                before[target, 1] -= i * u + j * w
-                before[target, 2] -= m * t + n * v
-                before[target, 3] -= m * u + n * w
+                _less(after[target], before[at], after[k])
+                _less(before[target], before[k], after[at])
     return True
 
 
 @part
 def solved(pattern: Pattern, diagonal: Array, after: Array, before: Array, right: Array) -> None:
-    """Solve factored equations for a right side (m, 2), in place."""
-    order, begins, others = pattern.order, pattern.begins, pattern.others
-    for p in range(len(order)):
-        x, y = right[order[p]]
+    """Solve factored equations for a right side (b, 3), in place."""
+    begins, others = pattern.begins, pattern.others
+    for p in range(len(diagonal)):
+        x, y, z = right[p]
         for at in range(begins[p], begins[p + 1]):
-            i = others[at]
-            right[i, 0] -= before[at, 0] * x + before[at, 1] * y
-            right[i, 1] -= before[at, 2] * x + before[at, 3] * y
-    for p in range(len(order) - 1, -1, -1):
-        x, y = right[order[p]]
+            q = others[at]
+            for r in range(3):
+                right[q, r] -= (
+                    before[at, 3 * r] * x + before[at, 3 * r + 1] * y + before[at, 3 * r + 2] * z
+                )
+    for p in range(len(diagonal) - 1, -1, -1):
+        x, y, z = right[p]
         for at in range(begins[p], begins[p + 1]):
-            u, v = right[others[at]]
-            x -= after[at, 0] * u + after[at, 1] * v
-            y -= after[at, 2] * u + after[at, 3] * v
-        right[order[p], 0] = diagonal[p, 0] * x + diagonal[p, 1] * y
-        right[order[p], 1] = diagonal[p, 2] * x + diagonal[p, 3] * y
+            u, v, w = right[others[at]]
+            x -= after[at, 0] * u + after[at, 1] * v + after[at, 2] * w
+            y -= after[at, 3] * u + after[at, 4] * v + after[at, 5] * w
+            z -= after[at, 6] * u + after[at, 7] * v + after[at, 8] * w
+        for r in range(3):
+            right[p, r] = (
+                diagonal[p, 3 * r] * x + diagonal[p, 3 * r + 1] * y + diagonal[p, 3 * r + 2] * z
+            )

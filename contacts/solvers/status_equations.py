@@ -1,8 +1,12 @@
-"""Equations of contacts whose status is given: one unknown for each that slides, two that stick."""
+"""Equations of contacts whose status is given, each held to impulses by a compliance.
+
+What a contact is off by is its impulse times its compliance; so impulses follow from how the bodies
+move, and what is solved for are the rates of these: fewer than there are contacts, and what touches
+twice is neighbours once.
+"""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,57 +21,55 @@ OPEN, STICKS, SLIDES = range(3)
 
 
 class Equations(NamedTuple):
-    """Equations of contacts, scaled so that compliances of their own are 1.
+    """Room for the equations of bodies in contact.
 
     Attributes
     ----------
     pattern : Pattern
-    scales : (m, 2)
-        Impulses per unknown, and equations per velocity.
     diagonal, after, before
         Blocks as those of the pattern, factored.
+    rates : (b, 3)
+        Of the bodies.
     right : (m, 2)
-        Changes of the velocities that are asked for; is overwritten.
+        Changes of the velocities of contacts that are asked for.
     """
 
     pattern: Pattern
-    scales: Array
     diagonal: Array
     after: Array
     before: Array
+    rates: Array
     right: Array
-
-
-@part
-def _has(status: Ints, i: int, k: int) -> bool:
-    """Whether a contact has an unknown along its normal (0) or its tangent (1)."""
-    return status[i] == STICKS or (k == 0 and status[i] == SLIDES)
-
-
-@part
-def _as_status(block: Array, i: int, j: int, status: Ints, edges: Array, scales: Array) -> None:
-    """Make velocities of contact i per unit impulses of j those of their unknowns, scaled."""
-    if status[j] == SLIDES:
-        block[0] += edges[j] * block[1]
-        block[2] += edges[j] * block[3]
-    for a in range(2):
-        for b in range(2):
-            have = _has(status, i, a) and _has(status, j, b)
-            block[2 * a + b] = scales[i, a] * block[2 * a + b] * scales[j, b] if have else 0.0
 
 
 @kernel
 def equations_of(contacts: ContactRows) -> Equations:
-    """Return room for the equations of contacts of bodies, whatever their status."""
-    pattern, count = pattern_of(contacts), len(contacts.own)
-    scales = np.empty((count, 2))
-    for i in range(count):
-        for d in range(2):
-            scales[i, d] = 1.0 / math.sqrt(max(contacts.own[i, d], 1e-300))
+    """Return room for the equations of contacts of bodies, whatever their status.
+
+    Parameters
+    ----------
+    contacts : ContactRows
+        As those of `contacts.solvers.sparse_blocks.pattern_of`.
+    """
+    pattern = pattern_of(contacts)
+    bodies, entries = len(pattern.begins) - 1, len(pattern.others)
     return Equations(
-        pattern, scales, np.empty_like(pattern.diagonal), np.empty_like(pattern.after),
-        np.empty_like(pattern.before), np.empty((count, 2)),
+        pattern, np.empty((bodies, 9)), np.empty((entries, 9)), np.empty((entries, 9)),
+        np.empty((bodies, 3)), np.empty((len(contacts.own), 2)),
     )  # fmt: skip
+
+
+@part
+def _add(
+    contacts: ContactRows, i: int, d: int, share: float, edge: float, one: int, other: int,
+    block: Array,
+) -> None:  # fmt: skip
+    """Add to a block what the rates of one body do to another's through an impulse of a contact."""
+    columns, rows = contacts.columns[i], contacts.rows[i, d]
+    for r in range(3):
+        column = share * (columns[d, 3 * one + r] + edge * columns[1, 3 * one + r])
+        for c in range(3):
+            block[3 * r + c] += column * rows[3 * other + c]
 
 
 @part
@@ -76,46 +78,85 @@ def eliminated(
 ) -> bool:
     """Eliminate the equations of a status; False where a pivot fails.
 
-    What a contact has no unknown for is an unknown of its own, zero.
-
     Parameters
     ----------
     contacts : ContactRows
     equations : Equations
     compliance : float
-        Added to each contact's own, as part of it.
+        Of each contact, in parts of its own.
     status : (m,) array of int, edges : (m,)
         Of what slides, tangential by normal impulse.
     """
-    pattern, scales, diagonal, after, before, _ = equations
-    for p in range(len(status)):
-        i = pattern.order[p]
-        for k in range(4):
-            diagonal[p, k] = pattern.diagonal[p, k]
-        _as_status(diagonal[p], i, i, status, edges, scales)
-        for k in range(2):
-            diagonal[p, 3 * k] += compliance if _has(status, i, k) else 1.0
-        for at in range(pattern.begins[p], pattern.begins[p + 1]):
-            j = pattern.others[at]
-            for k in range(4):
-                after[at, k], before[at, k] = pattern.after[at, k], pattern.before[at, k]
-            _as_status(after[at], i, j, status, edges, scales)
-            _as_status(before[at], j, i, status, edges, scales)
+    pattern, diagonal, after, before, _, _ = equations
+    for p in range(len(diagonal)):
+        for k in range(9):
+            diagonal[p, k] = 1.0 if k % 4 == 0 else 0.0
+    for at in range(len(after)):
+        for k in range(9):
+            after[at, k] = before[at, k] = 0.0
+    for i in range(len(status)):
+        if status[i] == OPEN:
+            continue
+        edge = edges[i] if status[i] == SLIDES else 0.0
+        p, q, at = pattern.ends[i, 0], pattern.ends[i, 1], pattern.entries[i]
+        for d in range(2 if status[i] == STICKS else 1):
+            share = 1.0 / (compliance * contacts.own[i, d])
+            if p >= 0:
+                _add(contacts, i, d, share, edge, 0, 0, diagonal[p])
+            if q >= 0:
+                _add(contacts, i, d, share, edge, 1, 1, diagonal[q])
+            if at >= 0:
+                _add(contacts, i, d, share, edge, 0, 1, after[at] if p < q else before[at])
+                _add(contacts, i, d, share, edge, 1, 0, before[at] if p < q else after[at])
     return factored(pattern, diagonal, after, before)
 
 
 @part
-def step(equations: Equations, status: Ints, edges: Array, impulses: Array) -> None:
-    """Add to impulses (m, 2) what changes the velocities as `Equations.right` asks."""
-    pattern, scales, diagonal, after, before, right = equations
+def step(
+    contacts: ContactRows, equations: Equations, compliance: float, status: Ints, edges: Array,
+    impulses: Array,
+) -> None:  # fmt: skip
+    """Add to impulses (m, 2) what changes the velocities as `Equations.right` asks.
+
+    Parameters
+    ----------
+    contacts, compliance, status, edges
+        Those of what was eliminated.
+    equations : Equations
+    impulses : (m, 2)
+        Changed in place.
+    """
+    pattern, diagonal, after, before, rates, right = equations
+    own, rows, columns = contacts.own, contacts.rows, contacts.columns
+    for p in range(len(rates)):
+        rates[p, 0] = rates[p, 1] = rates[p, 2] = 0.0
     for i in range(len(status)):
-        for d in range(2):
-            right[i, d] = scales[i, d] * right[i, d] if _has(status, i, d) else 0.0
-    solved(pattern, diagonal, after, before, right)
+        if status[i] == OPEN:
+            continue
+        normal = right[i, 0] / (compliance * own[i, 0])
+        tangential = edges[i] * normal
+        if status[i] == STICKS:
+            tangential = right[i, 1] / (compliance * own[i, 1])
+        for side in range(2):
+            p = pattern.ends[i, side]
+            if p >= 0:
+                for k in range(3):
+                    rates[p, k] += columns[i, 0, 3 * side + k] * normal
+                    rates[p, k] += columns[i, 1, 3 * side + k] * tangential
+    solved(pattern, diagonal, after, before, rates)
     for i in range(len(status)):
-        if _has(status, i, 0):
-            impulses[i, 0] += scales[i, 0] * right[i, 0]
-        if _has(status, i, 1):
-            impulses[i, 1] += scales[i, 1] * right[i, 1]
-        elif status[i] == SLIDES:
-            impulses[i, 1] = edges[i] * impulses[i, 0]
+        if status[i] == OPEN:
+            continue
+        normal, tangential = right[i]
+        for side in range(2):
+            p = pattern.ends[i, side]
+            if p >= 0:
+                for k in range(3):
+                    normal -= rows[i, 0, 3 * side + k] * rates[p, k]
+                    tangential -= rows[i, 1, 3 * side + k] * rates[p, k]
+        normal /= compliance * own[i, 0]
+        impulses[i, 0] += normal
+        if status[i] == STICKS:
+            impulses[i, 1] += tangential / (compliance * own[i, 1])
+        else:
+            impulses[i, 1] += edges[i] * normal

@@ -1,4 +1,4 @@
-"""The sparse elimination of contacts against dense algebra."""
+"""The sparse elimination of bodies against dense algebra."""
 
 from __future__ import annotations
 
@@ -7,6 +7,17 @@ import pytest
 
 from contacts.solvers.contact_rows import ContactRows
 from contacts.solvers.sparse_blocks import pattern_of
+from contacts.solvers.status_equations import (
+    OPEN,
+    SLIDES,
+    STICKS,
+    Equations,
+    eliminated,
+    equations_of,
+    step,
+)
+from statechart.arrays import Array, Ints
+from statechart.kernels.jit import kernel
 
 
 def contacts_of(pairs, seed):
@@ -43,35 +54,72 @@ PAIRS = (
 )
 
 
+@kernel
+def solve(
+    contacts: ContactRows,
+    equations: Equations,
+    compliance: float,
+    status: Ints,
+    edges: Array,
+    impulses: Array,
+) -> bool:
+    if not eliminated(contacts, equations, compliance, status, edges):
+        return False
+    step(contacts, equations, compliance, status, edges, impulses)
+    return True
+
+
 @pytest.mark.parametrize("pairs", PAIRS)
-def test_blocks_are_those_of_the_dense_matrix_and_fill_in_is_an_elimination(pairs):
-    contacts = contacts_of(pairs, 1)
-    pattern, whole = pattern_of(contacts), dense(contacts)
-    assert sorted(pattern.order) == list(range(len(pairs)))
-    assert (pattern.order[pattern.place] == np.arange(len(pairs))).all()
-    seen = set()
-    for p, i in enumerate(pattern.order.tolist()):
-        block = whole[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-        assert pattern.diagonal[p].reshape(2, 2) == pytest.approx(block)
-        beside = pattern.others[pattern.begins[p] : pattern.begins[p + 1]].tolist()
-        assert all(pattern.place[j] > p for j in beside)
-        assert len(set(beside)) == len(beside)
-        for at, j in zip(range(pattern.begins[p], pattern.begins[p + 1]), beside, strict=True):
-            one, other = slice(2 * i, 2 * i + 2), slice(2 * j, 2 * j + 2)
-            assert pattern.after[at].reshape(2, 2) == pytest.approx(whole[one, other])
-            assert pattern.before[at].reshape(2, 2) == pytest.approx(whole[other, one])
-            seen.add((min(i, j), max(i, j)))
-    # Every entry of the matrix has a place, and so have all that their elimination fills.
-    for i in range(len(pairs)):
-        for j in range(i):
-            if whole[2 * i : 2 * i + 2, 2 * j : 2 * j + 2].any():
-                assert (j, i) in seen
-    filled = {frozenset(pair) for pair in seen}
-    for p in range(len(pairs)):
-        beside = pattern.others[pattern.begins[p] : pattern.begins[p + 1]].tolist()
-        assert all(frozenset((i, j)) in filled for i in beside for j in beside if i < j)
+@pytest.mark.parametrize("compliance", [1.0, 1e-3])
+def test_impulses_are_those_of_the_dense_equations(pairs, compliance):
+    contacts, count = contacts_of(pairs, 3), len(pairs)
+    generator = np.random.default_rng(4)
+    status = generator.integers(3, size=count)
+    edges = generator.choice([-0.3, 0.3], size=count)
+    equations, found = equations_of(contacts), generator.normal(size=(count, 2))
+    equations.right[:] = generator.normal(size=(count, 2))
+    begun, right = found.copy(), equations.right.copy()
+    assert solve(contacts, equations, compliance, status, edges, found)
+    # Impulses are these unknowns; what is felt is asked for, where there is one.
+    ways, along = [], []
+    for i in range(count):
+        first, second = np.zeros(2 * count), np.zeros(2 * count)
+        first[2 * i], second[2 * i + 1] = 1.0, 1.0
+        if status[i] == STICKS:
+            ways += [first, second]
+            along += [first, second]
+        elif status[i] == SLIDES:
+            ways.append(first + edges[i] * second)
+            along.append(first)
+    ways, along = np.array(ways).T, np.array(along)
+    held = dense(contacts) + compliance * np.diag(contacts.own[:, :2].ravel())
+    unknowns = np.linalg.solve(along @ held @ ways, along @ right.ravel())
+    assert (found - begun).ravel() == pytest.approx(ways @ unknowns, rel=1e-8, abs=1e-8)
+    assert (found[status == OPEN] == begun[status == OPEN]).all()
+
+
+@pytest.mark.parametrize("pairs", PAIRS)
+def test_what_is_eliminated_has_a_place_for_all_that_it_fills(pairs):
+    pattern = pattern_of(contacts_of(pairs, 1))
+    beside = [
+        pattern.others[begin:end].tolist()
+        for begin, end in zip(pattern.begins[:-1], pattern.begins[1:], strict=True)
+    ]
+    targets = iter(pattern.targets.tolist())
+    for p, later in enumerate(beside):
+        assert later == sorted(set(later))
+        assert all(q > p for q in later)
+        for k, q in enumerate(later):
+            for r in later[k + 1 :]:
+                assert pattern.begins[q] + beside[q].index(r) == next(targets)
+    assert next(targets, None) is None
+    for ends, entry in zip(pattern.ends.tolist(), pattern.entries.tolist(), strict=True):
+        if -1 in ends:
+            assert entry == -1
+        else:
+            assert pattern.others[entry] == max(ends)
+            assert pattern.begins[min(ends)] <= entry < pattern.begins[min(ends) + 1]
 
 
 def test_a_chain_is_eliminated_without_new_entries():
-    pairs = PAIRS[1]
-    assert len(pattern_of(contacts_of(pairs, 2)).others) == len(pairs) - 1
+    assert len(pattern_of(contacts_of(PAIRS[1], 2)).others) == 30
