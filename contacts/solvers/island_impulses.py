@@ -31,8 +31,8 @@ from statechart.kernels.jit import beside, kernel, late, part
 # Impulses of the step before are taken as they are where they miss by no more than this: what
 # rests does not creep.
 _VERIFIED = 1e-10
-# So many contacts are solved by their status at once; so many by it densely; so many where they
-# rest, in one step; so many at all; and by Lemke's algorithm.
+# So many contacts are solved by their status at once; so many by it densely where bodies share
+# them; so many where they rest, in one step; so many at all; and by Lemke's algorithm.
 _EXACT, _FEW, _DENSE, _MANY, _LEMKE = 8, 24, 100, 1000, 48
 # Rates that a contact of bodies moves; those of a dense problem move all.
 _OF_BODIES = 6
@@ -72,7 +72,6 @@ def solve_rows(
     if left <= _VERIFIED:
         return left, 0
     done, sparse = 0, count > _FEW and contacts.places.shape[1] == _OF_BODIES
-    sparse = sparse and count <= _MANY
     if count <= _EXACT or (rests and count <= _DENSE):
         left, done = by_status(contacts, least, impulses, _VERIFIED)
     elif sparse and rests:

@@ -34,8 +34,9 @@ from statechart.kernels.jit import late, part
 # settle, and grows where they do not.
 _FIRST, _LEAST, _LARGEST = 1e-2, 1e-8, 1.0
 _FALLS, _GROWS = 0.5, 4.0
-# Newton's steps to a centre; eliminations in all.
-_SETTLING, _MOST = 10, 3000
+# Newton's steps to a centre; centres at the least compliance that are no better, but for rounding;
+# eliminations in all, and times contacts: half a second.
+_SETTLING, _IDLE, _MOST, _MOST_TIMES = 10, 4, 3000, 2_000_000
 
 
 @part
@@ -116,8 +117,8 @@ def by_proximal_points(
     status, edges = np.full(count, -1), np.zeros(count)
     # Of the last centre that was found.
     known, known_edges, is_known = status.copy(), edges.copy(), False
-    compliance, done = _FIRST, 0
-    while done < _MOST and lowest > allowed:
+    compliance, done, idle, most = _FIRST, 0, 0, min(_MOST, _MOST_TIMES // count)
+    while done < most and lowest > allowed and idle < _IDLE:
         good, taken = _settled(
             contacts, equations, least, now, centre, compliance, rates, status, edges
         )
@@ -132,8 +133,9 @@ def by_proximal_points(
         if good:
             moved(contacts, now, rates)
             left = residual(contacts, least, now, rates)
+            idle += 1 if compliance == _LEAST else 0
             if left < lowest:
-                lowest = left
+                lowest, idle = left, 0
                 put_rows(now, impulses)
             for i in range(count):
                 for d in range(2):
