@@ -22,7 +22,7 @@ from contacts.solvers.contact_rows import (
     swept,
 )
 from contacts.solvers.proximal_newton import by_proximal_points
-from contacts.solvers.status_newton import by_status
+from contacts.solvers.status_newton import STEPS, by_status
 from contacts.solvers.step_impulses import capped, part_within
 from statechart.arrays import Array, Bools
 from statechart.kernels.copies import put_rows
@@ -32,8 +32,9 @@ from statechart.kernels.jit import beside, kernel, late, part
 # rests does not creep.
 _VERIFIED = 1e-10
 # So many contacts are solved by their status at once; so many by it densely where bodies share
-# them; so many where they rest, in one step; so many at all; and by Lemke's algorithm.
+# them; so many where they rest, in a few steps; so many at all; and by Lemke's algorithm.
 _EXACT, _FEW, _DENSE, _MANY, _LEMKE = 8, 24, 100, 1000, 48
+_AT_REST = 2
 # Rates that a contact of bodies moves; those of a dense problem move all.
 _OF_BODIES = 6
 # Sweeps of the trials, of which this one starts from nothing; what is sparse has so many.
@@ -73,9 +74,10 @@ def solve_rows(
         return left, 0
     done, sparse = 0, count > _FEW and contacts.places.shape[1] == _OF_BODIES
     if count <= _EXACT or (rests and count <= _DENSE):
-        left, done = by_status(contacts, least, impulses, _VERIFIED)
-    elif sparse and rests:
-        left, done = by_proximal_points(contacts, least, impulses, _VERIFIED)
+        left, done = by_status(contacts, least, impulses, _VERIFIED, _AT_REST if sparse else STEPS)
+    if sparse and rests and left > _VERIFIED:
+        left, steps = by_proximal_points(contacts, least, impulses, _VERIFIED)
+        done += steps
     other = impulses.copy()
     for trial in range(_SPARSE if sparse else len(_SWEEPS)):
         if left <= allowed:
@@ -90,7 +92,7 @@ def solve_rows(
             missed, steps = by_proximal_points(contacts, least, other, allowed)
             done += steps
         elif missed > allowed and count <= _MANY:
-            missed, steps = by_status(contacts, least, other, allowed)
+            missed, steps = by_status(contacts, least, other, allowed, STEPS)
             done += steps
         if missed > allowed and trial == _ANEW and count <= _LEMKE and not joined:
             _by_lemke(contacts, least, rates, other)

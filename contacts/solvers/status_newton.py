@@ -29,8 +29,10 @@ from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import late, part
 
-# So many steps, and for each contact; and at most.
-_STEPS, _STEPS_EACH, _MOST = 12, 4, 48
+# So many steps, and for each contact.
+_STEPS, _STEPS_EACH = 12, 4
+STEPS = 48
+"""And at most."""
 # Added to the diagonal of a compliance whose own entries are 1.
 _PROXIMAL, _CORRECTIONS = 1e-10, 4
 # Velocities below this part of the approaches are rounding.
@@ -190,7 +192,7 @@ def _blocked(contacts: ContactRows, begin: Array, end: Array, status: Ints, edge
 
 @late
 def by_status(
-    contacts: ContactRows, least: Array, impulses: Array, allowed: float
+    contacts: ContactRows, least: Array, impulses: Array, allowed: float, most: int
 ) -> tuple[float, int]:
     """Improve impulses by Newton's method; return the residual of the best ones, and the steps.
 
@@ -201,6 +203,8 @@ def by_status(
         See `contacts.solvers.contact_rows.swept`.
     allowed : float
         What is as near as this is taken, if its status is its own or not.
+    most : int
+        Steps, `STEPS` of which are of use.
     """
     rates = np.zeros(contacts.places.max() + 1)
     moved(contacts, impulses, rates)
@@ -213,7 +217,7 @@ def by_status(
         held = slope(contacts.cones[i]) < 0.0
         size = max(size, abs(least[i, 0]) if held else -least[i, 0])
     begin = now.copy()
-    most = min(_STEPS + _STEPS_EACH * len(now), _MOST)
+    most = min(_STEPS + _STEPS_EACH * len(now), most)
     for step in range(most):
         put_rows(now, begin)
         if not _solve(contacts, least, now, rates, status, edges):
