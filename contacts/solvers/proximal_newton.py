@@ -67,6 +67,21 @@ def _find_status(
 
 
 @part
+def _take_step(
+    contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
+    compliance: float, rates: Array, status: Ints, edges: Array,
+) -> None:  # fmt: skip
+    """Bring impulses to where their status is exact, and their rates, in place."""
+    for i in range(len(now)):
+        normal, slip = seen(contacts, i, least, rates)
+        away, aside = now[i, 0] - centre[i, 0], now[i, 1] - centre[i, 1]
+        equations.right[i, 0] = -normal - compliance * contacts.own[i, 0] * away
+        equations.right[i, 1] = -slip - compliance * contacts.own[i, 1] * aside
+    step(contacts, equations, compliance, status, edges, now)
+    moved(contacts, now, rates)
+
+
+@part
 def _settled(
     contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
     compliance: float, rates: Array, status: Ints, edges: Array,
@@ -75,6 +90,8 @@ def _settled(
     for taken in range(_SETTLING + 1):
         changed = _find_status(contacts, least, now, centre, compliance, rates, status, edges)
         if taken > 0 and not changed:
+            # A small compliance costs digits, which a second step gives back.
+            _take_step(contacts, equations, least, now, centre, compliance, rates, status, edges)
             return True, taken
         if taken == _SETTLING or not eliminated(contacts, equations, compliance, status, edges):
             return False, taken + 1
@@ -84,13 +101,7 @@ def _settled(
             elif status[i] == SLIDES:
                 now[i, 1] = edges[i] * now[i, 0]
         moved(contacts, now, rates)
-        for i in range(len(now)):
-            normal, slip = seen(contacts, i, least, rates)
-            away, aside = now[i, 0] - centre[i, 0], now[i, 1] - centre[i, 1]
-            equations.right[i, 0] = -normal - compliance * contacts.own[i, 0] * away
-            equations.right[i, 1] = -slip - compliance * contacts.own[i, 1] * aside
-        step(contacts, equations, compliance, status, edges, now)
-        moved(contacts, now, rates)
+        _take_step(contacts, equations, least, now, centre, compliance, rates, status, edges)
     return False, _SETTLING
 
 
