@@ -140,6 +140,8 @@ def residual(contacts: ContactRows, least: Array, impulses: Array, rates: Array)
     own, cones = contacts.own, contacts.cones
     for i in range(len(impulses)):
         normal, slip = seen(contacts, i, least, rates)
+        if not math.isfinite(normal + slip):
+            return math.inf
         pn, pt = impulses[i]
         wn, wt = own[i, 0], own[i, 1]
         mu = slope(cones[i])
@@ -154,7 +156,7 @@ def residual(contacts: ContactRows, least: Array, impulses: Array, rates: Array)
         size = max(size, -least[i, 0], _ROUNDING * wn * pn)
     if missed == 0.0:
         return 0.0
-    return missed / size if size > 0.0 and math.isfinite(missed) else math.inf
+    return missed / size if size > 0.0 else math.inf
 
 
 @part
