@@ -14,6 +14,9 @@ from statechart.automaton.automaton import Automaton
 from statechart.errors import StatechartError, Unsupported
 from statechart.formulas.writer import exponential_joined
 
+# It says on stdout where its cache on disk cannot be used, which costs time alone.
+hy.set_logger_level_error()
+
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     sp.sin: hy.sin,
     sp.cos: hy.cos,
