@@ -222,6 +222,7 @@ class _Builder:
         if isinstance(event, SequenceStartEvent):
             items: list[Any] = []
             while not isinstance(item := next(events), SequenceEndEvent):
+                self._check_cut(items[-1:], item)
                 items.append(self._value(item, events, (*loc, len(items))))
             return items
         mapping: dict[str, Any] = {}
@@ -229,6 +230,7 @@ class _Builder:
             if not isinstance(key, ScalarEvent):
                 self._fail(key, "a key must be a word")
             name = key.value
+            self._check_cut([*mapping.values()][-1:], key)
             if name == "<<":
                 self._fail(key, "a merge key (<<)", "write the values out")
             at = (*loc, name)
@@ -239,6 +241,18 @@ class _Builder:
             self._keys[at] = self._position(key)
             mapping[name] = self._value(next(events), events, at)
         return mapping
+
+    def _check_cut(self, before: list[Any], event: Event) -> None:
+        """Refuse what goes on with a formula that YAML has cut at its comma."""
+        if not (before and isinstance(before[0], str) and isinstance(event, ScalarEvent)):
+            return
+        first, second = (text.count("(") - text.count(")") for text in (before[0], event.value))
+        if not event.style and first > 0 and second != 0:
+            self._fail(
+                event,
+                f"a comma in braces or brackets ends a value, here {before[0]!r}",
+                f'put the whole formula in quotes: "{before[0]}, ..."',
+            )
 
     def _plain(self, event: ScalarEvent) -> Any:
         try:

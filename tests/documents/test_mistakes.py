@@ -134,6 +134,10 @@ MISTAKES = {
     "time in short": ("value: time", "value: t", "unknown name 't'; write time"),
     "parameter of a taken name": ("mu: 0.5", "time: 0.5", "is the time of the run; choose another"),
     "units of another name": ("gravity: g", "gravity: g\nunits: si", "no units are called 'si'"),
+    "comma of a function": ("e: 0", "e: min(0, 1)", "3:47: a comma in braces or brackets ends a "
+                            "value, here 'min(0'; put the whole formula in quotes: \"min(0, "),
+    "commas of functions": ("e: 0", "e: min(0, max(1, 2))", "3:47: a comma in braces or brackets"),
+    "comma in a list": ("[0, -L]", "[0, -hypot(L, 0)]", "11:46: a comma in braces or brack"),
     "bent ground": ("height: 0", "height: abs(x)", "a surface and a contact for each smooth piece"),
 }  # fmt: skip
 
