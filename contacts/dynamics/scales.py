@@ -76,24 +76,28 @@ class ScaleTape:
         scene = mechanics.scene
         lengths: list[sp.Expr] = []
         speeds: list[sp.Expr] = []
-        owners: list[tuple[str, ...]] = []
+        owners: list[tuple[str, ...]] = []  # of lengths
+        movers: list[tuple[str, ...]] = []  # of speeds
         masses: list[sp.Expr] = []
         for name, body in scene.bodies.items():
             centre, _ = mechanics.body_frame(name)
             lengths += centre
             speeds += [mechanics.rate(component) for component in centre]
             owners += [("bodies", name)] * 2
+            movers += [("bodies", name)] * 2
             masses.append(parse(body.mass).to_sympy(mechanics.known))
         for name in scene.contacts:
             geometry = mechanics.contact(name)
             lengths += [geometry.symbols.gap, *geometry.point]
             speeds += [mechanics.rate(component) for component in geometry.point]
             owners += [("contacts", name)] * 3
+            movers += [("contacts", name)] * 2
         for name, joint in scene.joints.items():
             place = mechanics.point(joint.point)
             lengths += place
             speeds += [mechanics.rate(component) for component in place]
             owners += [("joints", name)] * 2
+            movers += [("joints", name)] * 2
         pushes = [
             force / mechanics.mass_matrix[i, i]
             for i, force in enumerate(mechanics.generalised_forces)
@@ -110,8 +114,8 @@ class ScaleTape:
         groups = [lengths, speeds, pushes, [mass], [duration], *([g] for g in mechanics.gravity)]
         self.gravity = len(mechanics.gravity)
         groups += moves
-        self._owners = owners
-        self.places = 2 * len(owners)
+        self._owners, self._movers = owners, movers
+        self.places = len(owners) + len(movers)
         self.begins = np.array([*accumulate(map(len, groups), initial=0)])
         self.tape = mechanics.tape(
             [expression for group in groups for expression in group],
@@ -135,16 +139,16 @@ class ScaleTape:
 
     def _check(self, numbers: Array) -> None:
         """Raise at the first place, speed or gravity that is not finite or too large."""
-        for place, owner in enumerate(self._owners):
-            if not math.isfinite(numbers[place]):
+        owners = [("place", owner) for owner in self._owners]
+        owners += [("speed", owner) for owner in self._movers]
+        for (what, owner), number in zip(owners, numbers, strict=False):
+            if not math.isfinite(number):
                 raise DeclarationProblem(
-                    "its place at the start is not finite",
+                    f"its {what} at the start is not finite",
                     advice="look for a logarithm, a root or a quotient without a value there",
                     loc=owner,
                 )
-            check_range(numbers[place], "its place at the start", owner)
-            speed = numbers[len(self._owners) + place]
-            check_range(speed, "its speed at the start", owner)
+            check_range(number, f"its {what} at the start", owner)
         gravity = numbers[self.begins[5] : self.begins[5 + self.gravity]]
         if not np.isfinite(gravity).all():
             raise DeclarationProblem("must be finite", loc=("gravity",))

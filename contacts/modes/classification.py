@@ -12,6 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple
 
+import numpy as np
+
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.snapshot import PerContact, Snapshot
@@ -31,7 +33,7 @@ from contacts.modes.load_sharing import Share
 from contacts.scene.modes import OWN
 from contacts.states import OFF, OPEN, SLIDING, declared_state, undetermined
 from statechart.automaton.deferred import Deferred
-from statechart.errors import AmbiguousMode, NoConsistentMode
+from statechart.errors import AmbiguousMode, NoConsistentMode, NonFinite
 
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.
 _ENUMERATED = 4
@@ -98,6 +100,8 @@ def choose(
     ------
     NoConsistentMode, AmbiguousMode
         With every candidate and its reason.
+    NonFinite
+        If the state has no finite forces.
     """
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, still)]
@@ -113,6 +117,11 @@ def choose(
         tried = candidates(case, options)
         agreeing = consistent(tried, tie)
     if not agreeing:
+        if not (np.isfinite(snapshot.forces).all() and np.isfinite(snapshot.mass).all()):
+            raise NonFinite(
+                "forces or inertias have no finite value in this state; look for a logarithm, a "
+                "root or a quotient without a value there"
+            )
         refused = _verdicts(laws, tried, None, tie)
         only = "only modes that Lemke's algorithm ends in were tried" if many else ""
         words = (

@@ -11,7 +11,7 @@ from contacts.scene.joints import Path
 from contacts.scene.parts import Point, Surface
 from statechart.documents.declaration import TIME
 from statechart.documents.document import Loc
-from statechart.documents.fields import FormulaText, value_of
+from statechart.documents.fields import FormulaText, check_named_infinity, value_of
 from statechart.errors import DeclarationProblem, Findings
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import Formula, parse
@@ -261,6 +261,7 @@ def check_kinks(scene: SceneFields) -> None:
     for loc, text in texts:
         # Guards of controllers are derived along the motion, twice.
         check_derived(parse(text).root, changing, loc, order=1)
+        check_named_infinity(text, *loc)
         check_smooth(text, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
 
 

@@ -41,13 +41,19 @@ def _formula(value: Any) -> Any:
     return str(value) if isinstance(value, float) and math.isinf(value) else value
 
 
-def _without_infinity(value: str | int | float) -> str | int | float:
-    formula = parse(value)
+def check_named_infinity(text: str | int | float, *loc: str | int) -> None:
+    """Raise `DeclarationProblem` at `loc` where a formula names infinity."""
+    formula = parse(text)
     if formula.names_infinity:
         raise DeclarationProblem(
             f"formula {formula.text!r}: must be finite",
             advice="infinite can be friction, and parameters that stand for it",
+            loc=loc,
         )
+
+
+def _without_infinity(value: str | int | float) -> str | int | float:
+    check_named_infinity(value)
     return value
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Discriminator, Field, StrictBool, Tag, model_validator
 
-from statechart.documents.fields import FormulaText, Part, unit
+from statechart.documents.fields import FiniteText, Part, unit
 from statechart.errors import DeclarationProblem, close_matches
 
 _EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*)", re.ASCII)
@@ -92,7 +92,7 @@ def _checked_moment(text: str) -> str:
 class Value(Part):
     """A formula at a moment of the run; a list of its values at `each` event, or at some."""
 
-    value: FormulaText = Field(
+    value: FiniteText = Field(
         description="What is taken: a formula of variables, observables and parameters.",
         examples=["abs(stick.angle)"],
         json_schema_extra=unit("that of the formula"),
@@ -125,7 +125,7 @@ class Value(Part):
 class Integral(Part):
     """A formula integrated over time, or over the time that regions spend in given states."""
 
-    integral: FormulaText = Field(
+    integral: FiniteText = Field(
         description="What is integrated over time.",
         examples=["abs(tip.slip)"],
         json_schema_extra=unit("that of the formula; of the integral, it times time"),
@@ -153,7 +153,7 @@ class Count(Part):
 class Minimum(Part):
     """The least value of a formula over the run."""
 
-    minimum: FormulaText = Field(
+    minimum: FiniteText = Field(
         description="What the least value is taken of.",
         examples=["stick.y"],
         json_schema_extra=unit("that of the formula"),
@@ -163,7 +163,7 @@ class Minimum(Part):
 class Maximum(Part):
     """The greatest value of a formula over the run."""
 
-    maximum: FormulaText = Field(
+    maximum: FiniteText = Field(
         description="What the greatest value is taken of.",
         examples=["tip.V"],
         json_schema_extra=unit("that of the formula"),

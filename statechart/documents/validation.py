@@ -329,11 +329,13 @@ class located:  # noqa: N801 - used as a statement, and in every run: cheaper th
             found.others = tuple(others)
             raise found from None
         if isinstance(error, FormulaError):
+            loc = self._loc
+            if loc is None and error.name:
+                loc = ("parameters", error.name)
+            elif loc is None:
+                loc = self._document.where(error.text) if self._document else ()
             problem = DeclarationProblem(
-                error.message,
-                advice=error.advice,
-                loc=("parameters", error.name) if self._loc is None else self._loc,
-                offset=error.offset,
+                error.message, advice=error.advice, loc=loc, offset=error.offset
             )
             raise _located(self._document, problem, {}) from None
 

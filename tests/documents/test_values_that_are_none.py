@@ -1,0 +1,83 @@
+"""Formulas that have no finite value: each is told where it stands, before or as a run begins."""
+
+from __future__ import annotations
+
+import pytest
+
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError, NonFinite
+from statechart.running.runner import Runner
+
+SCENE = """\
+kind: scene
+name: block
+gravity: 9.81
+bodies:
+  block: {mass: 1, start: {y: 1}}
+surfaces:
+  floor: {height: 0}
+contacts:
+  base: {point: {body: block}, surface: floor, friction: 0.5, restitution: 0}
+controls: {u: 0}
+regions:
+  r: {initial: on, states: {on: {sets: {u: 1}}}}
+forces:
+  push: {body: block, force: [0, u]}
+stop: {time: 1}
+outputs:
+  reached: {value: block.y}
+"""
+CHART = """\
+kind: chart
+name: ball
+variables: {x: 1, v: 0}
+regions:
+  r:
+    initial: fly
+    states: {fly: {flows: {x: v, v: -1}}}
+    transitions: [{name: hit, from: fly, guard: x <= 0, updates: {v: -v/2}}]
+stop: {time: 3}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "place"),
+    [
+        (SCENE, "value: block.y", "value: inf", "17:20: outputs.reached.value"),
+        (SCENE, "value: block.y", "minimum: 2*inf", "17:22: outputs.reached.minimum"),
+        (SCENE, "value: block.y", "integral: inf", "17:23: outputs.reached.integral"),
+        (SCENE, "u: 1", "u: inf", "12:44: regions.r.states.on.sets.u"),
+        (SCENE, "u: 0", "u: inf", "10:15: controls.u"),
+    ],
+)
+def test_infinity_that_is_computed_with_is_told_with_its_place(
+    text: str, old: str, new: str, place: str
+) -> None:
+    with pytest.raises(DeclarationError, match="must be finite") as caught:
+        Runner(read_text(text.replace(old, new), "f.yaml"))
+    assert str(caught.value).startswith(f"f.yaml:{place}: ")
+
+
+def test_infinity_may_be_set_where_it_is_friction() -> None:
+    text = SCENE.replace("friction: 0.5", "friction: u").replace("u: 1", "u: inf")
+    assert Runner(read_text(text.replace("[0, u]", "[0, 0]"))).start()[0] == ("free", "on")
+
+
+def test_a_quotient_that_is_none_wherever_it_is_taken_is_told_where_it_stands() -> None:
+    text = CHART.replace("-v/2", "-v/(x - x)")
+    with pytest.raises(DeclarationError) as caught:
+        Runner(read_text(text, "f.yaml")).run()
+    assert str(caught.value).startswith("f.yaml:8:72: regions.r.transitions.0.updates.v: formula")
+
+
+@pytest.mark.parametrize("force", ["1/block.x", "log(block.x)"])
+def test_a_force_without_a_value_at_the_start_is_no_speed_and_no_lack_of_mass(force: str) -> None:
+    with pytest.raises(NonFinite, match="forces or inertias have no finite value"):
+        Runner(read_text(SCENE.replace("[0, u]", f"[u, {force}]"))).start()
+
+
+@pytest.mark.parametrize(("path", "what"), [("[1/time, 0]", "place"), ("[sqrt(time), 0]", "speed")])
+def test_a_path_that_begins_nowhere_is_told_as_such(path: str, what: str) -> None:
+    text = SCENE.replace("height: 0", f"height: 0, displacement: {path}")
+    with pytest.raises(DeclarationError, match=f"contacts.base: its {what} at the start is not"):
+        Runner(read_text(text)).start()
