@@ -191,13 +191,17 @@ class Plan:
     @cached_property
     def coordinates(self) -> dict[str, str]:
         """Parameter -> what its coordinate is called."""
-        return {name: _free(name, _OWN | {SAMPLE}) for name in self.columns}
+        taken = {*_OWN, SAMPLE}
+        return {name: _claimed(name, taken) for name in self.columns}
 
     @cached_property
     def variables(self) -> dict[str, str]:
         """Output -> what its variable is called."""
-        taken = _OWN | {SAMPLE, *self.coordinates.values()}
-        return {name: _free(name, taken) for name in self.task.outputs}
+        taken = {*_OWN, SAMPLE, *self.coordinates.values()}
+        return {
+            name: _claimed(name, taken, ("", "_count", "_index") if name in self.lists else ("",))
+            for name in self.task.outputs
+        }
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -315,7 +319,9 @@ def of_table(samples: pd.DataFrame) -> dict[str, Array]:
     return {name: numbers(name, samples.iloc[:, k].array) for k, name in enumerate(names)}
 
 
-def _free(name: str, taken: frozenset[str] | set[str]) -> str:
-    while name in taken or name in RESERVED:
+def _claimed(name: str, taken: set[str], suffixes: Sequence[str] = ("",)) -> str:
+    """Return a name that is free with all of its suffixes, which are taken from here on."""
+    while name in RESERVED or not taken.isdisjoint(name + suffix for suffix in suffixes):
         name += "_"
+    taken.update(name + suffix for suffix in suffixes)
     return name

@@ -383,3 +383,27 @@ def test_many_modes_are_told_by_their_beginning_and_number() -> None:
     assert text.endswith(")")
     assert "modes, " in text
     assert len(text) < 300
+
+
+def test_names_that_lists_make_are_nobody_elses() -> None:
+    text = """\
+kind: chart
+name: clock
+parameters: {x_index: 0.3, outcome: 1, outcome_: 1}
+variables: {t: 0}
+regions:
+  r:
+    initial: on
+    states: {on: {flows: {t: outcome}}}
+    transitions: [{name: tick, from: on, to: on, every: x_index}]
+stop: {time: 1}
+outputs:
+  x: {value: t, at: each tick}
+  x_count: {count: tick}
+"""
+    over = {"x_index": [0.3, 0.4], "outcome": [1.0], "outcome_": [1.0, 2.0, 3.0]}
+    found = sweep(interpret(read_text(text)), over)
+    named = {str(found[name].attrs.get("long_name")): name for name in found.variables}
+    assert found[named["outcome_"]].dims != found[named["outcome"]].dims
+    assert found[named["x_count"]].values.tolist() == [[[3.0] * 3], [[2.0] * 3]]
+    assert found[f"{named['x']}_count"].values.tolist() == [[[3] * 3], [[2] * 3]]
