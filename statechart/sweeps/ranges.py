@@ -181,15 +181,17 @@ def read_table(path: Path | str) -> pd.DataFrame:
     names = [str(name).strip() for name in found.iloc[0]]
     if len(set(names)) < len(names):
         raise DeclarationError(f"{path}: two columns have one name", advice="remove one")
-    try:
-        return pd.DataFrame(
-            {
-                name: [_number(name, str(word)) for word in found.iloc[1:, k]]
-                for k, name in enumerate(names)
-            }
-        )
-    except DeclarationError as error:
-        raise DeclarationError(f"{path}: {error.message}", advice=error.advice) from None
+    columns: dict[str, list[float]] = {name: [] for name in names}
+    for row, words in enumerate(found.iloc[1:].itertuples(index=False), 2):
+        for name, word in zip(names, words, strict=True):
+            try:
+                columns[name].append(_number(name, str(word)))
+            except DeclarationError as error:
+                raise DeclarationError(
+                    f"{path}, row {row}: {error.message}",
+                    advice="write numbers or formulas such as 1/3, with commas between them",
+                ) from None
+    return pd.DataFrame(columns)
 
 
 def numbers(name: str, given: Sequence[float] | Array) -> Array:

@@ -129,3 +129,12 @@ def test_a_table_that_is_missing_is_refused(tmp_path: Path) -> None:
 def test_values_are_a_list_of_numbers(given: list[object]) -> None:
     with pytest.raises(DeclarationError, match="a"):
         numbers("a", given)  # type: ignore[arg-type]
+
+
+def test_a_cell_of_a_table_that_is_no_number_is_told_with_its_row(tmp_path: Path) -> None:
+    table = tmp_path / "cells.csv"
+    table.write_text("mu,I_G\n1,1/3\n2,\n")
+    with pytest.raises(DeclarationError) as caught:
+        read_table(table)
+    assert str(caught.value).startswith(f"{table}, row 3: I_G: ''")
+    assert "lin:" not in str(caught.value)
