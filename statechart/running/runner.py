@@ -270,7 +270,8 @@ class Runner:
                 return other.stream(overrides, until=end, every=every, control=control)
             self._given.values(overrides, self.document)
             simulator = self.observers.fresh(unsearched(self.setting))
-            sampling = sampled(every, control, partial(self._given.check, document=self.document))
+            check = partial(self._given.check, document=self.document)
+            sampling = sampled(every, end, control, check)
             limit = self.model.settings.max_jumps
             return simulator.stream(overrides, sampling, until=end, max_jumps=limit)
 

@@ -27,7 +27,10 @@ def unsearched(setting: Setting) -> Setting:
 
 
 def sampled(
-    every: float, control: Control | None, check: Callable[[Mapping[str, float]], None]
+    every: float,
+    end: float,
+    control: Control | None,
+    check: Callable[[Mapping[str, float]], None],
 ) -> Sampling:
     """Return when a run is looked at, and what is asked then.
 
@@ -35,6 +38,8 @@ def sampled(
     ----------
     every : float
         Time between instants.
+    end : float
+        Of the run.
     control : callable, optional
         Sample -> values of parameters.
     check : callable
@@ -49,6 +54,11 @@ def sampled(
         raise DeclarationError(
             f"every must be a finite time above 0, not {every:g}",
             advice="say after which time the run is looked at: every=0.01",
+        )
+    if end + every == end > 0.0:
+        raise DeclarationError(
+            f"every must be above the resolution of time at {end:g}, not {every:g}",
+            advice="look at the run less often, or end it earlier",
         )
     if control is None:
         return Sampling(every, None)

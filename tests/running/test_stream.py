@@ -121,3 +121,9 @@ def test_other_runs_of_the_runner_do_not_disturb_a_stream() -> None:
     jumps = [piece.t for piece in pieces if isinstance(piece, Jump)]
     np.testing.assert_array_equal(first.coefficients, before)
     assert jumps == [jump.t for jump in runner.run().trace.jumps]
+
+
+def test_samples_that_the_clock_cannot_tell_apart_are_refused() -> None:
+    runner = Runner(read_text(PUSHED))
+    with pytest.raises(DeclarationError, match="above the resolution of time at 2, not 1e-300"):
+        next(runner.stream(every=1e-300, control=lambda sample: None))
