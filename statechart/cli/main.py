@@ -62,20 +62,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 done, 1 the run or the check failed, 2 the input is wrong.
     """
     from statechart.cli.grammar import parser
-
-    try:
-        chosen = parser().parse_args(arguments)
-    except SystemExit as exit_:
-        return exit_.code if isinstance(exit_.code, int) else _WRONG
     from statechart.errors import DeclarationError, StatechartError
 
-    if getattr(chosen, "quiet", False):
-        compiling.announce(None)
+    chosen = None
     try:
+        chosen = parser().parse_args(arguments)
+        if getattr(chosen, "quiet", False):
+            compiling.announce(None)
         verb: Callable[[argparse.Namespace], int] = _verb(chosen.verb)
         code = verb(chosen)
         sys.stdout.flush()
         return code or (_say("interrupted", _FAILED) if interrupts.arrived() else _DONE)
+    except SystemExit as exit_:
+        return exit_.code if isinstance(exit_.code, int) else _WRONG
     except DeclarationError as error:
         return _say(str(error), _WRONG)
     except StatechartError as error:

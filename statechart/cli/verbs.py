@@ -23,7 +23,7 @@ from statechart.cli.places import (
     kept_study,
 )
 from statechart.cli.terminal import print_json, show, warn
-from statechart.errors import SimulationError, StatechartError
+from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.pieces import Pieces
 
 if TYPE_CHECKING:
@@ -73,6 +73,11 @@ def run(arguments: argparse.Namespace) -> int:
         progress=not arguments.quiet,
     )
     check_folder(arguments.output)
+    if arguments.samples is not None and (arguments.output is None or is_store(arguments.output)):
+        raise DeclarationError(
+            "--samples and --no-samples are about the tables of --output",
+            advice="say --output DIR, too, or leave them out",
+        )
     check_animation(runner, arguments.animate)
     check_page("--report", arguments.report)
     if arguments.output is not None:
@@ -188,9 +193,17 @@ def modes(arguments: argparse.Namespace) -> int:
     from statechart.reporting.modes import check_variables, listing, told
 
     parameters = assigned("--set", arguments.parameters)
+    if arguments.latex and arguments.equations is None:
+        raise DeclarationError("--latex is for equations: say --equations MODE, too")
+    if arguments.latex and arguments.json:
+        raise DeclarationError("--latex and --json exclude each other", advice="say one of them")
+    if arguments.equations is not None and (arguments.at or arguments.until is not None):
+        raise DeclarationError(
+            "--equations hold at every configuration", advice="leave --at and --until out"
+        )
     runner = runner_of(arguments.file, progress=not arguments.quiet)
     automaton = runner.automaton
-    if arguments.equations is not None or arguments.latex:
+    if arguments.equations is not None:
         from statechart.reporting import equations
 
         form = "latex" if arguments.latex else "json" if arguments.json else "text"

@@ -36,7 +36,7 @@ class Block:
     equations: tuple[Equation, ...]
 
 
-def told(automaton: Automaton, setup: Setup, mode: str | None, form: str) -> str:
+def told(automaton: Automaton, setup: Setup, mode: str, form: str) -> str:
     """Return the equations of a mode in words that are printed; see `blocks`.
 
     A prime is a derivative with respect to time.
@@ -47,7 +47,7 @@ def told(automaton: Automaton, setup: Setup, mode: str | None, form: str) -> str
         Whose mode.
     setup : Setup
         Numbers of a run: what the document does not declare may be zero in it.
-    mode : str or None
+    mode : str
         As in `mode_named`.
     form : str
         `text`; `latex`, for amsmath; `json`, one object whose equations are text.
@@ -57,8 +57,6 @@ def told(automaton: Automaton, setup: Setup, mode: str | None, form: str) -> str
     DeclarationError
         If `mode` names none.
     """
-    if mode is None:
-        raise DeclarationError("--latex is for equations: say --equations MODE, too")
     key = mode_named(automaton, mode)
     declared = automaton.declaration.parameters
     zeros = ((automaton.parameter_names[i], automaton.parameters[i]) for i in setup.zeros)
@@ -83,14 +81,14 @@ def mode_named(automaton: Automaton, text: str) -> Key:
         if region is None or state not in region.states:
             known = [f"{r.name}:{s}" for r in automaton.regions for s in r.states]
             raise DeclarationError(
-                f"--equations {text}: there is no state {word!r}",
+                f"mode {text!r}: there is no state {word!r}",
                 advice=close_matches(word, known) or f"there are {', '.join(known)}",
             )
         states[name] = state
     missing = [region.name for region in automaton.regions if region.name not in states]
     if missing:
         raise DeclarationError(
-            f"--equations {text}: no state of {', '.join(missing)}",
+            f"mode {text!r}: no state of {', '.join(missing)}",
             advice="name one of every region, such as "
             + automaton.label(tuple(r.states[0] for r in automaton.regions)),
         )

@@ -248,6 +248,7 @@ def test_a_signal_while_libraries_are_imported_is_one_word(tmp_path: Path) -> No
     assert (code, out, said) == (1, "", ["interrupted"])
 
 
+@pytest.mark.parametrize("asked", ["schema chart", "--help", "--version"])
 @pytest.mark.parametrize(
     ("redirected", "words"),
     [
@@ -256,9 +257,9 @@ def test_a_signal_while_libraries_are_imported_is_one_word(tmp_path: Path) -> No
     ],
 )
 def test_results_that_cannot_be_printed_are_one_sentence(
-    tmp_path: Path, redirected: str, words: str
+    tmp_path: Path, asked: str, redirected: str, words: str
 ) -> None:
-    command = f"{sys.executable} -m statechart.cli.main schema chart {redirected}"
+    command = f"{sys.executable} -m statechart.cli.main {asked} {redirected}"
     done = subprocess.run(
         ["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import shutil
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import webbrowser
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -208,3 +210,21 @@ def test_long_work_is_a_bar_on_a_terminal_and_lines_elsewhere(
     assert "50%" in shown
     assert list(progress.counted("abc", 3, "letters")) == ["a", "b", "c"]
     assert "letters" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")
+def test_a_cache_that_cannot_be_kept_says_nothing_among_results(tmp_path: Path) -> None:
+    kept = tmp_path / "file"
+    kept.touch()
+    settings = {**os.environ, "HOME": str(kept), "XDG_CACHE_HOME": str(kept)}
+    command = (STATECHART, "run", "bouncing_ball_chart", "--until", "0.1", "--json")
+    made = subprocess.run(command, capture_output=True, text=True, check=True, env=settings)
+    assert json.loads(made.stdout)["outcome"] == "HORIZON"
+
+
+def test_tables_without_a_folder_are_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for given in ((), ("-o", str(tmp_path / "run.zarr"))):
+        assert main(["run", "toppling_stick", "--samples", *given]) == 2
+        assert "--output DIR" in capsys.readouterr().err

@@ -129,13 +129,27 @@ def test_what_names_no_mode_says_what_there_is() -> None:
         mode_named(bar, "A:pin")
     with pytest.raises(DeclarationError, match="there is no state 'A:pim'"):
         mode_named(bar, "A:pim B:free")
-    with pytest.raises(DeclarationError, match="--equations MODE"):
-        told(bar, bar.setup({}, 1e-12), None, "latex")
 
 
 def test_the_verb_prints_them(capsys: pytest.CaptureFixture[str]) -> None:
     path = "toppling_stick"
     assert main(["modes", path, "--equations", "pin", "--latex"]) == 0
     assert re.search(r"% motion\n\\begin{align\*}", capsys.readouterr().out)
-    assert main(["modes", path, "--latex"]) == 2
-    assert "--equations" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--latex",),
+        ("--equations", "pin", "--latex", "--json"),
+        ("--equations", "pin", "--until", "1"),
+        ("--equations", "pin", "--at", "stick.angle=0.1"),
+    ],
+)
+def test_the_verb_refuses_what_it_would_pass_over(
+    options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["modes", "toppling_stick", *options]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "--equations" in told.err or "--latex" in told.err
