@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -126,6 +127,8 @@ class Runner:
             impulse_bound, record,
         )  # fmt: skip
         self._study, self._alone = study, once
+        # What is compiled has memory of its own, which one run at a time may use.
+        self._turn = threading.RLock()
         # The last one with other copies of bodies, and what makes it: composing takes its time.
         self._varied: tuple[dict[str, float], Runner] | None = None
         with located(self.document, {}):
@@ -185,9 +188,10 @@ class Runner:
             with located(self.document, overrides):
                 variant = self.model.variant(overrides)
             if variant is not self.model:
-                if self._varied is None or self._varied[0] != overrides:
-                    self._varied = overrides, self._other(variant, self._study)
-                return self._varied[1].run(overrides, until=end, certify=certify, throw=throw)
+                varied = self._varied
+                if varied is None or varied[0] != overrides:
+                    self._varied = varied = overrides, self._other(variant, self._study)
+                return varied[1].run(overrides, until=end, certify=certify, throw=throw)
         measured = self._plan.measured
         if measured is not None and (overrides or end != measured):
             return self._other(self.model, None).run(
@@ -198,11 +202,12 @@ class Runner:
                 "the engine impulse cannot certify: its steps follow no differential equation",
                 advice="leave certify out, or take the engine taylor or scipy",
             )
-        began = working_time()
-        answer, basis = self._answers.answer(overrides, end)
-        observer, trace, estimate = answer.observer, answer.trace, answer.estimate
-        if certify:
-            trace = self._answers.certified(answer, overrides, end)
+        with self._turn:
+            began = working_time()
+            answer, basis = self._answers.answer(overrides, end)
+            observer, trace, estimate = answer.observer, answer.trace, answer.estimate
+            if certify:
+                trace = self._answers.certified(answer, overrides, end)
         asked = None
         if self._answers.searching:
             asked = Asked(self.setting, basis, answer.cost, answer.not_judged)
@@ -273,7 +278,15 @@ class Runner:
             check = partial(self._given.check, document=self.document)
             sampling = sampled(every, end, control, check)
             limit = self.model.settings.max_jumps
-            return simulator.stream(overrides, sampling, until=end, max_jumps=limit)
+            pieces = simulator.stream(overrides, sampling, until=end, max_jumps=limit)
+        return self._located(pieces, overrides)
+
+    def _located(
+        self, pieces: Iterator[Arc | Jump], overrides: Mapping[str, float]
+    ) -> Iterator[Arc | Jump]:
+        """Yield pieces; what is wrong by then, as a control may be, has its place."""
+        with located(self.document, overrides):
+            yield from pieces
 
     def alternatives(self) -> dict[str, Runner]:
         """Return what runs the model under the other choices that its laws leave open.

@@ -127,3 +127,10 @@ def test_samples_that_the_clock_cannot_tell_apart_are_refused() -> None:
     runner = Runner(read_text(PUSHED))
     with pytest.raises(DeclarationError, match="above the resolution of time at 2, not 1e-300"):
         next(runner.stream(every=1e-300, control=lambda sample: None))
+
+
+def test_a_control_that_no_model_allows_is_told_with_its_place() -> None:
+    runner = Runner(read_text(PUSHED, "pushed.yaml"))
+    pieces = runner.stream(every=0.5, control=lambda sample: {"mu": -1.0})
+    with pytest.raises(DeclarationError, match=r"^pushed.yaml:10:.*must be zero or positive"):
+        list(pieces)
