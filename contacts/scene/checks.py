@@ -230,6 +230,7 @@ def _bounded(
     value = value_of(text, values, *loc)
     within = 0.0 <= value <= most and not (positive and value == 0.0)
     if not within or (math.isinf(value) and not infinite):
+        words = words if math.isfinite(value) else "finite"
         raise DeclarationProblem(f"must be {words}, not {value:g}", loc=loc)
 
 

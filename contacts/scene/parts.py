@@ -292,7 +292,7 @@ class Point(Part):
 
 def _as_list(value: Any) -> Any:
     """Let a single relation be declared as itself."""
-    return (value,) if isinstance(value, str) else value
+    return value if isinstance(value, list | tuple) else (value,)
 
 
 class Contact(Part):

@@ -30,7 +30,7 @@ def example(model: type[BaseModel], loc: Sequence[str | int], *, built: bool) ->
         below = list(_below(annotations, part)) or list(_tagged(annotations, part))
         if found is not None:
             shown = found.examples[0] if found.examples else None
-        elif isinstance(shown, Mapping):
+        elif isinstance(shown, Mapping) and not isinstance(part, int):  # else a list of one
             shown = next(iter(shown.values()), None)
         elif isinstance(shown, list) and isinstance(part, int):
             shown = shown[min(part, len(shown) - 1)]

@@ -32,7 +32,7 @@ from statechart.observation.observers import Observers
 from statechart.running.answers import Answers
 from statechart.running.given import Given
 from statechart.running.result import Asked, Result
-from statechart.running.streaming import sampled, unsearched
+from statechart.running.streaming import placed, sampled, unsearched
 
 if TYPE_CHECKING:
     from statechart.engines.request import Measured
@@ -127,8 +127,7 @@ class Runner:
             impulse_bound, record,
         )  # fmt: skip
         self._study, self._alone = study, once
-        # What is compiled has memory of its own, which one run at a time may use.
-        self._turn = threading.RLock()
+        self._turn = threading.RLock()  # what is compiled has memory that serves one run at a time
         # The last one with other copies of bodies, and what makes it: composing takes its time.
         self._varied: tuple[dict[str, float], Runner] | None = None
         with located(self.document, {}):
@@ -203,22 +202,20 @@ class Runner:
                 advice="leave certify out, or take the engine taylor or scipy",
             )
         with self._turn:
-            began = working_time()
-            answer, basis = self._answers.answer(overrides, end)
-            observer, trace, estimate = answer.observer, answer.trace, answer.estimate
+            began, answers = working_time(), self._answers
+            answer, basis = answers.answer(overrides, end)
+            trace, asked = answer.trace, None
             if certify:
-                trace = self._answers.certified(answer, overrides, end)
-        asked = None
-        if self._answers.searching:
-            asked = Asked(self.setting, basis, answer.cost, answer.not_judged)
-        if answer.warnings:
-            trace = replace(trace, warnings=(*trace.warnings, *answer.warnings))
-        if self._answers.reason:
-            trace = replace(trace, warnings=(self._answers.reason, *trace.warnings))
+                trace = answers.certified(answer, overrides, end)
+            if answers.searching:
+                asked = Asked(self.setting, basis, answer.cost, answer.not_judged)
+            warnings = (*filter(None, (answers.reason, *trace.warnings)), *answer.warnings)
+        if warnings != trace.warnings:
+            trace = replace(trace, warnings=warnings)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         timings = {**self._timings, "run": working_time() - began}
-        return Result(trace, observer, estimate, timings, self, asked)
+        return Result(trace, answer.observer, answer.estimate, timings, self, asked)
 
     def rows(self, names: Sequence[str]) -> tuple[Observer, RowRunner] | None:
         """Return what runs rows of values of some parameters, and what observes such runs.
@@ -276,17 +273,9 @@ class Runner:
             self._given.values(overrides, self.document)
             simulator = self.observers.fresh(unsearched(self.setting))
             check = partial(self._given.check, document=self.document)
-            sampling = sampled(every, end, control, check)
-            limit = self.model.settings.max_jumps
+            limit, sampling = self.model.settings.max_jumps, sampled(every, end, control, check)
             pieces = simulator.stream(overrides, sampling, until=end, max_jumps=limit)
-        return self._located(pieces, overrides)
-
-    def _located(
-        self, pieces: Iterator[Arc | Jump], overrides: Mapping[str, float]
-    ) -> Iterator[Arc | Jump]:
-        """Yield pieces; what is wrong by then, as a control may be, has its place."""
-        with located(self.document, overrides):
-            yield from pieces
+        return placed(pieces, located(self.document, overrides))
 
     def alternatives(self) -> dict[str, Runner]:
         """Return what runs the model under the other choices that its laws leave open.

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 
 from statechart.automaton.sampling import Control, Sample, Sampling
+from statechart.automaton.trace import Arc, Jump
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError
 
@@ -24,6 +26,14 @@ def unsearched(setting: Setting) -> Setting:
             advice="ask for a tolerance, or a step",
         )
     return setting
+
+
+def placed(
+    pieces: Iterator[Arc | Jump], within: AbstractContextManager[None]
+) -> Iterator[Arc | Jump]:
+    """Yield pieces; what is wrong by then, as a control may be, is told `within`."""
+    with within:
+        yield from pieces
 
 
 def sampled(

@@ -138,6 +138,10 @@ MISTAKES = {
                             "value, here 'min(0'; put the whole formula in quotes: \"min(0, "),
     "commas of functions": ("e: 0", "e: min(0, max(1, 2))", "3:47: a comma in braces or brackets"),
     "comma in a list": ("[0, -L]", "[0, -hypot(L, 0)]", "11:46: a comma in braces or brack"),
+    "condition of truth": ("friction: mu", "friction: mu, enabled: true", "11:82: contacts.tip.enab"
+                           "led: must be text, not true; such as rod.x >= 0"),
+    "infinite mass": ("mass: m", "mass: .inf", "7:15: bodies.rod.mass: must be finite, not inf"),
+    "shape in a word": ("mass: m", "mass: m, shape: disc", "not 'disc'; such as {disc: r}"),
     "bent ground": ("height: 0", "height: abs(x)", "a surface and a contact for each smooth piece"),
 }  # fmt: skip
 
