@@ -18,8 +18,10 @@ def schema(arguments: argparse.Namespace) -> int:
 
 def new(arguments: argparse.Namespace) -> int:
     """Write a scene to start from."""
+    from statechart.cli.places import check_file
     from statechart.documents.files import write_atomic
     from statechart.documents.yaml_reader import read_text
+    from statechart.documents.yaml_text import resolve
     from statechart.formulas.syntax import NAME
     from statechart.formulas.tree import RESERVED
     from statechart.loading.kind import kind
@@ -27,14 +29,15 @@ def new(arguments: argparse.Namespace) -> int:
     from statechart.loading.schema import line
 
     name = arguments.name
-    if not NAME.fullmatch(name) or name in RESERVED:
+    if not NAME.fullmatch(name) or name in RESERVED or not isinstance(resolve(name), str):
         raise DeclarationError(
             f"{name!r} cannot be the name of a model",
-            advice="letters, digits and _, not beginning with a digit, no word of formulas",
+            advice="letters, digits and _, not beginning with a digit, no word of formulas or YAML",
         )
     path = Path(f"{name}.yaml")
     if path.exists() or path.is_symlink():
         raise DeclarationError(f"{path} exists already", advice="choose another name")
+    check_file("new", str(path))
     text = line("scene") + kind("scene").starter.read_text(encoding="utf-8").replace("NAME", name)
     interpret(read_text(text, str(path)))
     write_atomic(path, text.encode())

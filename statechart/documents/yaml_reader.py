@@ -69,7 +69,8 @@ def read(path: Path) -> Document:
     except FileNotFoundError:
         raise DeclarationError("no such file", source=source) from None
     except (OSError, ValueError) as error:
-        raise DeclarationError(f"cannot be read: {error}", source=source) from None
+        why = error.strerror if isinstance(error, OSError) else error
+        raise DeclarationError(f"cannot be read: {why}", source=source) from None
     try:
         # Too long a file may be cut inside a character; read_text will refuse it anyway.
         text = raw.decode("utf-8-sig", "ignore" if len(raw) > MAX_BYTES else "strict")

@@ -1,0 +1,31 @@
+"""What `new` refuses: nothing is written, and the words are about the name or the place."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from statechart.cli.main import main
+
+
+@pytest.mark.parametrize("name", ["true", "null", "Null", "sin", "my scene", "1st"])
+def test_a_name_that_no_document_can_have(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", name]) == 2
+    assert f"{name!r} cannot be the name of a model" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_not_writable_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    # Whoever runs the tests may be allowed to write everywhere.
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert main(["new", "mine"]) == 2
+    assert f"there is no folder {tmp_path} that is writable" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
