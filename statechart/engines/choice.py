@@ -41,7 +41,8 @@ def choose(setting: Setting) -> tuple[Engine, str]:
     engine, method, tolerance = setting.engine or "auto", setting.method, setting.tolerance
     longest = setting.max_step or math.inf
     if engine not in ENGINES:
-        raise DeclarationError(f"no engine {engine!r}", advice="known: " + ", ".join(ENGINES))
+        known = ", ".join((*ENGINES, "impulse"))
+        raise DeclarationError(f"no engine {engine!r}", advice=f"known: {known}")
     reason = ""
     if engine == "auto":
         # What a method is given for is the engine that has methods.
