@@ -22,7 +22,9 @@ it, nearest to its tip."""
 # Where zones do not determine the displacement, it is moved by what is missing over this; where
 # that never explains the load, it ends beyond all bounds.
 _DAMPING, _BEYOND = 1e-12, 1e9
-_STEPS, _HALVINGS = 200, 60
+_STEPS, _HALVINGS = 200, 120
+# A slope along a step, in parts of that at its start, that counts as none.
+_LEVEL = 1e-3
 _ROUNDING = 64 * 2.0**-52
 
 
@@ -104,18 +106,62 @@ def _solved(
 
 
 @part
-def _height(
+def _borne(
     reach: Array, cones: Array, sliding: Array, load: Array, y: Array, w: Array, forces: Array
-) -> float:
-    """Return the dual function; `w` and `forces` are left as they are at `y`."""
+) -> Array:
+    """Set `w` and `forces` to those of a displacement; return what they miss of the load."""
     _displaced(reach, y, w)
-    height = 0.0
     for g in range(len(reach)):
         _force(_zone(w[g], cones[g], sliding[g]), w[g], cones[g], forces[g])
-        height += 0.5 * (forces[g, 0] * forces[g, 0] + forces[g, 1] * forces[g, 1])
-    for i in range(len(y)):
-        height -= load[i] * y[i]
-    return height
+    return _missing(reach, forces, load)
+
+
+@part
+def _along(left: Array, step: Array) -> float:
+    rise = 0.0
+    for i in range(len(step)):
+        rise += left[i] * step[i]
+    return rise
+
+
+@part
+def _length(
+    reach: Array,
+    cones: Array,
+    sliding: Array,
+    load: Array,
+    y: Array,
+    step: Array,
+    w: Array,
+    forces: Array,
+) -> float:
+    """Return how much of a step to take: to where the dual function is least along it, or all.
+
+    It is searched by its slope, what the forces miss of the load, which does not rise along the
+    step. Where the slope jumps over zero (zones are flat where they leave a displacement open, and
+    end in a kink) the answer is beyond the kink, in the zones that follow.
+    """
+    begun = _along(_borne(reach, cones, sliding, load, y, w, forces), step)
+    short, long = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = long if short == 0.0 else 0.5 * (short + long)
+        slope = _along(_borne(reach, cones, sliding, load, y + middle * step, w, forces), step)
+        if abs(slope) <= _LEVEL * begun:
+            return middle
+        if slope > 0.0:
+            if middle == 1.0:
+                return 1.0
+            short = middle
+        elif short == 0.0:
+            long, half = middle, 0.5 * middle
+            slope = _along(_borne(reach, cones, sliding, load, y + half * step, w, forces), step)
+            if slope > 0.0:
+                short = half
+            else:
+                long = half
+        else:
+            long = middle
+    return long
 
 
 @part
@@ -204,22 +250,14 @@ def springs(
                 if abs(violation) <= _ROUNDING * largest:
                     violation = 0.0
                 return True, forces, zones, violation
-        height = _height(scaled, cones, sliding, pushed, y, w, forces)
-        left = _missing(scaled, forces, pushed)
+        left = _borne(scaled, cones, sliding, pushed, y, w, forces)
         for i in range(size):
             stiffness[i, i] += _DAMPING
         if solve_refined(stiffness, left.copy(), step) != SOLVED:
             return False, forces, zones, np.inf
-        rise = 0.0
-        for i in range(size):
-            rise += left[i] * step[i]
-        length = 1.0
-        for _ in range(_HALVINGS):
-            there = _height(scaled, cones, sliding, pushed, y + length * step, w, forces)
-            if there <= height - 1e-4 * length * rise:
-                break
-            length *= 0.5
+        length = _length(scaled, cones, sliding, pushed, y, step, w, forces)
         y += length * step
+        _displaced(scaled, y, w)
         if np.abs(y).max() > _BEYOND * size_of_load:
             return False, forces, zones, np.inf
         for g in range(count):

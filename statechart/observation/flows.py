@@ -90,7 +90,7 @@ def start_of(trace: Trace, width: int) -> Points:
 def end_of(trace: Trace, width: int, rows: int = 1) -> Points:
     """Return the end of a run, after all jumps, in so many rows."""
     j = len(trace.jumps)
-    roles = roles_at(trace, j, trace.final_mode, ends=False)
+    roles = roles_at(trace, j, trace.final_mode, ends=True)
     known = solved_rows(trace, [(j, True)] * rows, width)
     times, states = np.full(rows, trace.t_end), np.tile(trace.final, (rows, 1))
     return Points(times, states, (roles,), (rows,), known)

@@ -1,0 +1,65 @@
+"""Where one shared force vanishes, another leaves its edge: displacements jump, forces do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import statechart
+from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+
+# A box that just fits under a lid is pushed along the floor and lifted ever more. How hard floor
+# and lid press on it is open, so that it never has to slip: friction always may hold it.
+_BOX = """
+kind: scene
+name: box_under_a_lid
+gravity: 10
+bodies: {box: {mass: 2, inertia: 1, start: {y: 1}}}
+surfaces: {floor: {height: 0}, lid: {line: [[2, 2], [-2, 2]]}}
+contacts:
+  A: {point: {body: box, at: [-1, -1]}, surface: floor, friction: 0.3, restitution: 0}
+  B: {point: {body: box, at: [1, -1]}, surface: floor, friction: 0.3, restitution: 0}
+  C: {point: {body: box, at: [0, 1]}, surface: lid, friction: 0.3, restitution: 0}
+forces:
+  push: {body: box, at: [0, -1], force: [4*time, 0]}
+  lift: {body: box, force: [0, 10*time]}
+stop: {time: 4}
+outputs:
+  A: {value: A.V}
+  B: {value: B.V}
+  C: {value: C.V}
+  along: {value: C.H}
+"""
+# At time 3 the smallest forces leave B, and C comes off its edge.
+_REACH = np.array(
+    [[[0, 1, -1], [1, 0, 1]], [[0, 1, 1], [1, 0, 1]], [[0, -1, 0], [-1, 0, 1]]], dtype=float
+)
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_a_box_under_a_lid_is_held(engine: str) -> None:
+    result = statechart.run(interpret(read_text(_BOX, "box.yaml")), engine=engine)
+    assert not result.trace.jumps
+    assert result.trace.modes == (("pin", "pin", "pin"),)
+    # As quadratic programming has it: A on its edge, B at rest, C inside its cone. The end is in
+    # other zones than the start of the same mode.
+    outputs = result.outputs
+    assert outputs["A"] == pytest.approx(20.0, abs=1e-9)
+    assert outputs["B"] == pytest.approx(0.0, abs=1e-9)
+    assert outputs["C"] == pytest.approx(40.0, abs=1e-9)
+    assert outputs["along"] == pytest.approx(10.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("past", [1e-9, 1e-10, 1e-11, 3e-12])
+@pytest.mark.parametrize("inward", [0.0, 1e-12])
+def test_zones_are_found_on_both_sides(past: float, inward: float) -> None:
+    edges = np.full((3, 2), [1.0, 0.3]) / np.hypot(1.0, 0.3)
+    for t, wanted in ((3.0 - past, [LOWER, LOWER, UPPER]), (3.0 + past, [LOWER, APEX, INSIDE])):
+        load = np.array([-4.0 * t, 20.0 - 10.0 * t, -4.0 * t])
+        found, forces, zones, violation = springs(edges, np.zeros(3), _REACH, load, inward)
+        assert found
+        assert violation <= 0.0
+        assert zones.tolist() == wanted
+        assert np.einsum("gdi,gd->i", _REACH, forces) == pytest.approx(load, abs=1e-12)
