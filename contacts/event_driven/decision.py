@@ -21,9 +21,18 @@ from statechart.errors import DeclarationProblem, NoConsistentMode
 
 
 def decide(
-    setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool], paradox: Resolution
+    setup: SceneSetup,
+    snapshot: Snapshot,
+    touching: Sequence[bool],
+    paradox: Resolution,
+    kept: Key | None = None,
 ) -> Choice | Jam:
     """Return the mode that the touching contacts take, or the jam that has to come first.
+
+    Parameters
+    ----------
+    kept : Key, optional
+        The mode that the state comes from.
 
     Raises
     ------
@@ -33,7 +42,7 @@ def decide(
     check_listed(setup, snapshot, touching)
     still = 2.0 * setup.tolerances["speed"]
     try:
-        choice = choose(snapshot, setup.contacts, touching, setup.scales, setup.tie, still)
+        choice = choose(snapshot, setup.contacts, touching, setup.scales, setup.tie, still, kept)
     except NoConsistentMode as error:
         jam = jammed(snapshot, setup.contacts, touching, still)
         if paradox == "impact" and jam is not None:

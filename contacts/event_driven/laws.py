@@ -172,7 +172,7 @@ class SceneLaws:
         if hitting:
             return self._impact(here, hitting)
         touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
-        choice = decide(setup, here.snapshot, touching, self._paradox)
+        choice = decide(setup, here.snapshot, touching, self._paradox, here.moving)
         if isinstance(choice, Jam):
             if all(choice.sliding[i] == here.moving[i] for i in choice.places):
                 # A contact that slid on to where none can: p fell to zero on the way.

@@ -84,6 +84,7 @@ def choose(
     scales: Scales,
     tie: float,
     still_below: float,
+    kept: tuple[str, ...] | None = None,
 ) -> Choice:
     """Return the mode that the state calls for.
 
@@ -95,6 +96,9 @@ def choose(
         Violations up to this (relative) count as boundary cases, not as violations.
     still_below : float
         Slip speeds up to this count as zero.
+    kept : tuple of str, optional
+        The mode that the state comes from: where its contacts share a load it goes on as long as
+        some forces explain it, whatever else agrees.
 
     Raises
     ------
@@ -131,7 +135,7 @@ def choose(
             *_advice(laws, closed, tried),
         )
         raise NoConsistentMode("; ".join(filter(None, words)), considered=refused)
-    taken, warning = _rivals(agreeing, case)
+    taken, warning = _rivals(agreeing, case, kept)
     # What a mode left open closes besides must not move away.
     if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken)} taken"
@@ -142,7 +146,9 @@ def choose(
     return Choice(taken, considered, warning, notes)
 
 
-def _rivals(agreeing: Sequence[Candidate], case: Case) -> tuple[Candidate, str]:
+def _rivals(
+    agreeing: Sequence[Candidate], case: Case, kept: tuple[str, ...] | None
+) -> tuple[Candidate, str]:
     """Return the one taken of the candidates that agree with the state, and why not another.
 
     Raises
@@ -154,6 +160,9 @@ def _rivals(agreeing: Sequence[Candidate], case: Case) -> tuple[Candidate, str]:
     taken = agreeing[0]
     if len(agreeing) == 1:
         return taken, ""
+    for one in agreeing:
+        if one.share is not None and one.states == kept and one.violation <= _NEARLY * tie:
+            return one, ""
     taken = min(agreeing, key=lambda c: (c.violation > _NEARLY * tie, openness(c)))
     # On the edge of its inequalities (a massless body that needs no force) it is no rival.
     sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []

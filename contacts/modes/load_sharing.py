@@ -101,13 +101,18 @@ def share(
     coordinates = np.sort(chosen[:reach])
     # A slide without friction is one along the edge (1, 0).
     smooth = code[shared] == SLIDE
-    explained, borne, places, violation = springs(
+    problem = (
         np.where(smooth[:, None], [1.0, 0.0], cones[shared]),
         np.array([_SLIDING.get(mode, 1.0) for mode in code[shared].tolist()]),
         np.ascontiguousarray(jacobians[shared][:, :, coordinates]),
         load[coordinates],
-        inward,
     )
+    explained, borne, places, violation = springs(*problem, inward)
+    if not explained or violation > 0.0:
+        # What is added may be enough to change a zone that was met: its displacement moves by more.
+        again = springs(*problem, 0.0)
+        if again[0] and (not explained or again[3] < violation):
+            explained, borne, places, violation = again
     if not explained:
         return None
     given, zones = forces.copy(), [OWN] * len(code)

@@ -63,3 +63,57 @@ def test_zones_are_found_on_both_sides(past: float, inward: float) -> None:
         assert violation <= 0.0
         assert zones.tolist() == wanted
         assert np.einsum("gdi,gd->i", _REACH, forces) == pytest.approx(load, abs=1e-12)
+
+
+# A body wedged between three surfaces. From the time that c1 comes to its edge another mode would
+# agree, too, in which only c2 bears; that is no reason to leave the one that holds.
+_WEDGED = """
+kind: scene
+name: wedged
+bodies: {b: {mass: 1, inertia: 0.5}}
+surfaces:
+  s0: {line: [[-0.5908161780858294, 0.6987897434705239], [-0.6891838219141706, -1.298789743470524]]}
+  s1: {line: [[1.79, 0.72], [-0.21, 0.72]]}
+  s2: {line: [[0, -2], [0, 0]]}
+contacts:
+  c0: {point: {body: b, at: [-0.64, -0.3]}, surface: s0, friction: 0.3, restitution: 0}
+  c1: {point: {body: b, at: [0.79, 0.72]}, surface: s1, friction: 2, restitution: 0}
+  c2: {point: {body: b, at: [0, -1]}, surface: s2, friction: 2, restitution: 0}
+forces:
+  f:
+    body: b
+    force: [-0.809 + 7.775*time, -0.468 + 1.84*time]
+    moment: 8.207 - 6.213*time
+stop: {time: 1}
+"""
+# The zones change twice within 5e-7, and a margin moves 35 times as much as the forces.
+_STEEP = """
+kind: scene
+name: steep
+bodies: {b: {mass: 1, inertia: 0.5}}
+surfaces:
+  s0: {line: [[-1, -2], [-1, 0]]}
+  s1: {line: [[-2, 1], [0, 1]]}
+  s2: {line: [[-1, 0], [1, 0]]}
+  s3: {line: [[-0.57, 1.59], [-0.57, -0.41]]}
+contacts:
+  c0: {point: {body: b, at: [-1, -1]}, surface: s0, friction: 0.3, restitution: 0}
+  c1: {point: {body: b, at: [-1, 1]}, surface: s1, friction: 0.5, restitution: 0}
+  c2: {point: {body: b, at: [0, 0]}, surface: s2, friction: 0.3, restitution: 0}
+  c3: {point: {body: b, at: [-0.57, 0.59]}, surface: s3, friction: 2, restitution: 0}
+forces:
+  f:
+    body: b
+    force: [0.563 + 6.098*time, -6.786 + 4.567*time]
+    moment: 7.355 - 0.643*time
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("text", [_WEDGED, _STEEP], ids=["wedged", "steep"])
+def test_what_forces_explain_goes_on(text: str, engine: str) -> None:
+    result = statechart.run(interpret(read_text(text, "scene.yaml")), engine=engine)
+    assert not result.trace.jumps
+    assert {*result.trace.modes[0]} == {"pin"}
+    assert len(result.trace.arcs) > 1
