@@ -20,6 +20,7 @@ from statechart.engines.whole_flow import (
     MARGINS,
     MARGINS_AT,
     PLAIN,
+    SPEED,
     STOPS,
     TAPE,
     WATCHED,
@@ -193,6 +194,8 @@ def _closing(program: Program, mode: int, watch: Watch, state: Array, time: floa
         kind = program.ints[row[MARGINS_AT] + 2 * i]
         own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
         if kind == GAP and margins[i] <= AT_END * watch.kinds[GAP]:
+            return UNUSUAL
+        if kind == SPEED and margins[i] <= watch.kinds[SPEED]:
             return UNUSUAL
         judged = judged or (kind == PLAIN and own >= 0.0)
     return CLOSING if judged else ENDED

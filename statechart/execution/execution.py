@@ -265,8 +265,8 @@ class Execution:
     def _ending(self) -> bool:
         """Whether something may just be happening as the run ends: it belongs to the run.
 
-        Gaps are searched for below zero, and a guard may fall short of its boundary by what the
-        run is off.
+        Gaps and slips are searched for below zero, and a guard may fall short of its boundary by
+        what the run is off.
         """
         compiled = self.entered.get(self.flow.roles)
         if compiled is None:

@@ -104,6 +104,8 @@ def closing(
     for place, ((name, kind), margin) in enumerate(zip(compiled.watched, margins, strict=True)):
         if kind == "gap":
             closed |= margin <= AT_END * setup.tolerances[kind]
+        elif kind == "speed":
+            closed |= margin <= setup.tolerances[kind]
         elif kind == "plain" and name in tolerances:
             terms = terms or sizes_at(guards, state, sizes, parameters, time)
             tolerances[name] = max(tolerances[name], engine.tolerance * terms[place])
