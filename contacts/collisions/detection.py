@@ -156,7 +156,9 @@ def _disc_and_polygon(
     # What has no thickness may have the centre on its line.
     if best >= 0.0 and (s < 0.0 or s > length):
         away = math.hypot(centre[0] - x, centre[1] - y)
-        nx, ny, gap = (centre[0] - x) / away, (centre[1] - y) / away, away - radius
+        # Of a centre on the corner any normal there will do.
+        if away > 0.0:
+            nx, ny, gap = (centre[0] - x) / away, (centre[1] - y) / away, away - radius
     if gap > within:
         return 0
     sign = -1.0 if flip else 1.0

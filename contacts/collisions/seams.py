@@ -96,6 +96,26 @@ def _along(
 
 
 @part
+def _goes_on(
+    pieces: PieceNumbers, world: Array, p: int, x: float, y: float, ux: float, uy: float
+) -> bool:
+    """Whether a piece has a face on the same line, which faces the same way as this one.
+
+    It covers nothing of what it makes one face with.
+    """
+    first, end, near = pieces.firsts[p], pieces.firsts[p + 1], _FLUSH * pieces.sizes[p]
+    for i in range(first, end):
+        j = i + 1 if i + 1 < end else first
+        ex, ey = world[j, 0] - world[i, 0], world[j, 1] - world[i, 1]
+        length = math.hypot(ex, ey)
+        beside = abs(uy * (world[i, 0] - x) - ux * (world[i, 1] - y))
+        along = (ux * ex + uy * ey) / length
+        if beside <= near and abs(ux * ey - uy * ex) <= _FLUSH * length and along > 0.0:
+            return True
+    return False
+
+
+@part
 def _face(
     pieces: PieceNumbers, centres: Array, world: Array, p: int, place: tuple[float, float],
     outward: tuple[float, float],
@@ -117,10 +137,9 @@ def _face(
         while gained and covered < length - near:
             gained = False
             for other in range(pieces.begins[b], pieces.begins[b + 1]):
-                if other != p:
-                    low, high = _along(
-                        pieces, centres, world, other, world[i, 0], world[i, 1], ux, uy
-                    )
+                x, y = world[i]
+                if other != p and not _goes_on(pieces, world, other, x, y, ux, uy):
+                    low, high = _along(pieces, centres, world, other, x, y, ux, uy)
                     if low <= covered + near and high > covered + near:
                         covered, gained = high, True
         return 2 if covered >= length - near else 1

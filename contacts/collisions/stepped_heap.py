@@ -99,7 +99,9 @@ class SteppedHeap:
         where = f"surface {self._surfaces[surface]!r}" if surface >= 0 else (
             f"body {self._names[partner]!r}"
         )  # fmt: skip
-        return where, f"move it by ({sign * depth * nx:.6g}, {sign * depth * ny:.6g})"
+        # Zero has no sign.
+        dx, dy = sign * depth * nx + 0.0, sign * depth * ny + 0.0
+        return where, f"move it by ({dx:.6g}, {dy:.6g})"
 
     @property
     def remarks(self) -> tuple[str, ...]:
