@@ -13,6 +13,9 @@ from contacts.collisions.detection import placed
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
 
+TOUCHING = 1e-12
+"""Bodies this near, in parts of the size of the smaller one, touch: where they are is rounded."""
+
 
 class Look(NamedTuple):
     """Bodies in the middle of a step.
@@ -24,7 +27,7 @@ class Look(NamedTuple):
     centres, drifts : (p, 2), world : (v, 2)
         Middles of pieces in the world and their velocities before the step; corners of polygons.
     reach : (p,)
-        How far a piece moves within two steps, and since the last look.
+        How far a piece moves within two steps, and since the last look, and is taken to touch.
     gaps : (b,)
         To what is nearest, where that is found.
     pull : (b,)
@@ -84,7 +87,7 @@ def look_at(numbers: BodyNumbers, state: Array, h: float, past: float, look: Loo
             drifts[p, 0] = old[b, 0] - old[b, 2] * (centres[p, 1] - y)
             drifts[p, 1] = old[b, 1] + old[b, 2] * (centres[p, 0] - x)
             speed = math.hypot(old[b, 0], old[b, 1]) + pieces.spans[p] * abs(old[b, 2]) + fall
-            reach[p] = max(2.0 * h, 0.5 * (h + past)) * speed
+            reach[p] = max(2.0 * h, 0.5 * (h + past)) * speed + TOUCHING * pieces.sizes[p]
         gaps[b], pull[b] = math.inf, fall
 
 

@@ -12,7 +12,7 @@ from contacts.collisions.broad_phase import Grid, near_pairs
 from contacts.collisions.detection import FOUND, between
 from contacts.collisions.ground import Ground, carried_along, on_surface
 from contacts.collisions.joints import held
-from contacts.collisions.look import Look
+from contacts.collisions.look import TOUCHING, Look
 from contacts.collisions.meeting import arrives, came, nearby, overlap
 from contacts.collisions.seams import exposed
 from contacts.collisions.touches import Touches, felt, recalled, turned
@@ -28,6 +28,9 @@ _CORE, _WHOLE = 0.9, 0.995
 _CROSSED = 0.5
 # Of the size of the smaller one: what is hit deeper than this in another is looked at more often.
 _SUNK = 0.25
+# Of that size: so deep something may be at the first look because it starts there, which is checked
+# before the run.
+_STARTED = 1e-5
 # What is hit in the step nearest to its arrival is so deep at most, in parts of the way that the
 # fastest goes in a step.
 _LANDED = 0.5
@@ -150,10 +153,12 @@ def touching(
                     look.pull[b] = max(look.pull[b], pull)
                 nearing = -touches.before[m, 0]
                 changed = touches.free[m, 0] - touches.before[m, 0]
+                size = min(sizes[p], sizes[q]) if whole else sizes[p]
                 gained = max(abs(changed), fall)
-                slow = SLOW * gained
+                slow = SLOW * max(gained, TOUCHING * size / h)
                 if gap < 0.0 and not known:
                     explained = since * max(memory.past[1], nearing, slow)
+                    explained += 0.0 if memory.past[0] > 0.0 else _STARTED * size
                     sunk = max(sunk, -gap - explained)
                 # Struck in the step whose middle is nearest to the instant of touching.
                 role, level, above = arriving(
@@ -181,7 +186,7 @@ def touching(
                     touches.wanted[m, 0] = -numbers.materials[material, 2] * nearing
                     approach = max(approach, nearing)
                     closing = max(closing, -gap)
-                    if -gap > _SUNK * (min(sizes[p], sizes[q]) if whole else sizes[p]):
+                    if -gap > _SUNK * size:
                         sunk = max(sunk, -gap)
                 else:
                     # No deeper than an impact leaves a contact does it stay.

@@ -1,0 +1,72 @@
+"""Bodies that touch where nothing pulls: a rack of discs seen from above, struck by another."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+R, SPEED = 0.03, 5.0
+SCENE = """
+kind: scene
+name: table
+bodies:
+{bodies}
+collisions:
+  all: {{bodies: [{names}], friction: 0, restitution: {e}}}
+stop: {{time: 0.1}}
+settings: {{engine: impulse, step: 1e-3, impulse_tolerance: 1e-10}}
+"""
+
+
+def struck(places, x0, e):
+    """Return the velocities (n + 1, 2) of discs, of which the last strikes, and what is told."""
+    starts = [f"x: {x!r}, y: {y!r}" for x, y in places] + [f"x: {x0!r}, dx: {SPEED}"]
+    bodies = "\n".join(
+        f"  d{k}: {{mass: 1, inertia: 1, shape: {{disc: {R}}}, start: {{{start}}}}}"
+        for k, start in enumerate(starts)
+    )
+    names = ", ".join(f"d{k}" for k in range(len(starts)))
+    result = Runner(interpret(read_text(SCENE.format(bodies=bodies, names=names, e=e)))).run()
+    return result.trace.final.reshape(2, -1, 3)[1, :, :2], result.warnings
+
+
+@pytest.mark.parametrize("x", [0.0, 0.1, 7.3])
+@pytest.mark.parametrize("count", [3, 5])
+def test_a_row_that_touches_is_hit_as_one_wherever_it_stands(x, count):
+    """Moreau's law: the row parts from what strikes it as fast as that came, and stays one."""
+    row = [(x + 2 * R * k, 0.0) for k in range(count)]
+    speeds, warnings = struck(row, x - 0.3, 1)
+    assert not warnings
+    row_speed = 2 * SPEED / (count + 1)
+    wanted = [row_speed] * count + [row_speed - SPEED]
+    np.testing.assert_allclose(speeds[:, 0], wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("e", [0.5, 0.9])
+def test_a_rack_breaks_alike_on_both_sides_and_wherever_it_lies(e):
+    rows = [(row, 2 * j - row) for row in range(5) for j in range(row + 1)]
+    found = []
+    for x in (0.0, 3.7):
+        rack = [(x + row * R * math.sqrt(3), side * R) for row, side in rows]
+        speeds, warnings = struck(rack, x - 0.3, e)
+        assert not warnings
+        twins = [rows.index((row, -side)) for row, side in rows]
+        np.testing.assert_allclose(speeds[twins, 0], speeds[:-1, 0], atol=1e-4)
+        np.testing.assert_allclose(speeds[twins, 1], -speeds[:-1, 1], atol=1e-4)
+        assert speeds.sum(0) == pytest.approx([SPEED, 0.0], abs=1e-9)
+        assert float((speeds**2).sum()) < SPEED**2
+        found.append(speeds)
+    np.testing.assert_allclose(*found, atol=1e-4)
+
+
+@pytest.mark.parametrize("depth", [1e-12, 1e-9, 1e-8])
+def test_discs_that_start_slightly_in_each_other_stay_where_nothing_moves_them(depth):
+    speeds, warnings = struck([(1.0, 0.0), (1.0 + 2 * R - depth, 0.0)], -9.0, 0)
+    assert not warnings
+    assert np.abs(speeds[:-1]).max() == 0.0
