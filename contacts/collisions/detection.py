@@ -17,10 +17,10 @@ from statechart.kernels.jit import kernel, late, part
 FOUND = 5
 """Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""
 
-# The second body's edge is taken where it is farther by more than this part of the sizes, so that
-# faces that lie on each other do not take turns.
+# The second body's edge is taken where it is farther by more than this part of the smaller one's
+# size, so that faces that lie on each other do not take turns.
 _PREFERRED = 1e-3
-# Points of an edge this close, relative to its length, are one.
+# Points this close, relative to the length of the shorter edge, are one.
 _SAME = 1e-3
 
 
@@ -83,7 +83,8 @@ def _clipped(
         if against < least:
             least, facing = against, k
     m = (facing + 1) % len(other)
-    count = 0
+    across = math.hypot(other[m, 0] - other[facing, 0], other[m, 1] - other[facing, 1])
+    count, same = 0, _SAME * min(length, across)
     ax, ay, bx, by = other[facing, 0], other[facing, 1], other[m, 0], other[m, 1]
     sa = ex * (ax - one[edge, 0]) + ey * (ay - one[edge, 1])
     sb = ex * (bx - one[edge, 0]) + ey * (by - one[edge, 1])
@@ -104,7 +105,7 @@ def _clipped(
         gap = nx * (x - one[edge, 0]) + ny * (y - one[edge, 1])
         # Two points that are one but for rounding would share their impulse as they please: the
         # deeper one is taken, which is the deeper one in a mirror, too.
-        if count == 1 and math.hypot(x - found[0, 2], y - found[0, 3]) <= _SAME * length:
+        if count == 1 and math.hypot(x - found[0, 2], y - found[0, 3]) <= same:
             if gap >= found[0, 4]:
                 continue
             count = 0
@@ -208,13 +209,14 @@ def between(
         return _disc_and_polygon(one_centre, one_radius, other, False, within, found)
     if len(other) == 0:
         return _disc_and_polygon(other_centre, other_radius, one, True, within, found)
-    return _polygons(one, one_centre, other, within, found, features)
+    return _polygons(one, one_centre, other, other_centre, within, found, features)
 
 
 @late
 def _polygons(
-    one: Array, centre: Array, other: Array, within: float, found: Array, features: Ints
-) -> int:
+    one: Array, centre: Array, other: Array, beside: Array, within: float, found: Array,
+    features: Ints,
+) -> int:  # fmt: skip
     """Find the points where two polygons are near each other; see `between`."""
     first, edge = _farthest(one, other)
     if first > within:
@@ -223,6 +225,7 @@ def _polygons(
     if second > within:
         return 0
     width = math.hypot(one[0, 0] - centre[0], one[0, 1] - centre[1])
+    width = min(width, math.hypot(other[0, 0] - beside[0], other[0, 1] - beside[1]))
     if second > first + _PREFERRED * width:
         count = _clipped(other, edge_of_other, one, within, True, found, features)
     else:
