@@ -10,8 +10,9 @@ from contacts.collisions.surfaces import SurfaceNumbers
 from statechart.arrays import Array, Ints
 
 MEMORY = 8
-"""What is kept of a contact from step to step: level, lasting, impulses; its velocities, normal and
-tangential, after the step, and its normal."""
+"""What is kept of a contact from step to step: level; whether it lasts (1), is closed and bears
+nothing (-1), or was hit (0); impulses; its velocities, normal and tangential, after the step, and
+its normal."""
 
 BOTH, ALONG_X, ALONG_Y = range(3)
 """What a joint holds."""

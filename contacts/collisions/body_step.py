@@ -207,7 +207,9 @@ def _kept(
         pn, pt = pressed[i]
         lasts = pn > 0.0 and not room.bounces[i]
         memory.keys[i, 0], memory.keys[i, 1] = touches.keys[i]
-        memory.contacts[i, 0], memory.contacts[i, 1] = touches.memory[i, 0], 1.0 if lasts else 0.0
+        closed = 0.0 if touches.hit[i] else -1.0
+        memory.contacts[i, 0] = touches.memory[i, 0]
+        memory.contacts[i, 1] = 1.0 if lasts else closed
         # What lasts is nearer to the next step's impulses than what others' impacts made it bear.
         kept = pressed if touches.hit[i] else room.steady
         memory.contacts[i, 2], memory.contacts[i, 3] = kept[i]
