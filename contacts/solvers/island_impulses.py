@@ -35,6 +35,8 @@ _VERIFIED = 1e-10
 # them; so many where they rest, in a few steps; so many at all; and by Lemke's algorithm.
 _EXACT, _FEW, _DENSE, _MANY, _LEMKE = 8, 24, 100, 1000, 48
 _AT_REST = 2
+# A residual that is rounding, where less is asked for: impulses with it are those of the laws.
+_GOOD = 1e-8
 # Rates that a contact of bodies moves; those of a dense problem move all.
 _OF_BODIES = 6
 # Sweeps of the trials, of which this one starts from nothing; what is sparse has so many.
@@ -167,6 +169,32 @@ def _velocities(contacts: ContactRows, impulses: Array) -> Array:
     return result
 
 
+@part
+def _rebounding(
+    contacts: ContactRows, before: Array, free: Array, wanted: Array, rebounds: Bools,
+    impulses: Array, allowed: float, rests: bool,
+) -> tuple[float, int, bool]:  # fmt: skip
+    """Find impulses with restitution that adds no energy; see `island_impulses`."""
+    good, plastic = max(allowed, _GOOD), impulses.copy()
+    left, done = solve_rows(contacts, free + wanted, impulses, allowed, rests)
+    changes = _velocities(contacts, impulses)
+    gains = left > good or part_within(impulses, before, free, changes, 0.0) < 1.0
+    if not gains or not rebounds.any():
+        return left, done, left > good and rebounds.any()
+    # Without it nobody knows how much energy restitution may give back.
+    soft = free + wanted
+    for i in range(len(impulses)):
+        if rebounds[i]:
+            soft[i, 0] = free[i, 0]
+    calm, further = solve_rows(contacts, soft, plastic, allowed, False)
+    if left > good or calm > good:
+        put_rows(plastic, impulses)
+        return calm, done + further, True
+    chosen, _ = capped(before, free, plastic, impulses, _velocities(contacts, plastic), changes)
+    put_rows(chosen, impulses)
+    return max(left, calm), done + further, False
+
+
 @beside
 def island_impulses(
     contacts: ContactRows,
@@ -200,45 +228,26 @@ def island_impulses(
     bound : float
         The work that impulses may do on bodies in a step: ``h^2/8 f^T M^-1 f``.
     """
-    count = len(impulses)
-    least, soft = free + wanted, free + wanted
+    count, calmer, pushed = len(impulses), wanted.copy(), False
     fastest = slowest = 0.0
     for i in range(count):
-        if rebounds[i]:
-            soft[i, 0] = free[i, 0]
         slowest = max(slowest, abs(free[i, 0] - before[i, 0]))
         fastest = max(fastest, abs(before[i, 0]), abs(before[i, 1]))
-    rests = fastest <= slowest
-    plastic = impulses.copy()
-    left, done = solve_rows(contacts, least, impulses, allowed, rests)
-    softened, changes = False, _velocities(contacts, impulses)
-    gains = left > allowed or part_within(impulses, before, free, changes, 0.0) < 1.0
-    if gains and rebounds.any():
-        # Without it nobody knows how much energy restitution may give back.
-        calm, further = solve_rows(contacts, soft, plastic, allowed, False)
-        done += further
-        if left <= allowed and calm <= allowed:
-            chosen, _ = capped(
-                before, free, plastic, impulses,
-                _velocities(contacts, plastic), _velocities(contacts, impulses),
-            )  # fmt: skip
-            put_rows(chosen, impulses)
-            left = max(left, calm)
-        else:
-            softened, left = True, calm
-            put_rows(plastic, impulses)
+        if wanted[i, 0] < 0.0 and not rebounds[i] and slope(contacts.cones[i]) >= 0.0:
+            calmer[i, 0], pushed = 0.0, True
+    left, done, softened = _rebounding(
+        contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest
+    )
     share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)
-    if left > allowed or share < 1.0:
+    if pushed and (left > allowed or share < 1.0):
         # What is pushed out may be pushed against others, and gains energy.
-        for i in range(count):
-            if slope(contacts.cones[i]) < 0.0:
-                continue
-            soft[i, 0] = free[i, 0] if rebounds[i] else free[i, 0] + max(wanted[i, 0], 0.0)
         other = impulses.copy()
-        calm, further = solve_rows(contacts, soft, other, allowed, False)
+        calm, further, soft = _rebounding(
+            contacts, before, free, calmer, rebounds, other, allowed, False
+        )
         done += further
         if calm <= max(left, allowed):
-            softened, left = softened or left > allowed, calm
+            left, softened = calm, soft
             put_rows(other, impulses)
             share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)
     if share < 1.0:
