@@ -12,16 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.applied import Ahead
-from contacts.collisions.body_numbers import BOTH, BodyNumbers, Memory
-from contacts.collisions.broad_phase import Grid
-from contacts.collisions.ground import Ground
-from contacts.collisions.islands import gathered, grouped, push, velocity
-from contacts.collisions.joints import joined
-from contacts.collisions.look import Look, look_at, pushed
+from contacts.collisions.islands import gathered, grouped, push
 from contacts.collisions.mass_ratios import note_worst
-from contacts.collisions.touches import Touches
-from contacts.collisions.touching import Seen, touching
+from contacts.detection.applied import Ahead
+from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
+from contacts.detection.broad_phase import Grid
+from contacts.detection.ground import Ground
+from contacts.detection.joints import joined
+from contacts.detection.look import Look, look_at, pushed
+from contacts.detection.touches import Touches, velocity
+from contacts.detection.touching import Seen, touching
 from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from contacts.collisions.body_numbers import ALONG_X, ALONG_Y, BOTH, JointNumbers
+from contacts.detection.body_numbers import ALONG_X, ALONG_Y, BOTH, JointNumbers
 from contacts.scene.parts import Point
 from contacts.scene.scene import Scene
 from statechart.arrays import Array

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import sympy as sp
 
-from contacts.collisions.surfaces import GRAPH, HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
+from contacts.detection.surfaces import GRAPH, HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.scene.parts import Surface
 from contacts.scene.scene import Scene
 from statechart.arrays import Array

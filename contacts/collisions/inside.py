@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from contacts.collisions.body_numbers import BodyNumbers
 from contacts.collisions.declared_surfaces import touched
-from contacts.collisions.surfaces import HOLLOW
+from contacts.detection.body_numbers import BodyNumbers
+from contacts.detection.surfaces import HOLLOW
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem

@@ -67,7 +67,7 @@ def gathered(
         Of all contacts: which bodies touch; velocities, normal and tangential, per unit rates of
         the two.
     inverse : (b, 3)
-        See `contacts.collisions.body_numbers.BodyNumbers`.
+        See `contacts.detection.body_numbers.BodyNumbers`.
     cones : (c, 2)
     local : (b,) array of int
         Is overwritten.
@@ -101,18 +101,6 @@ def gathered(
                 places[a, k] = 3 * moved
     own_compliances(own_rows, columns, own)
     return ContactRows(places, own_rows, columns, own, edges)
-
-
-@part
-def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
-    """Return the velocity of contact i along d (0: normal, 1: tangential)."""
-    total = 0.0
-    for side in range(2):
-        b = bodies[i, side]
-        if b >= 0:
-            for k in range(3):
-                total += rows[i, d, 3 * side + k] * rates[b, k]
-    return total
 
 
 @part

@@ -19,7 +19,7 @@ def note_worst(inverse: Array, bodies: Ints, members: Ints, missed: float, worst
     Parameters
     ----------
     inverse : (b, 3)
-        See `contacts.collisions.body_numbers.BodyNumbers`.
+        See `contacts.detection.body_numbers.BodyNumbers`.
     bodies : (c, 2) array of int
         Which touch, -1 for a surface.
     members : (m,) array of int

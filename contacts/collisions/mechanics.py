@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 import sympy as sp
 
-from contacts.collisions.applied import ForceProgram
 from contacts.collisions.starts import Starts
+from contacts.detection.applied import ForceProgram
 from contacts.dynamics.control_guards import flows_in, memory_rates
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics

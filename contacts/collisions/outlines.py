@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collisions.declared_joints import joint_numbers
 from contacts.collisions.declared_surfaces import surface_numbers, touched
+from contacts.detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.dynamics.contact_law import edge
 from contacts.scene.parts import Body
 from contacts.scene.scene import Scene

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from contacts.collisions.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.collisions.body_step import Room, step_bodies
 from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.surroundings import Surroundings
+from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array
 from statechart.errors import NonFinite

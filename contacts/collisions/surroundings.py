@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from contacts.collisions.applied import Ahead
 from contacts.collisions.mechanics import BodyMechanics
 from contacts.collisions.paths import Paths, Where
 from contacts.collisions.recall import Recall
+from contacts.detection.applied import Ahead
 from statechart.arrays import Array
 
 # A start that is a whole number of steps but for this part of one is that.

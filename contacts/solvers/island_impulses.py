@@ -180,7 +180,7 @@ def _rebounding(
     changes = _velocities(contacts, impulses)
     gains = left > good or part_within(impulses, before, free, changes, 0.0) < 1.0
     if not gains or not rebounds.any():
-        return left, done, left > good and rebounds.any()
+        return left, done, False
     # Without it nobody knows how much energy restitution may give back.
     soft = free + wanted
     for i in range(len(impulses)):

@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from strategies import examples
 
-from contacts.collisions.detection import FOUND, between, place
+from contacts.detection.convex import FOUND, between, place
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.detection import between, write
+from contacts.detection.convex import between, write
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.jit import late, part
 from statechart.kernels.tapes import run_tape

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from contacts.collisions.body_numbers import BodyNumbers, PieceNumbers
-from contacts.collisions.detection import between, place
-from contacts.collisions.look import Look
+from contacts.detection.body_numbers import BodyNumbers, PieceNumbers
+from contacts.detection.convex import between, place
+from contacts.detection.look import Look
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
 

@@ -7,15 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.body_numbers import BodyNumbers, Memory
-from contacts.collisions.broad_phase import Grid, near_pairs
-from contacts.collisions.detection import FOUND, between
-from contacts.collisions.ground import Ground, carried_along, on_surface
-from contacts.collisions.joints import held
-from contacts.collisions.look import TOUCHING, Look
-from contacts.collisions.meeting import arrives, came, nearby, overlap
-from contacts.collisions.seams import exposed
-from contacts.collisions.touches import Touches, felt, recalled, turned
+from contacts.detection.body_numbers import BodyNumbers, Memory
+from contacts.detection.broad_phase import Grid, near_pairs
+from contacts.detection.convex import FOUND, between
+from contacts.detection.ground import Ground, carried_along, on_surface
+from contacts.detection.joints import held
+from contacts.detection.look import TOUCHING, Look
+from contacts.detection.meeting import arrives, came, nearby, overlap
+from contacts.detection.seams import exposed
+from contacts.detection.touches import Touches, felt, recalled, turned
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.kernels.jit import beside
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.surfaces import SurfaceNumbers
+from contacts.detection.surfaces import SurfaceNumbers
 from statechart.arrays import Array, Ints
 
 MEMORY = 8

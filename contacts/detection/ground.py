@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from contacts.collisions.body_numbers import BodyNumbers
-from contacts.collisions.look import Look
-from contacts.collisions.surfaces import (
+from contacts.detection.body_numbers import BodyNumbers
+from contacts.detection.look import Look
+from contacts.detection.surfaces import (
     against_surface,
     carried,
     crossed,
     distance,
     seen_from,
 )
-from contacts.collisions.touches import Touches
+from contacts.detection.touches import Touches
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import part
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 
-from contacts.collisions.body_numbers import PieceNumbers
-from contacts.collisions.detection import write
+from contacts.detection.body_numbers import PieceNumbers
+from contacts.detection.convex import write
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import late, part
 

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.body_numbers import Memory
-from contacts.collisions.islands import velocity
-from contacts.collisions.look import Look
+from contacts.detection.body_numbers import Memory
+from contacts.detection.look import Look
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import part
 
@@ -66,6 +65,18 @@ class Touches(NamedTuple):
             np.empty((most, 2)),
             np.empty(most, np.bool_),
         )
+
+
+@part
+def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
+    """Return the velocity of contact i along d (0: normal, 1: tangential)."""
+    total = 0.0
+    for side in range(2):
+        b = bodies[i, side]
+        if b >= 0:
+            for k in range(3):
+                total += rows[i, d, 3 * side + k] * rates[b, k]
+    return total
 
 
 @part

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.applied import ForceProgram, apply
-from contacts.collisions.body_numbers import BodyNumbers
-from contacts.collisions.detection import placed
+from contacts.detection.applied import ForceProgram, apply
+from contacts.detection.body_numbers import BodyNumbers
+from contacts.detection.convex import placed
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-from contacts.collisions.body_numbers import ALONG_Y, BOTH, BodyNumbers, JointNumbers, Memory
-from contacts.collisions.look import Look
-from contacts.collisions.surfaces import carried
-from contacts.collisions.touches import Touches, recalled
+from contacts.detection.body_numbers import ALONG_Y, BOTH, BodyNumbers, JointNumbers, Memory
+from contacts.detection.look import Look
+from contacts.detection.surfaces import carried
+from contacts.detection.touches import Touches, recalled
 from contacts.solvers.contact_rows import GUIDED, HELD
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
@@ -84,7 +84,7 @@ def joined(
     Parameters
     ----------
     numbers, memory, look, h, touches
-        See `contacts.collisions.touching`.
+        See `contacts.detection.touching`.
     places : (3, j, 2)
         Where what they hold points to is at this look, the one before and the next.
     count : int
