@@ -195,9 +195,12 @@ def touching(
                     # of what sticks to be none on average. What is deeper than turning takes it
                     # was moved there by a change of features: it goes back no faster than forces
                     # take it, or than it came.
-                    # So is what bears nothing any more and is not out yet: nothing kicks it.
+                    # So is what bears nothing any more and is not out yet: nothing kicks it. What
+                    # leaves as its force falls to zero turns no faster than forces move it.
                     kept = place >= 0 and memory.contacts[place, 1] != 0.0
                     turn, shift = turned(memory, place, m, touches) if kept else (0.0, 0.0)
+                    if not lasting and abs(turn) > gained:
+                        turn = shift = 0.0
                     if above < 0.0:
                         above = min(above - 0.5 * since * min(turn, 0.0), 0.0)
                     back, part = max(0.5 * gained, nearing), 0.5 * h / since
