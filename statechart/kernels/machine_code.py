@@ -4,8 +4,9 @@ numba's cache looks only at the file of the function that is called: where that 
 another file, an edit there would silently run the old code. Here a kernel's cache is as old as the
 newest of all files whose kernels it can see, and of what says how kernels are compiled.
 
-A file of the cache that was cut off or damaged, or that cannot be written, must not end a run: each
-carries a digest of its content, and what does not agree with its own is compiled again.
+A file of the cache that was cut off or damaged, that another version left, or that cannot be
+written, must not end a run: each carries a digest of its content, and what does not agree with its
+own, or names what is no longer there, is compiled again.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import io
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +41,11 @@ class _DigestedFile(IndexDataCacheFile):
     """Index and data of a kernel, each file with a digest of the rest at its end."""
 
     def _load_index(self) -> Any:
-        return super()._load_index() if self._sound(self._index_path) else {}
+        return self._read(super()._load_index, self._index_path, {})
 
     def _load_data(self, name: str) -> Any:
         # None is what is not in the cache; unpickling takes no notice of what follows.
-        return super()._load_data(name) if self._sound(self._data_path(name)) else None
+        return self._read(partial(super()._load_data, name), self._data_path(name), None)
 
     @contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
@@ -54,16 +56,19 @@ class _DigestedFile(IndexDataCacheFile):
             stream.write(data + _digest(data))
 
     @staticmethod
-    def _sound(path: str) -> bool:
+    def _read(load: Callable[[], Any], path: str, nothing: Any) -> Any:
+        """Return what is kept at a path; what cannot be read is removed."""
         try:
             data = Path(path).read_bytes()
         except OSError:
-            return False
+            return nothing
         if data[-_DIGEST:] == _digest(data[:-_DIGEST]):
-            return True
+            # Types may have had other names and places.
+            with suppress(ImportError, AttributeError):
+                return load()
         with suppress(OSError):
             os.unlink(path)
-        return False
+        return nothing
 
 
 class _Stored(CompileResultCacheImpl):

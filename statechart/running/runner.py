@@ -110,6 +110,11 @@ class Runner:
         if isinstance(model, Document):
             self.document = model
             model = interpret(model)
+        if not isinstance(model, Declaration):
+            raise DeclarationError(
+                f"a model is a file, a name or what is built, not of type {type(model).__name__}",
+                advice="build contacts.Scene(...) or statechart.Chart(...), or write a file",
+            )
         self.model = model
         self._given = Given(model)
         self._counting = bool(model.whole)

@@ -84,9 +84,14 @@ class Task:
         Raises
         ------
         DeclarationError
-            If there is no such output.
+            If there is no such output, or a text is given in the place of a list.
         """
         declared = model.outputs
+        if isinstance(outputs, str):
+            raise DeclarationError(
+                f"outputs are a list of names, not the text {outputs!r}",
+                advice=f"write [{outputs!r}]",
+            )
         for name in outputs or ():
             if name not in declared:
                 raise DeclarationError(
@@ -311,8 +316,13 @@ def of_table(samples: pd.DataFrame) -> dict[str, Array]:
     Raises
     ------
     DeclarationError
-        If two have one name, or one holds no numbers.
+        If it is none, two have one name, or one holds no numbers.
     """
+    if not hasattr(samples, "columns"):
+        raise DeclarationError(
+            f"samples are a table, not of type {type(samples).__name__}",
+            advice="write pandas.DataFrame({'NAME': [...]})",
+        )
     names = [str(name) for name in samples.columns]
     if len(set(names)) < len(names):
         raise DeclarationError("two columns of the samples have one name", advice="remove one")

@@ -192,10 +192,12 @@ def make(
     Raises
     ------
     DeclarationError
-        If the store holds something else, or no worker has this package.
+        If the store holds something else, there is none to resume, or no worker has this package.
     StatechartError
         If the store cannot be written.
     """
+    if resume and store is None:
+        raise DeclarationError("there is no store to resume", advice="name the one that was begun")
     kept = Store(plan, store, resume=resume)
     before, ended = kept.left, ""
     with interrupts.held(), told(plan.size, plan.size - before, shown=progress) as tell:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import pickle
 import sys
 from types import FunctionType
 
+import numba
 import numpy as np
 import pytest
 from numba import njit
@@ -186,6 +188,11 @@ def again():
     return importlib.import_module("upper_kernels").upper
 
 
+def signed(data):
+    """Return what another version would have left, with its digest."""
+    return data + hashlib.blake2b(data, digest_size=16).digest()
+
+
 @pytest.mark.parametrize(
     ("suffix", "damage"),
     [
@@ -195,8 +202,10 @@ def again():
         # One bit of the machine code: it would be run as it is.
         ("nbc", lambda data: data[:-200] + bytes([data[-200] ^ 1]) + data[-199:]),
         ("nbc", lambda data: pickle.dumps(7)),
+        ("nbi", lambda data: signed(pickle.dumps(numba.__version__) + b"cgone.away\nName\n.")),
+        ("nbc", lambda data: signed(b"cpathlib\nGone\n.")),
     ],
-    ids=["empty index", "half an index", "short", "bit", "other"],
+    ids=["empty index", "half an index", "short", "bit", "other", "no such module", "no such name"],
 )
 def test_a_damaged_file_of_the_cache_is_made_again(upper, tmp_path, suffix, damage):
     upper("kernel", "10.0")(1.0)

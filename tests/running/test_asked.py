@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 import statechart
 from contacts import Body, Contact, Point, Scene, Surface
 from statechart import Stop, load
@@ -45,3 +47,9 @@ def test_the_mode_at_the_start_is_given_by_either_name() -> None:
     fields = SCENE.model_dump(by_alias=True)
     assert fields["modes"] == {"base": "pin"}
     assert Scene(**fields) == SCENE
+
+
+@pytest.mark.parametrize("model", [3, {"name": "block"}, None])
+def test_what_is_no_model_is_told(model: object) -> None:
+    with pytest.raises(statechart.DeclarationError, match="a model is a file, a name or what is"):
+        statechart.run(model)  # type: ignore[arg-type]

@@ -407,3 +407,16 @@ outputs:
     assert found[named["outcome_"]].dims != found[named["outcome"]].dims
     assert found[named["x_count"]].values.tolist() == [[[3.0] * 3], [[2.0] * 3]]
     assert found[f"{named['x']}_count"].values.tolist() == [[[3] * 3], [[2] * 3]]
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"outputs": "t_rest"}, "outputs are a list of names"),
+        ({"resume": True}, "no store to resume"),
+        ({"over": None, "samples": {"k": [0.5]}}, "samples are a table, not of type dict"),
+    ],
+)
+def test_what_python_would_take_otherwise_is_refused(asked: dict[str, Any], words: str) -> None:
+    with pytest.raises(DeclarationError, match=words):
+        sweep("bouncing_ball", **{"over": {"k": [0.5]}, **asked})
