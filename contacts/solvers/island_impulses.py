@@ -1,8 +1,9 @@
 """Impulses of contacts that feel each other: the best that are found, and how good they are.
 
 What rests is solved by its last impulses, once they are verified. Up to eight contacts are solved
-by their status (Newton), to rounding; a few more by sweeps and that in turn, then by Lemke's
-algorithm; many by some sweeps and then proximal points, from the last impulses or from nothing.
+by their status (Newton), to rounding; more by some sweeps and then proximal points, from the last
+impulses or from nothing; what no bodies share by sweeps, their status and Lemke's algorithm in
+turn.
 There always are impulses: where they miss the contact laws their residual tells by how much, and
 they never add more energy than the scheme may.
 """
@@ -31,10 +32,10 @@ from statechart.kernels.jit import beside, kernel, late, part
 # Impulses of the step before are taken as they are where they miss by no more than this: what
 # rests does not creep.
 _VERIFIED = 1e-10
-# So many contacts are solved by their status at once; so many by it densely where bodies share
-# them; so many where they rest, in a few steps; so many at all; and by Lemke's algorithm.
-_EXACT, _FEW, _DENSE, _MANY, _LEMKE = 8, 24, 100, 1000, 48
-_AT_REST = 2
+# So many contacts are solved by their status at once; so many where they rest; so many there in a
+# few steps; so many at all, where they are not of bodies; and by Lemke's algorithm.
+_EXACT, _RESTS, _DENSE, _MANY, _LEMKE = 8, 24, 100, 1000, 48
+_FEW_STEPS = 2
 # A residual that is rounding, where less is asked for: impulses with it are those of the laws.
 _GOOD = 1e-8
 # Rates that a contact of bodies moves; those of a dense problem move all.
@@ -74,9 +75,11 @@ def solve_rows(
     left = residual(contacts, least, impulses, rates)
     if left <= _VERIFIED:
         return left, 0
-    done, sparse = 0, count > _FEW and contacts.places.shape[1] == _OF_BODIES
+    done, bodies = 0, contacts.places.shape[1] == _OF_BODIES
+    sparse = bodies and count > _EXACT
     if count <= _EXACT or (rests and count <= _DENSE):
-        left, done = by_status(contacts, least, impulses, _VERIFIED, _AT_REST if sparse else STEPS)
+        most = STEPS if count <= _RESTS else _FEW_STEPS
+        left, done = by_status(contacts, least, impulses, _VERIFIED, most)
     if sparse and rests and left > _VERIFIED:
         left, steps = by_proximal_points(contacts, least, impulses, _VERIFIED)
         done += steps
@@ -90,11 +93,11 @@ def solve_rows(
         else:
             put_rows(impulses, other)
         missed, done = swept(contacts, least, other, allowed, _SWEEPS[trial], done)
-        if missed > allowed and sparse:
-            missed, steps = by_proximal_points(contacts, least, other, allowed)
-            done += steps
-        elif missed > allowed and count <= _MANY:
+        if missed > allowed and not sparse and count <= _MANY:
             missed, steps = by_status(contacts, least, other, allowed, STEPS)
+            done += steps
+        if missed > allowed and bodies:
+            missed, steps = by_proximal_points(contacts, least, other, allowed)
             done += steps
         if missed > allowed and trial == _ANEW and count <= _LEMKE and not joined:
             _by_lemke(contacts, least, rates, other)
