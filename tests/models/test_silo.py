@@ -16,8 +16,9 @@ def silo():
 
 
 def flow(runner, opening):
-    """Return how many discs leave from time to time, in three runs: of one a tenth is chance."""
-    return np.diff(sum(discs_out(runner, {"D": opening, "mu": mu}) for mu in (0.49, 0.5, 0.51)))
+    """Return how many discs leave from time to time, in five runs: of one a tenth is chance."""
+    frictions = (0.46, 0.48, 0.5, 0.52, 0.54)
+    return np.diff(sum(discs_out(runner, {"D": opening, "mu": mu}) for mu in frictions))
 
 
 def discs_out(runner, values):
