@@ -63,6 +63,31 @@ def load(path_or_name: str | Path) -> Declaration:
     return interpret(read(find(str(path_or_name))))
 
 
+def resolved(model: Declaration | Document | str | Path) -> tuple[Declaration, Document | None]:
+    """Return a model, and the document that it was read from.
+
+    Parameters
+    ----------
+    model : Declaration, Document, str or Path
+        What is built, or read; else see `find`.
+
+    Raises
+    ------
+    DeclarationError
+        If it is none of these, or wrong.
+    """
+    if isinstance(model, str | Path):
+        model = read(find(str(model)))
+    if isinstance(model, Document):
+        return interpret(model), model
+    if not isinstance(model, Declaration):
+        raise DeclarationError(
+            f"a model is a file, a name or what is built, not of type {type(model).__name__}",
+            advice="build contacts.Scene(...) or statechart.Chart(...), or write a file",
+        )
+    return model, None
+
+
 def find(path_or_name: str) -> Path:
     """Return the file that a path or the name of a shipped model stands for.
 

@@ -18,7 +18,6 @@ from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
 from statechart.documents.setting import Record, Setting
 from statechart.documents.validation import located
-from statechart.documents.yaml_reader import read
 from statechart.engines.budget import Allowance
 from statechart.engines.request import planned
 from statechart.errors import DeclarationError, FormulaError
@@ -26,7 +25,7 @@ from statechart.execution.outcome import error_of
 from statechart.execution.rows import RowRunner
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
-from statechart.loading.load import find, interpret
+from statechart.loading.load import resolved
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.answers import Answers
@@ -104,17 +103,7 @@ class Runner:
         progress: bool = False,
     ) -> None:
         began = working_time()
-        self.document: Document | None = None
-        if isinstance(model, str | Path):
-            model = read(find(str(model)))
-        if isinstance(model, Document):
-            self.document = model
-            model = interpret(model)
-        if not isinstance(model, Declaration):
-            raise DeclarationError(
-                f"a model is a file, a name or what is built, not of type {type(model).__name__}",
-                advice="build contacts.Scene(...) or statechart.Chart(...), or write a file",
-            )
+        model, self.document = resolved(model)
         self.model = model
         self._given = Given(model)
         self._counting = bool(model.whole)
