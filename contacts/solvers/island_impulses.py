@@ -236,15 +236,18 @@ def island_impulses(
     for i in range(count):
         slowest = max(slowest, abs(free[i, 0] - before[i, 0]))
         fastest = max(fastest, abs(before[i, 0]), abs(before[i, 1]))
-        if wanted[i, 0] < 0.0 and not rebounds[i] and slope(contacts.cones[i]) >= 0.0:
-            calmer[i, 0], pushed = 0.0, True
+        if rebounds[i] or slope(contacts.cones[i]) < 0.0:
+            continue
+        if wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0:
+            calmer[i, 0], calmer[i, 1], pushed = max(wanted[i, 0], 0.0), 0.0, True
+    other = impulses.copy()
     left, done, softened = _rebounding(
         contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest
     )
     share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)
     if pushed and (left > allowed or share < 1.0):
-        # What is pushed out may be pushed against others, and gains energy.
-        other = impulses.copy()
+        # What is pushed out may be pushed against others, and gains energy; or wedges, for which
+        # there are no impulses: those that were tried press without bound, and are no start.
         calm, further, soft = _rebounding(
             contacts, before, free, calmer, rebounds, other, allowed, False
         )

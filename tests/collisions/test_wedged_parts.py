@@ -1,0 +1,54 @@
+"""Bodies of several parts that wedge in each other's notches as they fall into a bowl."""
+
+from __future__ import annotations
+
+import pytest
+
+from statechart.documents.yaml_reader import read_text
+from statechart.running.runner import Runner
+
+SCENE = """
+kind: scene
+name: notches
+gravity: 9.81
+bodies:
+  low:
+    mass: 0.5590824560955052
+    inertia: 0.004852135602075768
+    shape:
+      - {disc: 0.1, at: [0.05, 0.05]}
+      - {polygon: [[0.05, 0.05], [0.15, 0.05], [0.15, 0.1], [0.05, 0.1]]}
+      - {polygon: [[-0.05, 0.05], [0.05, 0.05], [0.05, 0.1], [-0.05, 0.1]]}
+      - {polygon: [[0, -0.05], [0.15, -0.05], [0.15, 0.1], [0, 0.1]]}
+    start: {x: 0.00702716705461591, y: 0.35, dangle: 1.5710647655618342}
+  middle:
+    mass: 1.247077070330309
+    inertia: 0.0037433891259727923
+    shape:
+      - {polygon: [[-0.1, 0.05], [0, 0.05], [0, 0.1], [-0.1, 0.1]]}
+      - {polygon: [[0.05, -0.05], [0.15, -0.05], [0.15, 0.05], [0.05, 0.05]]}
+      - {polygon: [[-0.05, 0.05], [0.05, 0.05], [-0.05, 0.2]]}
+      - {polygon: [[-0.05, 0], [0.1, 0], [0.1, 0.05], [-0.05, 0.05]]}
+    start: {x: 0.003959735697575406, y: 0.85, dangle: -1.7785498460255684}
+  high:
+    mass: 1.7596987060375657
+    inertia: 0.0031509452236311826
+    shape:
+      - {polygon: [[0.05, 0], [0.15, 0], [0.05, 0.1]]}
+      - {polygon: [[-0.1, -0.1], [0.05, -0.1], [-0.1, 0.05]]}
+    start: {x: -0.0043653267146183, y: 1.35, angle: 3.4401543112719, dangle: -2.2617366888143}
+surfaces:
+  bowl: {circle: [0, 2], radius: 2, hollow: true}
+collisions:
+  all: {bodies: [low, middle, high], surfaces: [bowl], friction: 0.5, restitution: 0.4}
+stop: {time: 0.9}
+outputs: {begun: {value: energy, at: start}, most: {maximum: energy}}
+settings: {engine: impulse, step: 5e-4}
+"""
+
+
+def test_what_wedges_is_not_asked_to_slip_as_its_contacts_turn():
+    """Nothing can: its contacts would press each other without bound, from step to step."""
+    result = Runner(read_text(SCENE)).run()
+    assert result.trace.counts["inexact_steps"] == 0
+    assert result.outputs["most"] == pytest.approx(result.outputs["begun"], rel=1e-9)
