@@ -23,8 +23,9 @@ from statechart.tabular import shortest
 
 # A state is brought onto the constraints of the mode entered from this part of their tolerance on.
 DRIFT = 0.05
-# A velocity left over where a flow begins moves the point as long as the flow lasts.
-CREEP = 5e-4
+# A velocity left over where a flow begins moves the point as long as the flow lasts. At the least
+# tolerance this is nine roundings of the scene's speed: what would be projected below comes back.
+CREEP = 2e-3
 # Weights of an open contact's numbers.
 _FREE = (0.0,) * 5
 # Of the scene's length: how far a step may be off a surface before it counts as blind. Enclosures

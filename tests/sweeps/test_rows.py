@@ -116,6 +116,16 @@ def test_shipped_models(
     assert compared(model, cells(model, 24), monkeypatch, until) >= least
 
 
+def test_a_velocity_that_is_rounding_is_nothing_to_bring_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # As the slide turns, the rate of the gap is 3e-16 to 7e-16, beside speeds of 1.2 to 1.6.
+    mu, inertia = np.geomspace(0.03, 100.0, 100), np.geomspace(1e-4, 1.0, 100)
+    table = np.stack([mu[[36, 25, 6, 17, 26]], inertia[[48, 25, 80, 41, 45]]], axis=1)
+    model = load("toppling_stick").model_copy(update={"ranges": {"mu": (0, 100), "I_G": (0, 1)}})
+    assert compared(model, np.concatenate([table] * 12), monkeypatch) == 60
+
+
 def test_conditions_lists_counts_and_plastic_impacts(monkeypatch: pytest.MonkeyPatch) -> None:
     model = interpret(read_text(HAIRY))
     assert isinstance(model, Declaration)
