@@ -14,11 +14,11 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.formulas.tape import Tape, contiguous
 from statechart.formulas.writer import compile_tape
-from statechart.kernels.lift import Program, lift
+from statechart.kernels.lift import Program, following, lift
 
 
 class Lift(NamedTuple):
-    """What follows from other variables in a flow: a program, with the anchors of that flow.
+    """What follows from other variables in a flow.
 
     Attributes
     ----------
@@ -28,22 +28,20 @@ class Lift(NamedTuple):
 
     program: Program
 
-    def onto(self, state: Array, parameters: Array, time: float) -> Array:
+    def onto(self, state: Array, time: float) -> Array:
         """Return a state (n,) with what follows from the rest of it; the same where nothing does.
 
         Parameters
         ----------
         state : (n,) array
             Not modified.
-        parameters : (p,) array
-            Of the run.
         time : float
             Absolute.
         """
         if not len(self.program[3]):
             return state
         moved = np.array(state)
-        lift(self.program, moved, parameters, time)
+        lift(self.program, moved, time)
         return moved
 
 
@@ -68,7 +66,7 @@ class Lifting:
     def begun(self, state: Array, parameters: Array, time: float) -> Lift:
         """Return what follows in a flow that begins in `state` (n,) at an absolute time."""
         anchors = self.anchors.at(contiguous(state), parameters, time)
-        return Lift((*self.tape.program, self.places, anchors))
+        return Lift(following(*self.tape.program, self.places, anchors, parameters, len(state)))
 
 
 def lifting(automaton: Automaton, mode: Mode) -> Lifting:

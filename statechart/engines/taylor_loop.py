@@ -90,7 +90,6 @@ def _taylor_steps(
     coeffs: Array,
     end: Array,
     follows: Program,
-    values: Array,
     start: float,
 ) -> tuple[int, int, float, float]:
     """Take up to `count` steps in `duration`, behind the `first` ones of an arc.
@@ -104,8 +103,8 @@ def _taylor_steps(
     end of each step is compared with the rate there, with which the series of the next begins,
     and a step that strays is made again at half its length.
 
-    What follows from other variables (`follows`, with `values` of the parameters) does so wherever
-    a step begins, and at the end; `start` is when the flow begins.
+    What follows from other variables (`follows`) does so wherever a step begins, and at the end;
+    `start` is when the flow begins.
 
     Returns
     -------
@@ -122,7 +121,7 @@ def _taylor_steps(
     longest, off, halvings, done, again = max_step, math.inf, 0, False, False
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
     while True:
-        lift_any(follows, state, values, start + times[first + taken])
+        lift_any(follows, state, start + times[first + taken])
         put(state, here)
         step[0] = 0.0 if done else min(left, longest)
         call_step(address, state, parameters, clock, step, series)
@@ -263,14 +262,13 @@ def taylor_flow(
             coeffs,
             end,
             follows,
-            parameters,
             start,
         )
         last = first + finite
         finished = finite == taken and h == left
         if finished:
             times[last] = until
-        lift_any(follows, end, parameters, start + times[last])
+        lift_any(follows, end, start + times[last])
         found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
         local = start + times[last]
         if (

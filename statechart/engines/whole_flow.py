@@ -23,7 +23,7 @@ from statechart.kernels.copies import put
 from statechart.kernels.defect import rough_in, unseen
 from statechart.kernels.jit import part
 from statechart.kernels.lift import Program as Following
-from statechart.kernels.lift import lift_any
+from statechart.kernels.lift import following, lift_any
 from statechart.kernels.polynomials import cut_steps, horner
 from statechart.kernels.resolution import roughen
 from statechart.kernels.search import (
@@ -32,7 +32,7 @@ from statechart.kernels.search import (
     clear_whole,
     ready_along,
     search,
-    search_along,
+    search_step,
 )
 from statechart.kernels.tapes import tape_values
 
@@ -188,7 +188,7 @@ def _following(
     tape_values(code, constants, outputs, state, watch.parameters, start, anchors)
     code, constants, outputs, _, _ = tape_of(program, row[LIFT : LIFT + TAPE])
     places = program.ints[row[PLACES_AT] : row[PLACES_AT] + outputs.shape[0]]
-    return code, constants, outputs, places, anchors
+    return following(code, constants, outputs, places, anchors, watch.parameters, state.shape[0])
 
 
 @part
@@ -247,7 +247,7 @@ def flow_to_event(
     chunk, chunk_end, base, total, left = FIRST_CHUNK, FIRST_CHUNK, 0.0, 0.0, end
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
-    lift_any(follows, initial, parameters, start)
+    lift_any(follows, initial, start)
     ready = ready_along(code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start)
     jets = ready[4].copy()
     jets[:, 2:] = 0.0
@@ -257,15 +257,15 @@ def flow_to_event(
             return UNUSUAL, -1, 0, boxes
         # After the last step before an end, one of no length: for the series alone.
         h[0] = min(left, pace.max_step)
-        lift_any(follows, state, parameters, start + times[made])
+        lift_any(follows, state, start + times[made])
         call_step(address, state, pars, clock, h, series)
         if pending:
             if stray(coeffs[made - 1], length, series, offs, sizes) > allowed:
                 return UNUSUAL, -1, 0, boxes
-            if clear_whole(ready[0], guards, tolerances, made - 1, jets):
+            if clear_whole(ready, guards, tolerances, made - 1, jets):
                 boxes += 1
             else:
-                found = search_along(ready, guards, tolerances, made - 1, made, BOXES)
+                found = search_step(ready, guards, tolerances, made - 1, BOXES)
                 boxes += found[6]
             doubtful[made - 1] = not _followed(
                 ready[0], rates, watch, pace, offs, sizes, length, jets
@@ -296,7 +296,7 @@ def flow_to_event(
         if last or made == chunk_end:
             for v in range(n):
                 ended[v] = horner(coeffs, made - 1, v, 1.0)
-            lift_any(follows, ended, parameters, start + times[made])
+            lift_any(follows, ended, start + times[made])
             if (
                 off_by(
                     off_code, off_constants, off_outputs, watch.targets, watch.weights, ended,
@@ -326,7 +326,7 @@ def flow_to_event(
             return UNUSUAL, -1, 0, boxes
     cut = crossed if kind == FORCE else at
     count = cut_steps(times, coeffs, made, cut, initial)
-    lift_any(follows, initial, parameters, start + times[count])
+    lift_any(follows, initial, start + times[count])
     return EVENT, guard, count, boxes
 
 

@@ -171,7 +171,7 @@ class Execution:
             compiled,
             self.path,
             watch,
-            watch.lift.onto(self.state, watch.parameters, watch.start),
+            watch.lift.onto(self.state, watch.start),
             duration,
             self.horizon,
             self.show if self.progress else None,

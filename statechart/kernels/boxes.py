@@ -210,6 +210,32 @@ def judge(
 
 
 @part
+def unclear_by_values(
+    along: Along,
+    outputs: Ints32,
+    tolerances: Array,
+    step: int,
+    bounds: Array,
+    a: float,
+    b: float,
+    jets: Array,
+    state: NDArray[np.uint8],
+) -> int:
+    """Clear outputs by their ranges on a box; return how many are not.
+
+    That is cheap, and often enough.
+    """
+    m = 0.5 * (a + b)
+    enclose(along, step, bounds, m, max(b - m, m - a), 0, jets)
+    unclear = 0
+    for i in range(outputs.shape[0]):
+        if state[i] != 0 and jets[outputs[i], 0] + tolerances[i] > 0.0:
+            state[i] = 0
+        unclear += state[i]
+    return unclear
+
+
+@part
 def unclear_by_slopes(
     along: Along,
     outputs: Ints32,
@@ -234,7 +260,8 @@ def unclear_by_slopes(
         if state[i] != 0:
             box, middle = jets[outputs[i]], work[i, 0]
             drop = 0.5 * max(abs(box[2]), abs(box[3]))
-            if middle - drop - LIBM * (drop + abs(middle)) - TINY + tolerances[i] > 0.0:
+            least = middle - drop - LIBM * (drop + abs(middle)) - TINY
+            if least + tolerances[i] > 0.0 or box[0] + tolerances[i] > 0.0:
                 state[i] = 0
             else:
                 unclear += 1

@@ -8,8 +8,8 @@ from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import Along, prepare
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import part, seldom
-from statechart.kernels.polynomials import reaches, slopes_at_four
-from statechart.kernels.resolution import NARROW, PLACES, at, four_places, look, look_closer, ready
+from statechart.kernels.polynomials import reaches, slopes_at
+from statechart.kernels.resolution import NARROW, PLACES, at, look, look_closer, ready
 from statechart.kernels.tapes import filled
 
 # Slopes are sums of a series, whose terms are rounded more often than a rate is.
@@ -132,9 +132,10 @@ def _defect(
     """How far the slopes in a box are off the rates, beside rounding, at the worst of places."""
     coeffs, worst = along[6], 0.0
     at(along, step, a, b, PLACES, regs)
-    four = four_places(a, b, PLACES, 0)
+    w = b - a
+    places = a + PLACES[0] * w, a + PLACES[1] * w, a + PLACES[2] * w
     for v in range(coeffs.shape[1]):
-        slopes = slopes_at_four(coeffs, step, v, four)
+        slopes = slopes_at(coeffs, step, v, places)
         for j in range(PLACES.shape[0]):
             off = abs(slopes[j] - h * regs[outputs[v], j])
             if off <= rounding[v]:

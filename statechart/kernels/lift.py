@@ -2,35 +2,60 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from statechart.arrays import Array, Ints32
-from statechart.kernels.copies import put
 from statechart.kernels.jit import part, seldom
-from statechart.kernels.tapes import tape_values
+from statechart.kernels.tapes import filled, run_tape
 
-Program = tuple[Ints32, Array, Ints32, Ints32, Array]
-"""Code, constants and outputs of a tape; places (k,) of its outputs in a state (n,); the anchors
-of the flow, which the tape reads behind the state."""
+Program = tuple[Ints32, int, Ints32, Ints32, int, Array]
+"""Code of a tape, the register of its first operation, its outputs; their places (k,) in a state
+(n,); the register of the time; registers, with what does not change in a flow filled in."""
 
 
 @seldom
-def lift(program: Program, state: Array, parameters: Array, time: float) -> None:
-    """Write what follows from the rest of `state` into it."""
-    code, constants, outputs, places, anchors = program
-    n = state.shape[0]
-    inputs = np.empty(n + anchors.shape[0])
-    put(state, inputs)
+def following(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    places: Ints32,
+    anchors: Array,
+    parameters: Array,
+    variables: int,
+) -> Program:
+    """Return what follows in a flow.
+
+    Parameters
+    ----------
+    code, constants, outputs
+        Of a tape.
+    places : (k,) array of int32
+        Of its outputs in a state.
+    anchors : (a,) array
+        Of the flow, which the tape reads behind the state.
+    parameters : (p,) array
+    variables : int
+        Of a state.
+    """
+    clock = variables + anchors.shape[0]
+    base, registers = filled(code, constants, parameters, clock, 1)
     for i in range(anchors.shape[0]):
-        inputs[n + i] = anchors[i]
-    values = np.empty(outputs.shape[0])
-    tape_values(code, constants, outputs, inputs, parameters, time, values)
+        registers[variables + i, 0] = anchors[i]
+    return code, base, outputs, places, clock, registers
+
+
+@seldom
+def lift(program: Program, state: Array, time: float) -> None:
+    """Write what follows from the rest of `state` into it."""
+    code, base, outputs, places, clock, registers = program
+    for v in range(state.shape[0]):
+        registers[v, 0] = state[v]
+    registers[clock, 0] = time
+    run_tape(code, 0, code.shape[0], base, registers, 1)
     for i in range(places.shape[0]):
-        state[places[i]] = values[i]
+        state[places[i]] = registers[outputs[i], 0]
 
 
 @part
-def lift_any(program: Program, state: Array, parameters: Array, time: float) -> None:
+def lift_any(program: Program, state: Array, time: float) -> None:
     """Do what `lift` does where something follows, and nothing where nothing does."""
     if program[3].shape[0] > 0:
-        lift(program, state, parameters, time)
+        lift(program, state, time)

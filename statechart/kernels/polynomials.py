@@ -19,29 +19,33 @@ def horner(coeffs: Array, step: int, v: int, s: float) -> float:
     return value
 
 
-Four = tuple[float, float, float, float]
-
-
 @part
-def values_at_four(coeffs: Array, step: int, v: int, places: Four) -> Four:
-    """Values of a variable at four places of a step: side by side, as none waits for another."""
-    a, b, c, d = places
-    e = f = g = h = 0.0
-    for k in range(coeffs.shape[2] - 1, -1, -1):
+def values_at(coeffs: Array, step: int, v: int, places: Array, values: Array) -> None:
+    """Write the values (m,) of a variable at places (m,) of a step.
+
+    Term by term for all of them: none waits for another.
+    """
+    top, count = coeffs.shape[2] - 1, places.shape[0]
+    term = coeffs[step, v, top]
+    for j in range(count):
+        values[j] = term
+    for k in range(top - 1, -1, -1):
         term = coeffs[step, v, k]
-        e, f, g, h = e * a + term, f * b + term, g * c + term, h * d + term
-    return e, f, g, h
+        for j in range(count):
+            values[j] = values[j] * places[j] + term
 
 
 @part
-def slopes_at_four(coeffs: Array, step: int, v: int, places: Four) -> Four:
-    """Slopes of a variable at four places of a step."""
-    a, b, c, d = places
-    e = f = g = h = 0.0
+def slopes_at(
+    coeffs: Array, step: int, v: int, places: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Slopes of a variable at three places of a step: side by side, as none waits for another."""
+    a, b, c = places
+    e = f = g = 0.0
     for k in range(coeffs.shape[2] - 1, 0, -1):
         term = k * coeffs[step, v, k]
-        e, f, g, h = e * a + term, f * b + term, g * c + term, h * d + term
-    return e, f, g, h
+        e, f, g = e * a + term, f * b + term, g * c + term
+    return e, f, g
 
 
 @part

@@ -20,7 +20,7 @@ from statechart.kernels.boxes import Along, place
 from statechart.kernels.intervals import INF, LIBM, TINY, Interval
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import part
-from statechart.kernels.polynomials import Four, local_time, values_at_four
+from statechart.kernels.polynomials import local_time, values_at
 from statechart.kernels.tapes import (
     ABS,
     ACOS,
@@ -228,22 +228,12 @@ def at(along: Along, step: int, a: float, b: float, places: Array, regs: Array) 
     """Run the tape at places in the box [a, b] of a step, given in parts of it."""
     code, base, first, last, reads, times, coeffs, start = along
     n, count = coeffs.shape[1], places.shape[0]
-    for j in range(0, count, 4):
-        four = four_places(a, b, places, j)
-        for v in reads:
-            values = values_at_four(coeffs, step, v, four) if v < n else four
-            for i in range(min(4, count - j)):
-                regs[v, j + i] = values[i] if v < n else start + local_time(times, step, four[i])
+    clock = regs[n]
+    for j in range(count):
+        clock[j] = a + places[j] * (b - a)
+    for v in reads:
+        if v < n:
+            values_at(coeffs, step, v, clock[:count], regs[v])
+    for j in range(count):
+        clock[j] = start + local_time(times, step, clock[j])
     run_tape(code, first, last, base, regs, count)
-
-
-@part
-def four_places(a: float, b: float, places: Array, first: int) -> Four:
-    """Return four places in the box [a, b], the last one again where there are no more."""
-    last = places.shape[0] - 1
-    return (
-        a + places[first] * (b - a),
-        a + places[min(first + 1, last)] * (b - a),
-        a + places[min(first + 2, last)] * (b - a),
-        a + places[min(first + 3, last)] * (b - a),
-    )

@@ -13,6 +13,7 @@ from statechart.kernels.boxes import (
     place_whole,
     prepare,
     unclear_by_slopes,
+    unclear_by_values,
 )
 from statechart.kernels.intervals import INF, LIBM
 from statechart.kernels.jets import run_jets
@@ -203,19 +204,21 @@ def search(
 
 
 @part
-def clear_whole(along: Along, outputs: Ints32, tolerances: Array, step: int, jets: Array) -> bool:
+def clear_whole(ready: Ready, outputs: Ints32, tolerances: Array, step: int, jets: Array) -> bool:
     """Whether no output falls in a step, as far as the ranges of the variables in it tell.
 
-    Leaves those of all registers in `jets`.
+    Leaves those of all registers in `jets`, and the first of the marks for `search_step`.
     """
+    along, marks = ready[0], ready[7]
     code, base, first, last = along[:4]
-    if not place_whole(along, step, jets):
-        return False
-    run_jets(code, first, last, base, jets, 0)
-    clear = True
+    finite, clear = place_whole(along, step, jets), True
+    if finite:
+        run_jets(code, first, last, base, jets, 0)
     for i in range(outputs.shape[0]):
-        clear = clear and jets[outputs[i], 0] + tolerances[i] > 0.0
-    return clear
+        above = finite and jets[outputs[i], 0] + tolerances[i] > 0.0
+        marks[0, i] = 0 if above else 1
+        clear = clear and above
+    return clear and finite
 
 
 @part
@@ -233,6 +236,25 @@ def search_along(
     ready: Ready, outputs: Ints32, tolerances: Array, first: int, last: int, budget: int
 ) -> tuple[int, int, int, float, float, float, int]:
     """Search steps (see `search`)."""
+    boxes, jets = 0, ready[4]
+    for step in range(first, last):
+        if clear_whole(ready, outputs, tolerances, step, jets) and boxes < budget:
+            boxes += 1
+            continue
+        verdict, guard, event_step, place, at, sure, looked = search_step(
+            ready, outputs, tolerances, step, budget - boxes
+        )
+        boxes += looked
+        if verdict != NONE:
+            return verdict, guard, event_step, place, at, sure, boxes
+    return NONE, -1, 0, 0.0, 0.0, 0.0, boxes
+
+
+@part
+def search_step(
+    ready: Ready, outputs: Ints32, tolerances: Array, step: int, budget: int
+) -> tuple[int, int, int, float, float, float, int]:
+    """Search a step (see `search`) for the fall of an output that `clear_whole` has marked."""
     along, needs, bounds, regs, jets, work, ends, marks = ready
     reads, times, coeffs, start = along[4:]
     n_out = outputs.shape[0]
@@ -240,137 +262,121 @@ def search_along(
     scratch = (bounds, regs, jets, aside)
     lefts, rights = ends[0], ends[1]  # the leftmost on top
     boxes = 0
-    for step in range(first, last):
-        if boxes < budget and clear_whole(along, outputs, tolerances, step, jets):
-            boxes += 1
-            continue
-        finite = prepare(coeffs, step, reads, bounds) and abs(start) < INF
-        if not (finite and abs(times[step]) < INF and abs(times[step + 1]) < INF):
-            return NON_FINITE, -1, step, 0.0, times[step], times[step + 1], boxes
-        found, root, sure, found_left = -1, INF, INF, 0.0
-        top = 1
-        lefts[0], rights[0] = 0.0, 1.0
+    finite = prepare(coeffs, step, reads, bounds) and abs(start) < INF
+    if not (finite and abs(times[step]) < INF and abs(times[step + 1]) < INF):
+        return NON_FINITE, -1, step, 0.0, times[step], times[step + 1], boxes
+    found, root, sure, found_left = -1, INF, INF, 0.0
+    top = 1
+    lefts[0], rights[0] = 0.0, 1.0
+    while top > 0:
+        top -= 1
+        a, b = lefts[top], rights[top]
+        boxes += 1
+        if boxes > budget:
+            at, end = local_time(times, step, a), local_time(times, step, b)
+            return BUDGET, -1, step, a, at, end, boxes - 1
         for i in range(n_out):
-            marks[0, i] = 1
-        while top > 0:
-            top -= 1
-            a, b = lefts[top], rights[top]
-            boxes += 1
-            if boxes > budget:
-                at, end = local_time(times, step, a), local_time(times, step, b)
-                return BUDGET, -1, step, a, at, end, boxes - 1
-            m, few = 0.5 * (a + b), along
-            if b - a < 1.0:
-                few = narrowed(needs, along, _undecided(marks[top]))
-            # The natural enclosure alone is cheap, and often enough.
-            enclose(few, step, bounds, m, max(b - m, m - a), 0, jets)
-            unclear = 0
-            for i in range(n_out):
-                state[i] = marks[top, i]
-                if state[i] != 0:
-                    if jets[outputs[i], 0] + tolerances[i] > 0.0:
-                        state[i] = 0
-                    else:
-                        unclear += 1
-            if unclear > 0 and b - a == 1.0:
-                few = narrowed(needs, along, _undecided(state))
-                unclear = unclear_by_slopes(
-                    few, outputs, tolerances, step, bounds, jets, state, work
-                )
-            if unclear == 0:
+            state[i] = marks[top, i]
+        few = narrowed(needs, along, _undecided(state))
+        if b - a == 1.0:
+            unclear = unclear_by_slopes(few, outputs, tolerances, step, bounds, jets, state, work)
+        else:
+            unclear = unclear_by_values(few, outputs, tolerances, step, bounds, a, b, jets, state)
+        if unclear == 0:
+            continue
+        few = narrowed(needs, along, _undecided(state))
+        judge(few, outputs, step, bounds, a, b, jets, work)
+        unclear, improved = 0, False
+        for i in range(n_out):
+            if state[i] == 0:
                 continue
-            few = narrowed(needs, along, _undecided(state))
-            judge(few, outputs, step, bounds, a, b, jets, work)
-            unclear, improved = 0, False
-            for i in range(n_out):
-                if state[i] == 0:
-                    continue
-                alone = narrowed(needs, along, bit(i))
-                tolerance = tolerances[i]
-                below = a == 0.0 and work[i, 10] + tolerance < 0.0
-                # It rises: positive up to a, as the boxes before are clear; or zero there to
-                # within rounding, and leaving.
-                rises = work[i, 6] > 0.0 and (a > 0.0 or work[i, 9] > -INF)
-                if not below and (work[i, 4] + tolerance > 0.0 or rises):
+            alone = narrowed(needs, along, bit(i))
+            tolerance = tolerances[i]
+            below = a == 0.0 and work[i, 10] + tolerance < 0.0
+            # It rises: positive up to a, as the boxes before are clear; or zero there to
+            # within rounding, and leaving.
+            rises = work[i, 6] > 0.0 and (a > 0.0 or work[i, 9] > -INF)
+            if not below and (work[i, 4] + tolerance > 0.0 or rises):
+                state[i] = 0
+                continue
+            here, far = INF, INF
+            if below:
+                here = far = 0.0
+            elif work[i, 7] < 0.0:
+                guard = outputs[i : i + 1]
+                aside[0, 7] = work[i, 7]
+                falls, end = _falls(alone, guard, tolerance, step, a, b, scratch)
+                if falls == 0:
                     state[i] = 0
                     continue
-                here, far = INF, INF
-                if below:
-                    here = far = 0.0
-                elif work[i, 7] < 0.0:
-                    guard = outputs[i : i + 1]
-                    aside[0, 7] = work[i, 7]
-                    falls, end = _falls(alone, guard, tolerance, step, a, b, scratch)
-                    if falls == 0:
+                if falls == 1:
+                    here = last_place(alone, step, guard[0], tolerance, a, end, regs)
+                    # What rounding left over at the float root, the slope carries below 0.
+                    enclose(alone, step, bounds, here, 0.0, 0, jets)
+                    rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
+                    far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
+                    if far > here + NARROW:
+                        # Nearly flat at the end of where it falls: it is below long before.
+                        near = here + NARROW
+                        while near < far:
+                            enclose(alone, step, bounds, near, 0.0, 0, jets)
+                            if jets[guard[0], 1] + tolerance <= 0.0:
+                                far = near
+                            near = here + 2.0 * (near - here)
+            bounded = work[i, 4] > -INF and work[i, 5] < INF
+            if (
+                here == INF
+                and b - a <= FLAT
+                and not bounded
+                and _clear_at_edge(alone, outputs[i], tolerance, step, a, b, bounds, jets)
+            ):
+                state[i] = 0
+                continue
+            if here == INF and b - a <= NARROW:
+                # A jump, say: positive at a, and negative at b or, where that is the place of
+                # the jump to within rounding, a little beyond.
+                for end in (b, min(1.0, b + 4.0 * NARROW)):
+                    enclose(along, step, bounds, end, 0.0, 0, jets)
+                    if here == INF and bounded and jets[outputs[i], 1] + tolerance < 0.0:
+                        here, far = a, end
+                if here == INF and a == 0.0 and bounded and not work[i, 7] < INF:
+                    # What jumps as it starts (an angle at the origin) has its value behind.
+                    enclose(along, step, bounds, b, 0.0, 0, jets)
+                    if jets[outputs[i], 0] + tolerance > 0.0:
                         state[i] = 0
                         continue
-                    if falls == 1:
-                        here = last_place(alone, step, guard[0], tolerance, a, end, regs)
-                        # What rounding left over at the float root, the slope carries below 0.
-                        enclose(alone, step, bounds, here, 0.0, 0, jets)
-                        rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
-                        far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
-                        if far > here + NARROW:
-                            # Nearly flat at the end of where it falls: it is below long before.
-                            near = here + NARROW
-                            while near < far:
-                                enclose(alone, step, bounds, near, 0.0, 0, jets)
-                                if jets[guard[0], 1] + tolerance <= 0.0:
-                                    far = near
-                                near = here + 2.0 * (near - here)
-                bounded = work[i, 4] > -INF and work[i, 5] < INF
-                if (
-                    here == INF
-                    and b - a <= FLAT
-                    and not bounded
-                    and _clear_at_edge(alone, outputs[i], tolerance, step, a, b, bounds, jets)
-                ):
-                    state[i] = 0
+                if here == INF:
+                    if found < 0 or b < root - 4.0 * NARROW:
+                        verdict = GRAZE if bounded else NON_FINITE
+                        at, far = local_time(times, step, a), local_time(times, step, b)
+                        return verdict, i, step, a, at, far, boxes
+                    state[i] = 0  # a tie with the crossing found, to within rounding
                     continue
-                if here == INF and b - a <= NARROW:
-                    # A jump, say: positive at a, and negative at b or, where that is the place of
-                    # the jump to within rounding, a little beyond.
-                    for end in (b, min(1.0, b + 4.0 * NARROW)):
-                        enclose(along, step, bounds, end, 0.0, 0, jets)
-                        if here == INF and bounded and jets[outputs[i], 1] + tolerance < 0.0:
-                            here, far = a, end
-                    if here == INF and a == 0.0 and bounded and not work[i, 7] < INF:
-                        # What jumps as it starts (an angle at the origin) has its value behind.
-                        enclose(along, step, bounds, b, 0.0, 0, jets)
-                        if jets[outputs[i], 0] + tolerance > 0.0:
-                            state[i] = 0
-                            continue
-                    if here == INF:
-                        if found < 0 or b < root - 4.0 * NARROW:
-                            verdict = GRAZE if bounded else NON_FINITE
-                            at, far = local_time(times, step, a), local_time(times, step, b)
-                            return verdict, i, step, a, at, far, boxes
-                        state[i] = 0  # a tie with the crossing found, to within rounding
-                        continue
-                if here < INF:
-                    state[i] = 0
-                    if found < 0 or here < root or (here == root and i < found):
-                        found, root, sure, found_left, improved = i, here, far, a, True
-                    continue
-                unclear += 1
-            if improved:
-                # Only what is undecided before the crossing matters any more.
-                top = 0
-            if unclear == 0:
+            if here < INF:
+                state[i] = 0
+                if found < 0 or here < root or (here == root and i < found):
+                    found, root, sure, found_left, improved = i, here, far, a, True
                 continue
-            if improved and sure < b:
-                lefts[top], rights[top] = a, max(sure, a)
-                top += 1
-            else:
-                lefts[top], rights[top] = m, b
-                lefts[top + 1], rights[top + 1] = a, m
-                top += 2
-            for i in range(n_out):
-                marks[max(top - 2, 0), i] = marks[top - 1, i] = state[i]
-        if found >= 0:
-            guard = outputs[found : found + 1]
-            alone = narrowed(needs, along, bit(found))
-            event_step, event = _descent(alone, guard, step, found_left, root, scratch)
-            at = local_time(times, event_step, event)
-            return CROSSING, found, event_step, event, at, local_time(times, step, sure), boxes
+            unclear += 1
+        if improved:
+            # Only what is undecided before the crossing matters any more.
+            top = 0
+        if unclear == 0:
+            continue
+        if improved and sure < b:
+            lefts[top], rights[top] = a, max(sure, a)
+            top += 1
+        else:
+            m = 0.5 * (a + b)
+            lefts[top], rights[top] = m, b
+            lefts[top + 1], rights[top + 1] = a, m
+            top += 2
+        for i in range(n_out):
+            marks[max(top - 2, 0), i] = marks[top - 1, i] = state[i]
+    if found >= 0:
+        guard = outputs[found : found + 1]
+        alone = narrowed(needs, along, bit(found))
+        event_step, event = _descent(alone, guard, step, found_left, root, scratch)
+        at = local_time(times, event_step, event)
+        return CROSSING, found, event_step, event, at, local_time(times, step, sure), boxes
     return NONE, -1, 0, 0.0, 0.0, 0.0, boxes
