@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from contacts.scene.controls import Controller, ControlRegion, ControlState
     from contacts.scene.joints import Force, Joint, Path
     from contacts.scene.modes import Free, Pin, Slide
     from contacts.scene.parts import Body, Contact, Coordinate, Point, Surface
@@ -18,6 +19,9 @@ __all__ = [
     "Body",
     "Collision",
     "Contact",
+    "ControlRegion",
+    "ControlState",
+    "Controller",
     "Coordinate",
     "Force",
     "Free",
@@ -32,6 +36,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "scene.controls": ("ControlRegion", "ControlState", "Controller"),
     "scene.joints": ("Force", "Joint", "Path"),
     "scene.modes": ("Free", "Pin", "Slide"),
     "scene.scene": ("Scene",),

@@ -10,8 +10,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from statechart.automaton.trace import Outcome, Trace
-    from statechart.charts.chart import Chart
+    from statechart.automaton.sampling import Sample
+    from statechart.automaton.trace import Arc, Jump, Outcome, Trace
+    from statechart.charts.chart import Chart, Region, State
+    from statechart.charts.transitions import Transition
     from statechart.diagram.model import Diagram
     from statechart.documents.outputs import Count, Integral, Maximum, Minimum, Value
     from statechart.documents.settings import Settings, Stop
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AmbiguousMode",
+    "Arc",
     "Chart",
     "CheckReport",
     "Count",
@@ -55,6 +58,7 @@ __all__ = [
     "EventLoop",
     "FormulaError",
     "Integral",
+    "Jump",
     "Maximum",
     "Minimum",
     "Modes",
@@ -62,17 +66,21 @@ __all__ = [
     "NonFinite",
     "OutOfBudget",
     "Outcome",
+    "Region",
     "Result",
     "Runner",
+    "Sample",
     "Settings",
     "SimulationError",
     "SingularMode",
+    "State",
     "StatechartError",
     "StepFailure",
     "StepTooLarge",
     "Stop",
     "TooLong",
     "Trace",
+    "Transition",
     "Undecided",
     "UnsolvedImpulses",
     "Unsupported",
@@ -91,8 +99,10 @@ __all__ = [
 
 # Nothing is imported before it is used: the command line starts as fast as without this page.
 _HOMES = {
-    "automaton.trace": ("Outcome", "Trace"),
-    "charts.chart": ("Chart",),
+    "automaton.sampling": ("Sample",),
+    "automaton.trace": ("Arc", "Jump", "Outcome", "Trace"),
+    "charts.chart": ("Chart", "Region", "State"),
+    "charts.transitions": ("Transition",),
     "diagram.model": ("Diagram",),
     "documents.settings": ("Settings", "Stop"),
     "documents.outputs": ("Count", "Integral", "Maximum", "Minimum", "Value"),

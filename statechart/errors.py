@@ -34,6 +34,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+from statechart.shown import Shown
+
 
 @dataclass(frozen=True, slots=True)
 class Position:
@@ -51,7 +53,7 @@ class Position:
         return Position(self.source, self.line, self.column + columns)
 
 
-class StatechartError(Exception):
+class StatechartError(Exception, metaclass=Shown):
     """Root of every error that this project raises on purpose."""
 
 

@@ -14,6 +14,7 @@ from contacts.scene.parts import Contact, Pair, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
+from statechart.shown import Shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class ContactGeometry:
     bias_t: sp.Expr
 
 
-class Geometry:
+class Geometry(metaclass=Shown):
     """The places of a scene.
 
     Parameters

@@ -14,6 +14,7 @@ from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.documents.setting import Record
 from statechart.errors import TooLong
+from statechart.shown import Shown
 from statechart.tabular import shortest
 
 LARGEST = 2**28
@@ -101,7 +102,7 @@ Roles = tuple[Role, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Arc:
+class Arc(metaclass=Shown):
     """One flow between two jumps: a polynomial in time for every variable and step.
 
     Attributes
@@ -158,7 +159,7 @@ class Arc:
 
 
 @dataclass(frozen=True, eq=False)
-class Jump:
+class Jump(metaclass=Shown):
     """One discrete transition.
 
     Attributes
@@ -240,7 +241,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
+class Trace(metaclass=Shown):
     """A run.
 
     Attributes

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from statechart.errors import StatechartError
+from statechart.shown import Shown
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -163,8 +164,8 @@ class Chart:
         return tuple(found)
 
 
-@dataclass(frozen=True, slots=True)
-class Diagram:
+@dataclass(frozen=True, slots=True, repr=False)
+class Diagram(metaclass=Shown):
     """What is drawn of a statechart, ready to be rendered; it shows itself in notebooks.
 
     Parameters
@@ -192,9 +193,12 @@ class Diagram:
     title: str
     charts: tuple[Chart, ...]
     notes: tuple[str, ...] = ()
-    graph: nx.MultiDiGraph | None = field(default=None, compare=False, repr=False)
-    machine: Machine | None = field(default=None, compare=False, repr=False)
+    graph: nx.MultiDiGraph | None = field(default=None, compare=False)
+    machine: Machine | None = field(default=None, compare=False)
     explained: tuple[Chart, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<diagram of {self.title}: {len(self.nodes)} states, {len(self.links)} transitions>"
 
     def __post_init__(self) -> None:
         names = [node.name for node in self.nodes]

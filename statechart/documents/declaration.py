@@ -36,6 +36,7 @@ from statechart.documents.quantities import (
 )
 from statechart.documents.settings import Settings, Stop
 from statechart.documents.validation import located
+from statechart.documents.yaml_text import dump
 from statechart.errors import (
     DeclarationError,
     DeclarationProblem,
@@ -216,6 +217,10 @@ class Declaration(Part):
         if dimension := self.stated(name).dimension:
             return unit_of(dimension, self.units)
         return written(self.dimensions.get(name), self.units)
+
+    def __str__(self) -> str:
+        """Return the model as a file has it."""
+        return dump(self)
 
     def with_(self, **values: FormulaText) -> Self:
         """Return the model with other values of parameters.

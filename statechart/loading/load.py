@@ -53,12 +53,17 @@ def load(path_or_name: str | Path) -> Declaration:
     Parameters
     ----------
     path_or_name : str or Path
-        See `find`.
+        An existing file comes first.
 
     Raises
     ------
     DeclarationError
         If there is none, or it is wrong.
+
+    Examples
+    --------
+    >>> load("toppling_stick").doc
+    'A stick balanced on its tip topples toward +x and may slip (paper, section 4).'
     """
     return interpret(read(find(str(path_or_name))))
 

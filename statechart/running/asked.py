@@ -12,10 +12,11 @@ from statechart.automaton.product import feasibility
 from statechart.documents.declaration import Declaration
 from statechart.errors import SimulationError
 from statechart.running.runner import Runner
+from statechart.shown import Shown
 
 
 @dataclass(frozen=True, repr=False)
-class Modes:
+class Modes(metaclass=Shown):
     """The modes of a model where its runs start; `str` lists them with their transitions.
 
     Attributes

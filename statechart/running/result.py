@@ -17,6 +17,7 @@ from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.reporting.pieces import Pieces
 from statechart.running.answer import Cost
+from statechart.shown import Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,7 +66,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Reading:
+class Reading(metaclass=Shown):
     """What held at an instant of a run.
 
     Attributes
@@ -88,7 +89,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result:
+class Result(metaclass=Shown):
     """What a run gave.
 
     Attributes
@@ -150,7 +151,7 @@ class Result:
 
     @cached_property
     def conditions(self) -> tuple[float | None, ...]:
-        """How much an error is magnified into the time of every event; see `conditions`."""
+        """How much an error is magnified into the time of every event; None if unknown."""
         from statechart.observation.condition import conditions
 
         return conditions(self.observer, self.trace)
@@ -171,14 +172,21 @@ class Result:
 
     @property
     def events(self) -> pd.DataFrame:
-        """The jumps, a row each; see `statechart.reporting.tables.events_table`."""
+        """The jumps, a row each: when, of which region, why, from and to which state.
+
+        Then what was skipped, impulses, energies, and variables before and after; units are in
+        ``attrs["units"]``.
+        """
         from statechart.reporting.tables import events_table
 
         return events_table(self.observer, self.trace)
 
     @property
     def samples(self) -> pd.DataFrame:
-        """Variables and observables along the run; see `samples_table`."""
+        """Variables and observables along the run, a column each, beside t, j and mode.
+
+        A jump shows as two rows of one time; units are in ``attrs["units"]``.
+        """
         from statechart.reporting.tables import samples_table
 
         return samples_table(self.observer, self.trace)
@@ -189,9 +197,9 @@ class Result:
         Returns
         -------
         Dataset
-            As `statechart.reporting.tables.to_xarray` gives it, but over the dimension `t`, on
-            which times are unique: at a jump the values are those after it, and what was before it
-            stands along `event`. So ``.sel(t=0.3, method="nearest")`` finds the nearest sample.
+            Variables and observables over `t`, with their units and long names. Times are unique:
+            at a jump the values are those after it, and what was before it stands along `event`.
+            So ``.sel(t=0.3, method="nearest")`` finds the nearest sample.
         """
         from statechart.reporting.tables import by_time, to_xarray
 
@@ -277,7 +285,7 @@ class Result:
         trail: float | None = None,
         progress: bool = False,
     ) -> Path:
-        """Write the bodies in motion; see `statechart.reporting.film.animate`.
+        """Write the bodies in motion, as a film.
 
         Parameters
         ----------
@@ -332,7 +340,7 @@ class Result:
     def to_dict(
         self, *, explain: bool = False, most: int | None = None, pieces: Pieces | None = None
     ) -> dict[str, Any]:
-        """Return the run as one plain object; see `statechart.reporting.report.report`."""
+        """Return the run as one plain object, as ``statechart run --json`` prints it."""
         from statechart.reporting.report import report
 
         return report(
@@ -348,7 +356,7 @@ class Result:
         )
 
     def save(self, folder: Path | str, *, samples: bool | None = None) -> tuple[str, ...]:
-        """Write tables, data set and figure; see `statechart.reporting.tables.write_run`.
+        """Write tables, data set and figure; return the names of the files.
 
         Parameters
         ----------

@@ -32,12 +32,13 @@ from statechart.running.answers import Answers
 from statechart.running.given import Given
 from statechart.running.result import Asked, Result
 from statechart.running.streaming import placed, sampled, unsearched
+from statechart.shown import Shown
 
 if TYPE_CHECKING:
     from statechart.engines.request import Measured
 
 
-class Runner:
+class Runner(metaclass=Shown):
     """A model on an engine, compiled once for many runs.
 
     What is not given is what the model's settings say.
@@ -252,7 +253,7 @@ class Runner:
 
         Examples
         --------
-        >>> from statechart.automaton.trace import Jump
+        >>> from statechart import Jump
         >>> pieces = Runner("toppling_stick").stream()
         >>> [piece.cause for piece in pieces if isinstance(piece, Jump)]
         ['slip', 'reverse', 'stop']

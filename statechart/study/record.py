@@ -77,6 +77,11 @@ class Study(Record):
     points: tuple[Point, ...] = ()
     left_out: dict[str, str] = Field(default={})
 
+    def __str__(self) -> str:
+        from statechart.study.report import text
+
+        return text(self)
+
     def of(self, model: Declaration) -> bool:
         """Whether a model is the one that was measured, by this version."""
         return self.fingerprint == fingerprint(model)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from statechart.automaton.automaton import Automaton
 from statechart.compiling import working_time
+from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
@@ -66,15 +67,15 @@ def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
 
 
 def trade(
-    runner: Runner,
+    model: Runner | Declaration | str | Path,
     *,
     folder: Path | str | None = None,
     settings: Sequence[Setting] | None = None,
     until: float | None = None,
     repeats: int = 3,
-    clock: Callable[[], float] = working_time,
+    clock: Callable[[], float] | None = None,
     cold: Callable[[Setting], float | None] | None = None,
-    progress: Callable[[str], None] = lambda line: None,
+    progress: Callable[[str], None] | None = None,
 ) -> Study:
     """Run a model at many settings, and compare every run with a reference.
 
@@ -85,8 +86,8 @@ def trade(
 
     Parameters
     ----------
-    runner : Runner
-        With the model.
+    model : Runner, Declaration, str or Path
+        A model, the path of its file, the name of a shipped one, or a runner with its model.
     folder : Path or str, optional
         Where the study is kept: it is written after every point, whole, and a study of the same
         model that is there already is gone on with.
@@ -96,11 +97,11 @@ def trade(
         End of the runs.
     repeats : int
         How often a run is repeated for its time.
-    clock : callable
-        Tells the time in seconds.
+    clock : callable, optional
+        Tells the time in seconds; by default one that stands still while something is compiled.
     cold : callable, optional
         Tells the seconds of a setting's first run; by default it is made, in a fresh process.
-    progress : callable
+    progress : callable, optional
         Gets a line for every point.
 
     Returns
@@ -115,10 +116,13 @@ def trade(
     StatechartError
         If no reference can be had: no engine takes the model to its end.
     """
+    runner = model if isinstance(model, Runner) else Runner(model)
+    progress = progress or (lambda line: None)
     end = runner.end(until=until)
     runner.start()
     fresh = Fresh(runner.model, end)
-    bench = Bench(runner.model, runner.automaton, end, repeats, clock, cold or fresh.seconds)
+    clock, cold = clock or working_time, cold or fresh.seconds
+    bench = Bench(runner.model, runner.automaton, end, repeats, clock, cold)
     mark = fingerprint(runner.model)
     known = None if folder is None else load(folder)
     if known is not None and (known.fingerprint, known.until) != (mark, end):

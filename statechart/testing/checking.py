@@ -5,12 +5,15 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from statechart.documents.declaration import Declaration
 from statechart.documents.yaml_text import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.loading.kind import offered
+from statechart.loading.load import resolved
+from statechart.shown import Shown
 from statechart.tabular import Block, Table, apart, plain
 from statechart.testing.agreement import Undecidable
 from statechart.testing.properties import Property, generic
@@ -65,9 +68,9 @@ class PropertyReport:
     failure: Failure | None = None
 
 
-@dataclass(frozen=True)
-class CheckReport:
-    """The result of a check.
+@dataclass(frozen=True, repr=False)
+class CheckReport(metaclass=Shown):
+    """The result of a check; `str` is the report for people.
 
     Attributes
     ----------
@@ -129,6 +132,8 @@ class CheckReport:
         """Return the report for people: a table of the properties, then what fails."""
         return plain(self.told())
 
+    __repr__ = __str__ = text
+
     def told(self) -> list[Block]:
         """Return the report as `text` does, its table as such."""
         varied = ", ".join(f"{n} {a:g} to {b:g}" for n, (a, b) in self.ranges.items())
@@ -161,7 +166,7 @@ def _verdict(result: PropertyReport) -> str:
 
 
 def check(
-    model: Declaration,
+    model: Declaration | str | Path,
     *,
     examples: int = 50,
     seed: int | None = None,
@@ -171,8 +176,8 @@ def check(
 
     Parameters
     ----------
-    model : Declaration
-        A chart, a scene.
+    model : Declaration, str or Path
+        A model, the path of its file, or the name of a shipped one.
     examples : int
         On how many choices of parameters each property is tested.
     seed : int, optional
@@ -190,9 +195,15 @@ def check(
         If the model does not say when a run ends.
     ValueError
         If `examples` is not positive.
+
+    Examples
+    --------
+    >>> check("bouncing_ball_chart", examples=1, seed=1).passed
+    True
     """
     if examples < 1:
         raise ValueError(f"examples must be at least 1, not {examples}")
+    model, _ = resolved(model)
     subject = Subject(model)
     if model.stop.time is None:
         subject.end({})

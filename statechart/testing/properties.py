@@ -23,6 +23,7 @@ from functools import partial
 import numpy as np
 
 from statechart.automaton.trace import Outcome, Role, Trace
+from statechart.shown import Shown
 from statechart.tabular import shortest
 from statechart.testing.agreement import Undecidable, assert_same
 from statechart.testing.guards import GOLDEN, assert_invariants, assert_margins
@@ -39,7 +40,7 @@ _START = 1e-8
 
 
 @dataclass(frozen=True)
-class Property:
+class Property(metaclass=Shown):
     """Something that must hold for every choice of the parameters.
 
     Attributes

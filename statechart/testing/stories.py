@@ -11,10 +11,11 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace
 from statechart.observation.zeno_tails import without_summed
+from statechart.shown import Shown
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class Reading(metaclass=Shown):
     """How to read a trace of a transformed model in the terms of the original.
 
     Attributes

@@ -7,6 +7,7 @@ import json
 import pydoc
 import re
 from collections.abc import Iterator
+from enum import EnumType
 from pathlib import Path
 from typing import Any, get_args
 from urllib.request import urlopen
@@ -15,8 +16,8 @@ import jsonschema
 import pytest
 from pydantic import BaseModel
 
-import contacts
-import statechart
+import contacts.testing
+import statechart.testing
 from statechart.cli.main import main
 from statechart.documents.declaration import Declaration
 from statechart.documents.fields import Part
@@ -24,12 +25,9 @@ from statechart.documents.yaml_reader import read
 from statechart.loading.kind import kind, kinds
 from statechart.loading.schema import schema
 
-PUBLIC = [
-    getattr(package, name)
-    for package in (statechart, contacts)
-    for name in package.__all__
-    if isinstance(getattr(package, name), type)
-]
+FACES = (statechart, contacts, statechart.testing, contacts.testing)
+NAMED = [getattr(face, name) for face in FACES for name in face.__all__]
+PUBLIC = [named for named in NAMED if isinstance(named, type)]
 
 
 def parts(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
@@ -113,6 +111,27 @@ def test_a_new_file_names_a_schema_that_it_agrees_with(
     data = read(tmp_path / "mine.yaml").data
     validator.validate(data)
     assert not validator.is_valid({**data, "gravty": 9.81})
+
+
+@pytest.mark.parametrize("named", NAMED, ids=lambda named: named.__name__)
+def test_help_shows_nothing_but_documentation(named: object) -> None:
+    said = pydoc.render_doc(named, renderer=pydoc.plaintext)
+    assert not re.search(r"0x[0-9a-f]{6}", said)
+    if not isinstance(named, EnumType) and not hasattr(named, "_fields"):  # Python's own classes
+        assert not re.search(r"__\w+__|_dataclass_|(inherited from|defined in) builtins", said)
+
+
+def test_help_of_what_is_raised_and_returned_shows_what_is_its_own() -> None:
+    said = pydoc.render_doc(statechart.NoConsistentMode, renderer=pydoc.plaintext)
+    assert "outcome = 'NO_CONSISTENT_MODE'" in said
+    assert "with_traceback" not in said
+    said = pydoc.render_doc(statechart.Result, renderer=pydoc.plaintext)
+    for name in ("animate", "at", "diagram", "plot", "report", "save", "to_xarray"):
+        assert re.search(rf"^ \|  {name}\(self", said, re.MULTILINE)
+    for name in ("events", "outputs", "samples", "warnings"):
+        assert re.search(rf"^ \|  {name}\b", said, re.MULTILINE)
+    # What a shell completes is all there is.
+    assert {"trace", "events", "__dict__"} <= set(dir(statechart.run("bouncing_ball_chart")))
 
 
 @pytest.mark.parametrize("public", PUBLIC, ids=lambda public: public.__name__)

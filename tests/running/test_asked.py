@@ -6,7 +6,9 @@ import pytest
 
 import statechart
 from contacts import Body, Contact, Point, Scene, Surface
-from statechart import Stop, load
+from statechart import DeclarationError, Stop, check, load, trade
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
 
 SCENE = Scene(
     name="block",
@@ -53,3 +55,25 @@ def test_the_mode_at_the_start_is_given_by_either_name() -> None:
 def test_what_is_no_model_is_told(model: object) -> None:
     with pytest.raises(statechart.DeclarationError, match="a model is a file, a name or what is"):
         statechart.run(model)  # type: ignore[arg-type]
+
+
+def test_a_model_prints_as_the_file_that_it_could_be_read_from() -> None:
+    assert interpret(read_text(str(SCENE))) == SCENE
+
+
+def test_answers_print_as_what_they_say() -> None:
+    found = check("bouncing_ball_chart", examples=1, seed=1)
+    assert str(found) == repr(found) == found.text()
+    drawn = SCENE.diagram()
+    counts = f"{len(drawn.nodes)} states, {len(drawn.links)} transitions"
+    assert repr(drawn) == f"<diagram of block: {counts}>"
+
+
+def test_what_takes_a_model_takes_its_name() -> None:
+    study = trade("bouncing_ball_chart", settings=(), repeats=1)
+    assert study.model == "bouncing_ball_chart"
+    assert str(study).startswith("bouncing_ball_chart to t = ")
+    with pytest.raises(DeclarationError, match="no shipped model"):
+        trade("bouncing_bal_chart")
+    with pytest.raises(DeclarationError, match="no shipped model"):
+        check("bouncing_bal_chart")
