@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
+
+from statechart.errors import close_matches
 
 # A count that no machine comes to.
 _UNCOUNTABLE = 10**18 + 1
@@ -45,8 +48,7 @@ def parser() -> argparse.ArgumentParser:
     run = verb("run", "run a model and report what happened")
     _settable(run)
     run.add_argument("--until", metavar="T", type=_number, help="end of the run")
-    run.add_argument("--engine", choices=("auto", "taylor", "scipy", "impulse"))
-    run.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
+    _engine(run)
     run.add_argument(
         "--impulse-tolerance", metavar="R", type=_number,
         help="of the impulses of a step of the engine impulse, in parts of its fastest approach",
@@ -160,14 +162,44 @@ def parser() -> argparse.ArgumentParser:
     schema = verb("schema", "print the JSON Schema of the documents", file=False)
     schema.add_argument("kind", nargs="?", metavar="KIND", help="scene or chart; else both")
     new = verb("new", "write a commented scene to start from", file=False)
-    new.add_argument("name", metavar="NAME")
+    new.add_argument("name", metavar="NAME", help="of the model; NAME.yaml is written")
     completion = verb("completion", "print what completes commands in a shell", file=False)
     completion.epilog = (
         'source <(statechart completion bash); eval "$(statechart completion zsh)"; '
         "statechart completion fish | source"
     )
-    completion.add_argument("shell", choices=SHELLS)
+    completion.add_argument("shell", choices=SHELLS, help="the shell that is to complete")
     return whole
+
+
+def read(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return what a command line says; end the process with the reason where it cannot be read."""
+    whole = parser()
+    chosen, unknown = whole.parse_known_args(arguments)
+    if unknown:
+        (verbs,) = (one for one in whole._actions if isinstance(one, argparse._SubParsersAction))
+        verb: argparse.ArgumentParser = verbs.choices[chosen.verb]
+        verb.error(_unknown(unknown[0], verb))
+    return chosen
+
+
+def _unknown(argument: str, verb: argparse.ArgumentParser) -> str:
+    name = argument.partition("=")[0]
+    if not name.startswith("-"):
+        return f"{argument!r} is left over; what has blanks stands in quotes"
+    if name in verb._option_string_actions:
+        return f"{name} stands behind the verb"
+    advice = close_matches(name, verb._option_string_actions)
+    return f"no option {name}; {advice}"
+
+
+def _engine(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--engine", choices=("auto", "taylor", "scipy", "impulse"),
+        help="what integrates: taylor and scipy locate events, impulse takes fixed steps; "
+        "auto chooses",
+    )  # fmt: skip
+    parser.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
 
 
 class _Version(argparse.Action):
@@ -198,8 +230,7 @@ def _sweeping(parser: argparse.ArgumentParser) -> None:
         "--outputs", metavar="NAMES", type=_names, help="separated by commas; else all"
     )
     parser.add_argument("--until", metavar="T", type=_number, help="end of the runs")
-    parser.add_argument("--engine", choices=("auto", "taylor", "scipy", "impulse"))
-    parser.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
+    _engine(parser)
     error = parser.add_mutually_exclusive_group()
     error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
     error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")

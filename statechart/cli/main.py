@@ -61,12 +61,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         0 done, 1 the run or the check failed, 2 the input is wrong.
     """
-    from statechart.cli.grammar import parser
+    from statechart.cli.grammar import read
     from statechart.errors import DeclarationError, StatechartError
 
     chosen = None
     try:
-        chosen = parser().parse_args(arguments)
+        chosen = read(arguments)
         if getattr(chosen, "quiet", False):
             compiling.announce(None)
         verb: Callable[[argparse.Namespace], int] = _verb(chosen.verb)

@@ -53,9 +53,10 @@ def validate(arguments: argparse.Namespace) -> int:
     # Of many regions a label is longer than what is told.
     states = automaton.label(mode).split()
     start = " ".join(f"... {s} more ..." if isinstance(s, int) else s for s in ends(states))
+    starts = f", starts in {start}" if start else ""
     print(
         f"{arguments.file}: {kind} {automaton.name!r} is correct: "
-        f"{len(automaton.names)} variables, {count}, starts in {start}{remarks}"
+        f"{len(automaton.names)} variables, {count}{starts}{remarks}"
     )
     return 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import pty
@@ -16,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from statechart import progress
+from statechart.cli import grammar
 from statechart.cli.main import main
 from statechart.execution.outcome import Progress
 
@@ -228,3 +230,46 @@ def test_tables_without_a_folder_are_refused(
     for given in ((), ("-o", str(tmp_path / "run.zarr"))):
         assert main(["run", "toppling_stick", "--samples", *given]) == 2
         assert "--output DIR" in capsys.readouterr().err
+
+
+def actions() -> list[object]:
+    whole = grammar.parser()
+    (verbs,) = (a for a in whole._actions if isinstance(a, argparse._SubParsersAction))
+    return [
+        pytest.param(action, id=f"{name} {'/'.join(action.option_strings) or action.dest}")
+        for name, verb in verbs.choices.items()
+        for action in verb._actions
+    ]
+
+
+@pytest.mark.parametrize("action", actions())
+def test_every_option_and_argument_says_what_it_is(action: argparse.Action) -> None:
+    assert action.help
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("run toppling_stick --unitl 3", "run: error: no option --unitl; did you mean '--until'"),
+        ("draw toppling_stick -o a.svg --sceen", "no option --sceen; did you mean '--scene'?"),
+        ("-q run toppling_stick", "statechart run: error: -q stands behind the verb"),
+        ("run toppling_stick mu=1", "'mu=1' is left over; what has blanks stands in quotes"),
+        ("rnu toppling_stick", "invalid choice: 'rnu' (choose from "),
+    ],
+)  # fmt: skip
+def test_a_line_that_cannot_be_read_is_told_what_to_write(
+    line: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(line.split()) == 2
+    shown = capsys.readouterr()
+    assert told in shown.err
+    assert not shown.out
+
+
+def test_a_scene_without_contacts_has_no_mode_to_start_in(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "ball.yaml"
+    path.write_text("kind: scene\nname: ball\nbodies: {ball: {mass: 1}}\n")
+    assert main(["validate", str(path)]) == 0
+    assert capsys.readouterr().out.endswith("is correct: 4 variables, 1 mode\n")
