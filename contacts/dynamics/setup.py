@@ -16,6 +16,7 @@ from contacts.dynamics.scales import Scales, ScaleTape
 from contacts.scene.checks import check_finite, check_physical, physical_limits
 from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
+from contacts.scene.unlikely import unlikely
 from contacts.solvers.dependence import implied
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
@@ -128,6 +129,7 @@ class SceneNumbers:
             [entry for row in rows for entry in row.jacobian],
         )
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
+        self._unlikely = unlikely(scene)
         self.limits: Tape | None = None
         limits = physical_limits(scene)
         if limits is not None:
@@ -184,7 +186,7 @@ class SceneNumbers:
             initial=begins,
             tolerances=tolerances,
             short=SHORT,
-            warnings=(*warnings, *implied),
+            warnings=(*self._unlikely, *warnings, *implied),
             # What begins at zero does not tell how large it gets.
             sizes=np.concatenate([scales.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))])
             if len(memory)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field
 
@@ -39,6 +39,10 @@ _MOST_COPIES = 10_000
 
 class SceneFields(Declaration):
     """What a scene declares, before it is checked (see `contacts.scene.scene.Scene`)."""
+
+    OTHER_WORDS: ClassVar = {
+        "g": "gravity",
+    }
 
     kind: Literal["scene"] = Field(
         default="scene", description="What is declared.", examples=["scene"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
@@ -13,6 +13,12 @@ from statechart.errors import DeclarationProblem
 
 class Force(Part):
     """A force on a point of a body, or a moment on it."""
+
+    OTHER_WORDS: ClassVar = {
+        "torque": "moment",
+        "fx": "force: [fx, fy]",
+        "fy": "force: [fx, fy]",
+    }
 
     body: str = Field(description="What it acts on.", examples=["rod"])
     force: Pair = Field(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag, model_validator
 
@@ -71,6 +71,14 @@ class Body(Part):
     (counter-clockwise) where it has an inertia. With it, `position` and `angle` are formulas of
     the scene's coordinates.
     """
+
+    OTHER_WORDS: ClassVar = {
+        "m": "mass",
+        "I": "inertia",
+        "J": "inertia",
+        "velocity": "start: {dx: ..., dy: ...}",
+        "omega": "start: {dangle: ...}",
+    }
 
     mass: FormulaText = Field(
         description="Above 0.", examples=["m"], json_schema_extra=unit("mass")
@@ -175,6 +183,12 @@ class Surface(Part):
     The normal is to the left of the line's direction, the solid to its right: a ground goes from
     left to right. A surface may be carried by a body, or displaced and turned in time.
     """
+
+    OTHER_WORDS: ClassVar = {
+        "y": "height",
+        "slope": "incline",
+        "velocity": "displacement: [v*time, 0]",
+    }
 
     height: FiniteText | None = Field(
         default=None,
@@ -297,6 +311,12 @@ def _as_list(value: Any) -> Any:
 
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
+
+    OTHER_WORDS: ClassVar = {
+        "mu": "friction",
+        "e": "restitution",
+        "r": "radius",
+    }
 
     point: Point = Field(
         description="The point that may touch.", examples=[{"body": "rod", "at": [0, "-L"]}]

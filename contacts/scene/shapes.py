@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -20,6 +20,13 @@ _Pair = tuple[FormulaText, FormulaText]
 
 class Shape(Part):
     """The outline of a body, or a part of it, in its own frame: a convex polygon, or a disc."""
+
+    OTHER_WORDS: ClassVar = {
+        "box": "polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]",
+        "rectangle": "polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]",
+        "circle": "disc",
+        "radius": "disc",
+    }
 
     polygon: Annotated[tuple[_Pair, ...], Field(min_length=3, max_length=16)] | None = Field(
         default=None,

@@ -60,6 +60,16 @@ def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, st
     }
 
 
+def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
+    """Return what is written for a key that goes by another name at its place; empty for none."""
+    key = str(loc[-1])
+    for annotation in _members(_reached(model, loc[:-1])[0]):
+        written: str = getattr(annotation, "OTHER_WORDS", {}).get(key, "")
+        if written:
+            return written
+    return ""
+
+
 def _reached(
     model: type[BaseModel], loc: Sequence[str | int]
 ) -> tuple[list[Any], tuple[str | int, ...]]:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from statechart.errors import DeclarationError
+
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
     from pydantic.fields import FieldInfo
@@ -33,8 +35,14 @@ class Documented(ModelMetaclass):
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         """Build a part."""
+        if args:
+            name = next((name for name, _ in _fields(cls)), "")
+            raise DeclarationError(
+                f"{cls.__name__}: fields are given by their names",
+                advice=f"write {cls.__name__}({name}=...)",
+            )
         try:
-            return super().__call__(*args, **kwargs)
+            return super().__call__(**kwargs)
         except ValidationError as error:
             from statechart.documents.validation import Built, declaration_error
 

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
 from pydantic_core import PydanticCustomError
 
 from statechart.documents.documented import Documented, own_words
-from statechart.errors import DeclarationProblem, FormulaError
+from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.formulas.derivatives import check_derived
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
 from statechart.formulas.syntax import NAME
 from statechart.formulas.tree import RESERVED, Binary
+from statechart.formulas.words import no_name
 
 
 def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
@@ -31,6 +32,8 @@ def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
 
 
 def _formula(value: Any) -> Any:
+    if getattr(value, "ndim", None) == 0:  # of NumPy: a number as any other
+        value = value.item()
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise PydanticCustomError("formula_type", "must be a number or a formula")
     try:
@@ -73,12 +76,7 @@ def _relation(value: str) -> str:
 
 def _name(value: str) -> str:
     if not NAME.fullmatch(value):
-        raise DeclarationProblem(
-            f"{value!r} is not a name",
-            advice="decimals have a point: 0.5"
-            if value.isdigit()
-            else "letters, digits and _, not beginning with a digit",
-        )
+        raise DeclarationProblem(f"{value!r} is not a name", advice=no_name(value))
     if value in RESERVED:
         raise DeclarationProblem(
             f"{value!r} already has a meaning in formulas", advice="choose another name"
@@ -119,6 +117,18 @@ class Part(BaseModel, metaclass=Documented):
     model_config = ConfigDict(
         frozen=True, extra="forbid", populate_by_name=True, json_schema_extra=own_words
     )
+
+    OTHER_WORDS: ClassVar[Mapping[str, str]] = {}
+    """What people call keys that go by another name here -> what is written for it."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in type(self).model_fields:
+            raise DeclarationError(
+                f"{type(self).__name__}: {name} does not change once it is built",
+                advice=f"build another one: model_copy(update={{{name!r}: ...}}), or of a model "
+                "with_(...) for its parameters",
+            )
+        super().__setattr__(name, value)
 
 
 def check_names(formula: Formula | Relation, known: Collection[str], *loc: str | int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import AfterValidator, Discriminator, Field, StrictBool, Tag, model_validator
 
@@ -91,6 +91,10 @@ def _checked_moment(text: str) -> str:
 
 class Value(Part):
     """A formula at a moment of the run; a list of its values at `each` event, or at some."""
+
+    OTHER_WORDS: ClassVar = {
+        "when": "at",
+    }
 
     value: FiniteText = Field(
         description="What is taken: a formula of variables, observables and parameters.",

@@ -5,8 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from numbers import Real
 
-from statechart.errors import DeclarationProblem, close_matches
+from statechart.errors import DeclarationProblem
+
+_NUMBERS = (
+    "tolerance", "accuracy", "step", "budget", "max_step", "impulse_tolerance", "impulse_bound"
+)  # fmt: skip
 
 LONG_DOUBLE = "long double"
 """Method of the engine taylor that integrates in the processor's extended precision."""
@@ -71,6 +76,10 @@ class Setting:
         DeclarationProblem
             At the first part that does not.
         """
+        for what in _NUMBERS:
+            value = getattr(self, what)
+            if value is not None and not isinstance(value, Real):
+                raise DeclarationProblem(f"{what} must be a number, not {value!r}", loc=(what,))
         engine = self.engine or "auto"
         finders = ("tolerance", "accuracy", "budget")
         named = [what for what in finders if getattr(self, what) is not None]
@@ -136,7 +145,6 @@ class Setting:
         if self.record not in kinds:
             raise DeclarationProblem(
                 f"record must be one of {', '.join(kinds)}, not {self.record!r}",
-                advice=close_matches(self.record, kinds),
                 loc=("record",),
             )
         if engine not in ("impulse", "auto"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, StrictInt, model_validator
 
@@ -12,6 +12,13 @@ from statechart.documents.setting import Setting
 
 class Stop(Part):
     """When a run ends: at a time, or when a condition becomes true."""
+
+    OTHER_WORDS: ClassVar = {
+        "duration": "time",
+        "until": "time",
+        "end": "time",
+        "t": "time",
+    }
 
     time: FormulaText | None = Field(
         default=None,
@@ -28,6 +35,12 @@ class Stop(Part):
 
 class Settings(Part):
     """How a run is computed; everything has a sensible default."""
+
+    OTHER_WORDS: ClassVar = {
+        "dt": "step",
+        "solver": "engine",
+        "rtol": "tolerance",
+    }
 
     engine: Literal["auto", "taylor", "scipy", "impulse"] = Field(
         default="auto",

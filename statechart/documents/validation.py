@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ValidationError
 
-from statechart.documents.annotations import elsewhere, example, known_keys
+from statechart.documents.annotations import elsewhere, example, known_keys, other_word
 from statechart.documents.document import Document, Loc
 from statechart.documents.yaml_reader import Model
 from statechart.documents.yaml_text import flow
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
+from statechart.formulas.syntax import NAME
+from statechart.formulas.words import no_name
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -137,9 +139,12 @@ def _empty(
             continue
         shown = example(model, loc, built=False)
         at = document.position(loc, key=True)
+        # What should stand below it is in the same column, and unknown there.
+        below = unknown and shown.startswith("{")
         yield DeclarationError(
             f"{'.'.join(map(str, loc))}: nothing is written",
-            advice=f"write a value{f', such as {shown}' if shown else ''}, or remove the key",
+            advice=f"write a value{f', such as {shown}' if shown else ''}, or remove the key"
+            + ("; what belongs to it is indented below it" if below else ""),
             source=at.source,
             line=at.line,
             column=at.column,
@@ -210,7 +215,7 @@ def _one(
         known = names.values() if built else names
         message, advice = _words(details, list(known), built=built)
         if kind == "extra_forbidden":
-            advice = elsewhere(model, loc, known) or advice
+            advice = _of_key(details, model, known) or advice
         if kind == "missing" and isinstance(loc[-1], str) and shown:
             name = details["loc"][-1]
             advice = f"such as {name}={shown}" if built else f"such as {name}: {shown}"
@@ -231,11 +236,24 @@ def _one(
     )
 
 
+def _of_key(details: ErrorDetails, model: type[BaseModel], known: Collection[str]) -> str:
+    """Return advice on an unknown key that is no misspelt one; empty for none."""
+    loc = details["loc"]
+    key = str(loc[-1])
+    if ":" in key:
+        return "a colon has a blank behind it: key: value"
+    if written := other_word(model, loc):
+        return f"write {written}"
+    if key and not NAME.fullmatch(key):
+        if details["input"] is None and not key.isdecimal():
+            return f"a comma in braces ends a value; a list stands in brackets: [..., {key}]"
+        return no_name(key)
+    return elsewhere(model, loc, known)
+
+
 def _words(details: ErrorDetails, known: Sequence[str], *, built: bool) -> tuple[str, str]:
     kind, last, given = details["type"], details["loc"][-1:], details["input"]
     context: Mapping[str, Any] = details.get("ctx", {})
-    if kind == "extra_forbidden" and ":" in str(last[0]):
-        return f"unknown key {last[0]!r}", "a colon has a blank behind it: key: value"
     if kind == "extra_forbidden":
         return f"unknown key {last[0]!r}", close_matches(str(last[0]), known).replace(
             "known:", "known keys:"
@@ -253,8 +271,14 @@ def _words(details: ErrorDetails, known: Sequence[str], *, built: bool) -> tuple
     shown = {"dict": "a mapping", "list": "a list", "None": "nothing"}.get(shown, shown)
     if isinstance(given, bool) and not built:
         shown = flow(given)
+    if hasattr(given, "tolist"):
+        return "must be plain numbers, not an array: write .tolist() behind it", ""
     if kind in _EXPECTED:
         return f"must be {_EXPECTED[kind]}, not {shown}", ""
+    if kind == "output" and isinstance(given, Mapping) and given:
+        return f"{context.get('message', details['msg'])}, not {next(iter(given))!r}", ""
+    if kind == "union_tag_not_found" and isinstance(given, type):
+        return f"must be built, not the class {given.__name__}", f"write {given.__name__}()"
     if kind == "union_tag_invalid":
         return f"must be one of {context['expected_tags']}, not {context['tag']!r}", ""
     if kind == "too_short":

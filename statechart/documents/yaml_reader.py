@@ -35,6 +35,7 @@ from ruamel.yaml.reader import ReaderError
 from statechart.documents.document import Document, Loc
 from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Position
+from statechart.formulas.words import character
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -142,6 +143,7 @@ class _Builder:
             data = self._document(events)
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
+            self._check_blanks(text, mark.line if mark else 0)
             message = " ".join(str(error.problem or error.context).split())
             line, column = (mark.line + 1, mark.column + 1) if mark else (None, None)
             advice = next((told for words, told in _ADVICE.items() if words in message), "")
@@ -162,6 +164,19 @@ class _Builder:
                 column=at - text.rfind("\n", 0, at),
             ) from None
         return Document(self._source, data, self._values, self._keys, frozenset(self._empty))
+
+    def _check_blanks(self, text: str, line: int) -> None:
+        """Refuse a blank in or before a line that YAML does not take for one."""
+        for at, written in list(enumerate(text.split("\n")))[max(0, line - 1) : line + 1]:
+            for column, one in enumerate(written):
+                if one.isspace() and one not in " \t\r":
+                    raise DeclarationError(
+                        f"not YAML: the blank U+{ord(one):04X}",
+                        advice=character(one),
+                        source=self._source,
+                        line=at + 1,
+                        column=column + 1,
+                    ) from None
 
     def _document(self, events: Iterator[Event]) -> dict[str, Any]:
         first = next(events, None)

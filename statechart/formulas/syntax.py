@@ -26,7 +26,7 @@ from statechart.formulas.tree import (
     evaluate,
     is_constant,
 )
-from statechart.formulas.words import CHARACTERS, TOKENS, meant
+from statechart.formulas.words import TOKENS, character, meant
 
 MAX_LENGTH = 2000
 MAX_NODES = 500
@@ -37,6 +37,7 @@ NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 """One part of a name."""
 
 RELATIONS = ("<=", ">=", "<", ">")
+_CLOSE = "write ) behind what it holds"
 
 _TOKEN = re.compile(
     r"""[ \t\r\n]*(?:
@@ -65,7 +66,7 @@ def _tokens(source: Source) -> Iterator[_Token]:
             source.fail(
                 f"unexpected character {text[offset]!r}",
                 offset,
-                CHARACTERS.get(
+                character(
                     text[offset],
                     "a formula has numbers, names, + - * / **, parentheses and functions",
                 ),
@@ -74,11 +75,9 @@ def _tokens(source: Source) -> Iterator[_Token]:
         offset, at = match.start(kind), match.end()
         if kind == "number" and at < len(text) and (text[at].isalnum() or text[at] in "._"):
             advice = "write a product as 2*x, not 2x; units are not written"
-            if text[at] == "_":
-                advice = "digits of a number stand together: 10000, or 1e4"
-            source.fail(
-                f"{match[kind]!r} runs into {text[at]!r}", at, CHARACTERS.get(text[at], advice)
-            )
+            if text[at] == ".":
+                advice = "a number has one point: 1.5"
+            source.fail(f"{match[kind]!r} runs into {text[at]!r}", at, character(text[at], advice))
         yield _Token(kind, match[kind], offset)
         if kind == "end":
             return
@@ -182,11 +181,10 @@ class Reader:
 
     def _call(self, name: _Token) -> Node:
         if name.text not in FUNCTIONS:
-            self.source.fail(
-                f"unknown function {name.text!r}",
-                name.offset,
-                meant(name.text, FUNCTIONS, FUNCTIONS),
-            )
+            advice = meant(name.text, FUNCTIONS, FUNCTIONS)
+            if advice.startswith("known"):
+                advice = f"write a product as {name.text}*(...); {advice}"
+            self.source.fail(f"unknown function {name.text!r}", name.offset, advice)
         opening = self.advance()
         arguments = [self.sum()]
         while self.token.text == ",":
@@ -196,13 +194,13 @@ class Reader:
         most = function.most
         # In a mapping between braces YAML ends a value at its first comma.
         cut = self.token.kind == "end" and len(arguments) < function.least
-        self._close(opening, "put a formula with a comma in quotes" if cut else "")
+        self._close(opening, "put a formula with a comma in quotes" if cut else _CLOSE)
         if len(arguments) < function.least or (most is not None and len(arguments) > most):
             wanted = f"{function.least}" if most is not None else f"at least {function.least}"
             self.source.fail(f"{name.text} takes {wanted}, not {len(arguments)}", name.offset)
         return self._checked(Call(name.text, tuple(arguments), name.offset))
 
-    def _close(self, opening: _Token, advice: str = "") -> None:
+    def _close(self, opening: _Token, advice: str = _CLOSE) -> None:
         if self.token.text != ")":
             if self.token.kind == "end":
                 self.source.fail("this parenthesis is never closed", opening.offset, advice)
@@ -233,9 +231,12 @@ class Reader:
             **TOKENS,
             "name": "write a product as a*b; units are not written",
             "number": "write a product as a*b",
+            "end": "write what follows the last sign",
         }
         found = "the formula ends early" if token.kind == "end" else f"unexpected {token.text!r}"
         key = "<" if token.text in RELATIONS else token.text
+        if key == "=" and self.source.text[token.offset + 1 : token.offset + 2] in ("<", ">"):
+            key = "=="
         self.source.fail(found, token.offset, advice.get(key) or advice.get(token.kind, ""))
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Collection, Iterable, Mapping
 
 from statechart.errors import close_matches
 
-CHARACTERS: Mapping[str, str] = {
+_CHARACTERS: Mapping[str, str] = {
     **dict.fromkeys("²³⁴", "write a power as **"),
     **dict.fromkeys("\u00b7\u00d7\u2219\u22c5", "write a product as *"),
     **dict.fromkeys("\u2212\u2013\u2014", "a minus is -"),  # the sign, and dashes
@@ -22,8 +23,47 @@ CHARACTERS: Mapping[str, str] = {
     "|": "write abs(...)",
     "#": "a comment has a blank before its #",
     "&": "one relation stands for itself: where several must hold, list them or give each a label",
+    "'": "digits of a number stand together: 10000, or 1e4",
+    "_": "digits of a number stand together: 10000, or 1e4",
+    **dict.fromkeys("\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb", "a number needs no quotes"),
 }
-"""Of a character that no formula has."""
+_GREEK = ("GREEK SMALL LETTER ", "GREEK CAPITAL LETTER ", "MICRO SIGN")
+_LETTERS = "letters, digits and _, not beginning with a digit"
+
+
+def character(given: str, otherwise: str = "") -> str:
+    """Return advice on a character that no formula has.
+
+    Parameters
+    ----------
+    given : str
+        The character.
+    otherwise : str
+        What is said where nothing is known of it.
+    """
+    if given in _CHARACTERS:
+        return _CHARACTERS[given]
+    called = unicodedata.name(given, "")
+    if called.startswith(_GREEK):
+        letter = "mu" if called == _GREEK[-1] else called.split()[-1].lower()
+        return f"write {letter}: names have the letters a to z"
+    if unicodedata.category(given) == "No":
+        return f"write {unicodedata.numeric(given):g}"
+    if given.isspace():
+        return f"this blank, U+{ord(given):04X}, is not that of the space bar; write a space"
+    return otherwise
+
+
+def no_name(text: str) -> str:
+    """Return advice on a text that should be a name."""
+    if text.isdecimal():
+        return f"decimals have a point: 0.5; a name has {_LETTERS}"
+    name, equals, value = text.partition("=")
+    if equals:
+        return f"write {name.strip()}: {value.strip() or '...'}"
+    advice = (character(one) for one in text if not one.isascii())
+    return next(filter(None, advice), _LETTERS)
+
 
 TOKENS: Mapping[str, str] = {
     "^": "write a power as **",
@@ -33,7 +73,9 @@ TOKENS: Mapping[str, str] = {
     "<": "a comparison stands only where a condition is expected, and once",
     ",": "decimals have a point: 9.81",
     "/": "write a quotient as a/b, and a comment after #",
-    **dict.fromkeys(("and", "or", "not"), CHARACTERS["&"]),
+    "(": "write a product as a*b",
+    ")": "there is no ( before it that it could close",
+    **dict.fromkeys(("and", "or", "not"), _CHARACTERS["&"]),
     **dict.fromkeys(("if", "else"), "write min and max, or a state for each case"),
     "deg": "angles are in radians: 30*pi/180",
 }
@@ -42,7 +84,12 @@ TOKENS: Mapping[str, str] = {
 _OTHERS: Mapping[str, str] = {
     "ln": "log", "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arctan2": "atan2",
     "fabs": "abs", "sgn": "sign", "minimum": "min", "maximum": "max", "infinity": "inf",
-    "t": "time",
+    "infinite": "inf", "t": "time",
+}  # fmt: skip
+# Of what a name is the last part.
+_PARTS: Mapping[str, str] = {
+    "vx": "dx", "vy": "dy", "xdot": "dx", "ydot": "dy", "omega": "dangle", "theta": "angle",
+    "phi": "angle", "normal": "V", "tangential": "H",
 }  # fmt: skip
 _CONVERTED = frozenset({"deg", "degrees", "radians", "deg2rad"})
 _ROOMS = ("math.", "np.", "numpy.")
@@ -68,6 +115,9 @@ def meant(
         return TOKENS["deg"]
     if bare in ("pow", "power"):
         return TOKENS["^"]
+    whole, dot, part = name.rpartition(".")
+    if dot and (same := f"{whole}.{_PARTS.get(part.lower(), part)}") in names:
+        return f"write {same}"
     other = _OTHERS.get(bare.lower(), "")
     if other in names and other not in functions:
         return f"write {other}"

@@ -65,7 +65,7 @@ def load(path_or_name: str | Path) -> Declaration:
     >>> load("toppling_stick").doc
     'A stick balanced on its tip topples toward +x and may slip (paper, section 4).'
     """
-    return interpret(read(find(str(path_or_name))))
+    return resolved(path_or_name)[0]
 
 
 def resolved(model: Declaration | Document | str | Path) -> tuple[Declaration, Document | None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Real
 
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
@@ -36,6 +37,11 @@ class Given:
                     advice=close_matches(name, self._parameters),
                     source=document.source if document else "",
                 )
+            if not _real(value):
+                raise DeclarationError(
+                    f"parameter {name!r} must be a number, not {value!r}",
+                    advice=f"a formula is for with_({name}=...) of the model",
+                )
             if math.isnan(value):
                 raise DeclarationError(f"parameter {name!r} must be a number, not nan")
 
@@ -51,8 +57,9 @@ class Given:
         """Return when a run ends at the latest; see `Runner.end`."""
         self.check(overrides, document)
         if until is not None:
-            if not 0.0 <= until < math.inf:
-                raise DeclarationError(f"the end must be a finite time from 0 on, not {until:g}")
+            if not _real(until) or not 0.0 <= until < math.inf:
+                told = f"{until:g}" if _real(until) else repr(until)
+                raise DeclarationError(f"the end must be a finite time from 0 on, not {told}")
             return until
         with located(document, {} if self._end is None else overrides, ("stop", "time")):
             if self._end is None:
@@ -67,3 +74,8 @@ class Given:
                     f"must be a finite time, not {end:g}", loc=("stop", "time")
                 )
         return end
+
+
+def _real(value: object) -> bool:
+    """Whether it is a number: Python's types are not asked for while a program runs."""
+    return isinstance(value, Real)

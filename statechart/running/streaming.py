@@ -75,6 +75,11 @@ def sampled(
 
     def checked(sample: Sample) -> Mapping[str, float] | None:
         changed = control(sample)
+        if not isinstance(changed, Mapping | None):
+            raise DeclarationError(
+                f"control must return parameters and their values, or None, not {changed!r}",
+                advice="such as {'mu': 0.3}",
+            )
         check(changed or {})
         return changed
 

@@ -312,7 +312,7 @@ def test_a_validator_can_point_at_a_field() -> None:
 
 
 def test_models_are_immutable() -> None:
-    with pytest.raises(ValueError, match="frozen"):
+    with pytest.raises(DeclarationError, match="Chart: name does not change once it is built"):
         ball().name = "other"  # type: ignore[misc]
 
 

@@ -1,0 +1,66 @@
+"""What in a scene may be meant, and hardly ever is: angles in degrees, gravity upwards."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from contacts.scene.fields import SceneFields
+from statechart.documents.dimensions import fields_of
+from statechart.documents.fields import FormulaText
+from statechart.formulas.formula import parse
+from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
+
+# An angle beyond a turn, written as a plain number, was rarely counted in radians.
+_TURN = 2.0 * math.pi
+_OF_ANGLES = frozenset({"sin", "cos", "tan"})
+
+
+def unlikely(scene: SceneFields) -> tuple[str, ...]:
+    """Return warnings of what is no error, and was hardly meant.
+
+    Parameters
+    ----------
+    scene : SceneFields
+        As declared.
+    """
+    return tuple(dict.fromkeys(_found(scene)))
+
+
+def _found(scene: SceneFields) -> Iterator[str]:
+    if not isinstance(scene.gravity, tuple):
+        value = _plain(parse(scene.gravity).root, scene.parameters)
+        if value is not None and value < 0.0:
+            yield (
+                f"gravity: {value:g} acts upwards, as it is the acceleration downwards; "
+                f"write {-value:g}"
+            )
+    for name, body in scene.bodies.items():
+        if "angle" in body.start:
+            value = _plain(parse(body.start["angle"]).root, scene.parameters)
+            if value is not None and abs(value) > _TURN:
+                yield f"bodies.{name}.start.angle: {_degrees(value)}"
+    for formula, _ in fields_of(scene):
+        for node in nodes(formula):
+            if isinstance(node, Call) and node.function in _OF_ANGLES:
+                value = _plain(node.arguments[0], {})
+                if value is not None and abs(value) > _TURN:
+                    yield f"{node.function}({value:g}): {_degrees(value)}"
+
+
+def _plain(node: Node, parameters: Mapping[str, FormulaText]) -> float | None:
+    """Return the number that is written, or that the parameter named is; None for any other."""
+    match node:
+        case Number(value=value):
+            return value
+        case Unary(operator=sign, operand=Number(value=value)):
+            return -value if sign == "-" else value
+        case Name(name=name) if name in parameters:
+            return _plain(parse(parameters[name]).root, {})
+    return None
+
+
+def _degrees(value: float) -> str:
+    return (
+        f"{value:g} radians are {abs(value) / _TURN:.3g} turns; of degrees write {value:g}*pi/180"
+    )

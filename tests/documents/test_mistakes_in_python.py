@@ -1,0 +1,133 @@
+"""What people write by mistake in Python, and what they are told: as of a file, by its path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from contacts import Body, Contact, Joint, Path, Pin, Point, Scene, Slide, Surface
+from statechart import Stop, Value, load, run
+from statechart.charts.transitions import Transition
+from statechart.errors import DeclarationError
+from statechart.running.runner import Runner
+
+
+def scene(**changes: object) -> Scene:
+    """Return a scene built in Python, with other keywords."""
+    whole: dict[str, object] = {
+        "name": "thrown",
+        "bodies": {"rod": Body(mass=1, inertia=1, start={"y": 1})},
+        "surfaces": {"ground": Surface(height=0)},
+        "contacts": {
+            "tip": Contact(point=Point(body="rod"), surface="ground", friction=0.5, restitution=0)
+        },
+        "stop": Stop(time=1),
+        "outputs": {"t": Value(value="time", at="first tip.slip")},
+    }
+    return Scene(**{**whole, **changes})
+
+
+@pytest.mark.parametrize(
+    ("build", "told"),
+    [
+        (lambda: Body(1), "Body: fields are given by their names; write Body(mass=...)"),
+        (lambda: Body(mass=1j), "Body: mass: must be a number or a formula, not complex; such as"),
+        (
+            lambda: Body(mass=np.ones(2)),
+            "Body: mass: must be plain numbers, not an array: write",
+        ),
+        (
+            lambda: Contact(point=Point(body="a"), surface="b", friction=1, modes=(Slide, Pin)),
+            "Contact: modes.0: must be built, not the class Slide; write Slide()",
+        ),
+        (lambda: Body(mass=1, omega=1), "Body: unknown key 'omega'; write start: {dangle: ...}"),
+        (
+            lambda: setattr(Body(mass=1), "mass", 2),
+            "Body: mass does not change once it is built; build another one: model_copy(",
+        ),
+        (lambda: run(scene(), parameters={"m": "1"}), "no parameter 'm'; known: none"),
+        (
+            lambda: run("toppling_stick", parameters={"mu": "0.3"}),
+            "parameter 'mu' must be a number, not '0.3'; a formula is for with_(mu=...)",
+        ),
+        (lambda: run(scene(), until="1"), "the end must be a finite time from 0 on, not '1'"),
+        (lambda: run(scene(), tolerance="1e-9"), "tolerance must be a number, not '1e-9'"),
+        (
+            lambda: [*Runner(scene()).stream(every=0.5, control=lambda _: 3)],
+            "control must return parameters and their values, or None, not 3; such as {'mu': 0.3}",
+        ),
+        (lambda: load(None), "a model is a file, a name or what is built, not of type NoneType"),
+        (lambda: Body(mas=1), "Body: unknown key 'mas'; did you mean 'mass'? known keys: angle, "),
+        (lambda: Body(inertia=1), "Body: 'mass' is missing; such as mass='m'"),
+        (
+            lambda: Body(mass=None),
+            "Body: mass: must be a number or a formula, not nothing; such as",
+        ),
+        (lambda: Body(mass=True), "Body: mass: must be a number or a formula, not True; such as"),
+        (lambda: Body(mass=1, x=0), "Body: unknown key 'x'; 'x' is a key of start; known keys her"),
+        (
+            lambda: Point(body="rod", at=(1,)),
+            "Point: at: must have 2 items, not 1; such as [0, '-L']",
+        ),
+        (lambda: Body(mass="2x"), "Body: mass: formula '2x': '2' runs into 'x'"),
+        (lambda: Body(mass=1, start={"angle": 1}), "Body: start.angle: a particle has no angle"),
+        (Surface, "Surface: a surface has one of height, incline, line, edge, circle"),
+        (lambda: Surface(line=[0, 1]), "Surface: line.0: must be a list, not 0; such as [0, 1]"),
+        (
+            lambda: Contact(point=Point(body="rod"), surface="ground"),
+            "Contact: a contact that can slide needs a friction coefficient; write friction: mu",
+        ),
+        (lambda: Joint(point=Point(body="a"), to=Path()), "Path: a path has an x, a y, or both"),
+        (
+            lambda: Transition(name="go", target="up", guard="x <= 0"),
+            "Transition('go'): 'source' is missing; such as source='compression'",
+        ),
+        (lambda: scene(gravity="g"), "Scene('thrown'): gravity: formula 'g': unknown name 'g'"),
+        (
+            lambda: scene(bodies={}),
+            "Scene('thrown'): bodies: must have at least 1 item, not none; such",
+        ),
+        (
+            lambda: scene(bodies={"rod": Body(mass=-1, inertia=1)}),
+            "Scene('thrown'): bodies.rod.mass: must be positive, not -1",
+        ),
+        (
+            lambda: scene(bodies={"rod": {"mass": 1, "start": {"z": 1}}}),
+            "Scene('thrown'): bodies.rod.start.z: must be 'x', 'y', 'angle'",
+        ),
+        (
+            lambda: scene(outputs={"t": Value(value="tip.F")}),
+            "Scene('thrown'): outputs.t.value: formula 'tip.F': unknown name 'tip.F'; did you mean",
+        ),
+        (
+            lambda: scene(surfaces={"floor": Surface(height="z")}),
+            "Scene('thrown'): contacts.tip.surface: no surface 'ground'; known: floor\n"
+            "Scene('thrown'): surfaces.floor.height: formula 'z': unknown name 'z'",
+        ),
+    ],
+)
+def test_what_is_built_in_python_is_told_as_what_stands_in_a_file(
+    build: Callable[[], object], told: str
+) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        build()
+    assert told in str(caught.value)
+    assert caught.value.__cause__ is None
+
+
+@pytest.mark.parametrize("number", [np.int64(2), np.float32(2), np.array(2.0)])
+def test_a_number_of_numpy_is_a_number(number: Any) -> None:
+    assert type(Body(mass=number).mass) in (int, float)
+    assert Body(mass=number) == Body(mass=2)
+
+
+def test_a_part_of_a_part_has_the_path_of_its_field_in_the_whole() -> None:
+    with pytest.raises(DeclarationError) as caught:
+        scene(contacts={"tip": {"point": {"body": "rod", "at": [1]}, "surface": 3}})
+    assert str(caught.value).splitlines() == [
+        "Scene('thrown'): contacts.tip.point.at: must have 2 items, not 1; such as [0, '-L']",
+        "Scene('thrown'): contacts.tip.surface: must be text, not 3; such as 'floor'",
+    ]
