@@ -51,6 +51,8 @@ def _table(part: Schema) -> Iterator[str]:
 
 def _meaning(field: Schema) -> str:
     said = [field.get("description", "")]
+    if "unit" in field:
+        said.append(f"Unit: {field['unit']}.")
     if field.get("examples"):
         said.append("Such as " + ", ".join(f"`{_json(e)}`" for e in field["examples"]) + ".")
     return " ".join(filter(None, said))
@@ -95,7 +97,8 @@ def _one_of(choices: list[Schema]) -> str:
     found = []
     if plain >= _FORMULA:
         found, plain = ["formula"], plain - _FORMULA
-    found += [_value(c) for c in choices if c.get("type") in plain - {"null"} or len(c) > 1]
+    several = [c for c in choices if len(c) > 1 or not {"type", "$ref"}.intersection(c)]
+    found += [_value(c) for c in choices if c.get("type") in plain - {"null"} or c in several]
     found += [_value(c) for c in choices if set(c) == {"$ref"}]
     return " or ".join(dict.fromkeys(found))
 

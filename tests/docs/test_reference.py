@@ -1,0 +1,50 @@
+"""The reference of the format says of every key what may stand there, and in which unit."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from making import formats
+
+from statechart.loading.schema import schema
+
+
+def rows(folder: Path, kind: str) -> dict[tuple[str, str], list[str]]:
+    """Return of every heading and key the cells of its row."""
+    formats.make(folder)
+    found, head = {}, ""
+    for line in (folder / f"keys-of-a-{kind}.md").read_text(encoding="utf-8").splitlines():
+        head = line.removeprefix("## ") if line.startswith("## ") else head
+        if row := re.match(r"\| `(\w+)` \| (.*) \|$", line):
+            found[head, row[1]] = [cell.strip() for cell in re.split(r"(?<!\\)\|", row[2])]
+    return found
+
+
+@pytest.mark.parametrize("kind", formats.KINDS)
+def test_every_key_has_a_row_with_its_unit(kind: str, tmp_path: Path) -> None:
+    told, whole = rows(tmp_path, kind), json.loads(schema(kind))
+    parts: dict[str, Any] = {"": whole, **whole["$defs"]}
+    fields = {
+        (name, key): field
+        for name, part in parts.items()
+        for key, field in part.get("properties", {}).items()
+    }
+    assert told.keys() == fields.keys()
+    for place, field in fields.items():
+        value, _, meaning = told[place]
+        assert value
+        assert field["description"] in meaning.replace("\\|", "|")
+        assert ("Unit: " in meaning) == ("unit" in field)
+
+
+def test_what_has_two_forms_has_both(tmp_path: Path) -> None:
+    told = rows(tmp_path, "scene")
+    assert told["", "gravity"][0] == "formula or [formula, formula]"
+    assert told["Body", "mass"][0] == "formula"
+    assert told["Body", "mass"][2] == "Above 0. Unit: mass. Such as `m`."
+    to = "[formula, formula] or [Point](#scene-point) or [Path](#scene-path)"
+    assert told["Joint", "to"][0] == to
