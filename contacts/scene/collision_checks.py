@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-
-import numpy as np
+from collections.abc import Mapping, Sequence
 
 from contacts.scene.fields import SceneFields
 from contacts.scene.shapes import INDEX, Shape
-from statechart.arrays import Array
 from statechart.documents.document import Loc
 from statechart.documents.fields import FormulaText, check_names, value_of
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
+
+_Corners = Sequence[tuple[float, float]]
 
 
 def check_copies(scene: SceneFields) -> None:
@@ -138,7 +137,7 @@ def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:
             _check_shape(scene, ("bodies", name, "shape", place), shape, values)
     for name, collision in scene.collisions.items():
         at = ("collisions", name)
-        for key, most in (("friction", np.inf), ("restitution", 1.0)):
+        for key, most in (("friction", math.inf), ("restitution", 1.0)):
             text = getattr(collision, key)
             check_names(parse(text), scene.parameters, *at, key)
             value = value_of(text, values, *at, key)
@@ -163,16 +162,16 @@ def _check_shape(scene: SceneFields, at: Loc, shape: Shape, values: Mapping[str,
     for place, corner in enumerate(shape.polygon):
         for axis, text in enumerate(corner):
             check_names(parse(text), scene.parameters, *at, "polygon", place, axis)
-    corners = np.array([[parse(text).value(values) for text in corner] for corner in shape.polygon])
+    corners = [(parse(x).value(values), parse(y).value(values)) for x, y in shape.polygon]
     turns, whole = _turns(corners)
     problem = "a polygon is convex, its corners counter-clockwise"
-    if (turns < 0.0).all():
+    if all(turn < 0.0 for turn in turns):
         raise DeclarationProblem(
             f"{problem}; these are clockwise", advice="reverse their order", loc=(*at, "polygon")
         )
-    if not (turns > 0.0).all():
-        wrong = (int(np.argmin(turns > 0.0)) + 1) % len(corners)
-        x, y = corners[wrong].tolist()
+    if not all(turn > 0.0 for turn in turns):
+        wrong = ([turn > 0.0 for turn in turns].index(False) + 1) % len(corners)
+        x, y = corners[wrong]
         how = "lies on a straight edge, or twice in a place"
         advice = "leave it out"
         if turns[wrong - 1] < 0.0:
@@ -182,33 +181,35 @@ def _check_shape(scene: SceneFields, at: Loc, shape: Shape, values: Mapping[str,
             advice=advice,
             loc=(*at, "polygon", wrong),
         )
-    if whole > 2.0 * np.pi + 1e-6:
+    if whole > 2.0 * math.pi + 1e-6:
         raise DeclarationProblem(
-            f"{problem}; these go around {whole / (2.0 * np.pi):.0f} times",
+            f"{problem}; these go around {whole / (2.0 * math.pi):.0f} times",
             advice="give every corner once, in order",
             loc=(*at, "polygon"),
         )
 
 
-def _turns(corners: Array) -> tuple[Array, float]:
+def _turns(corners: _Corners) -> tuple[list[float], float]:
     """Return by how much a polygon turns to the left after each edge, and its angle in all."""
-    edges = np.roll(corners, -1, axis=0) - corners
-    following = np.roll(edges, -1, axis=0)
-    turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
-    return turns, float(np.arctan2(turns, (edges * following).sum(axis=1)).sum())
+    following = [*corners[1:], corners[0]]
+    edges = [(b[0] - a[0], b[1] - a[1]) for a, b in zip(corners, following, strict=True)]
+    turns, whole = [], 0.0
+    for (x, y), (u, v) in zip(edges, [*edges[1:], edges[0]], strict=True):
+        turns.append(x * v - y * u)
+        whole += math.atan2(turns[-1], x * u + y * v)
+    return turns, whole
 
 
-def _split(corners: Array, inward: int) -> str:
+def _split(corners: _Corners, inward: int) -> str:
     """Return how to split a polygon at a corner that points inwards."""
     count = len(corners)
+    order = [(inward + step) % count for step in range(count)]
     for step in range(2, count - 1):
-        other = (inward + step) % count
-        order = np.roll(np.arange(count), -inward)
-        halves = order[: step + 1], np.append(order[step:], inward)
-        if all((_turns(corners[half])[0] > 0.0).all() for half in halves):
+        halves = order[: step + 1], [*order[step:], inward]
+        if all(min(_turns([corners[k] for k in half])[0]) > 0.0 for half in halves):
             first, second = (", ".join(str(k + 1) for k in half) for half in halves)
             return (
-                f"split it from there to corner {other + 1}: shape: [{{polygon: corners {first}}}, "
-                f"{{polygon: corners {second}}}]"
+                f"split it from there to corner {order[step] + 1}: shape: [{{polygon: corners "
+                f"{first}}}, {{polygon: corners {second}}}]"
             )
     return "split it there into convex ones: shape: [{polygon: [...]}, {polygon: [...]}]"

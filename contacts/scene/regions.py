@@ -10,10 +10,11 @@ from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off,
 from contacts.scene.parts import Contact
 from contacts.states import OFF, OPEN, declared_state, superstates_of
 from statechart.automaton.regions import Edge, Margin, Region, State
-from statechart.automaton.trace import Role
 
 if TYPE_CHECKING:
     import sympy as sp
+
+    from statechart.automaton.trace import Role
 
 BODY_STATES = ("free", "slide", "pin")
 """Of a body that collides by its shape."""

@@ -8,13 +8,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 from statechart.automaton.nesting import Nesting
-from statechart.automaton.trace import Role
 from statechart.formulas.formula import parse_relation
 
 if TYPE_CHECKING:
     # Who declares a scene or a chart need not wait for it.
     import sympy as sp
 
+    from statechart.automaton.trace import Role
     from statechart.formulas.determinants import Definition
 
 MarginKind = Literal["plain", "gap", "speed", "force"]

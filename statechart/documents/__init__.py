@@ -5,6 +5,6 @@ what is wrong, found by pydantic or by us, into one message with its place. `fie
 of fields, `annotations` what is said of them, `documented` what Python shows of their classes.
 `declaration` is the base of models, `uses` whether their outputs speak of what exists, `settings`
 how a run is computed as declared, `setting` as it is, `outputs` what it reports, `quantities` what
-names measure, by `dimensions` what formulas tell. `yaml_text` writes models, `files` whole files or
-none.
+names measure, by `dimensions` what formulas tell. `yaml_writer` writes models, `yaml_text` their
+values, `files` whole files or none.
 """

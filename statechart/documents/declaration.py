@@ -36,7 +36,6 @@ from statechart.documents.quantities import (
 )
 from statechart.documents.settings import Settings, Stop
 from statechart.documents.validation import located
-from statechart.documents.yaml_text import dump
 from statechart.errors import (
     DeclarationError,
     DeclarationProblem,
@@ -220,6 +219,9 @@ class Declaration(Part):
 
     def __str__(self) -> str:
         """Return the model as a file has it."""
+        # What writes files is loaded by who does.
+        from statechart.documents.yaml_writer import dump
+
         return dump(self)
 
     def with_(self, **values: FormulaText) -> Self:

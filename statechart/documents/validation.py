@@ -5,13 +5,12 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from statechart.documents.annotations import elsewhere, example, known_keys, other_word
 from statechart.documents.document import Document, Loc
-from statechart.documents.yaml_reader import Model
 from statechart.documents.yaml_text import flow
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
 from statechart.formulas.syntax import NAME
@@ -20,6 +19,8 @@ from statechart.formulas.words import no_name
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
+
+Model = TypeVar("Model", bound=BaseModel)
 
 _EXPECTED: Mapping[str, str] = {
     "model_type": "a mapping",

@@ -12,9 +12,8 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn
 
-from pydantic import BaseModel
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import (
@@ -36,8 +35,6 @@ from statechart.documents.document import Document, Loc
 from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Position
 from statechart.formulas.words import character
-
-Model = TypeVar("Model", bound=BaseModel)
 
 # The YAML parser takes about 40 us a value and 3 us a character of text: these bounds keep the
 # worst file below a second, and are some hundred times what a scene needs.

@@ -1,27 +1,11 @@
-"""What plain words of YAML mean, and models written as YAML text."""
+"""What plain words of YAML mean, and values as YAML writes them within a line."""
 
 from __future__ import annotations
 
-import io
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
-
-from pydantic import BaseModel
-from ruamel.yaml import YAML
-from ruamel.yaml.events import (
-    DocumentEndEvent,
-    DocumentStartEvent,
-    Event,
-    MappingEndEvent,
-    MappingStartEvent,
-    ScalarEvent,
-    SequenceEndEvent,
-    SequenceStartEvent,
-    StreamEndEvent,
-    StreamStartEvent,
-)
 
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", re.ASCII)
@@ -33,7 +17,6 @@ _WORDS: Mapping[str, Any] = {
     **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
-_FLOW_WIDTH = 80
 
 
 def resolve(text: str) -> Any:
@@ -61,80 +44,17 @@ def resolve(text: str) -> Any:
     return number
 
 
-def dump(model: BaseModel) -> str:
-    """Return a model as YAML text that loads back to an equal model.
-
-    Fields that have their default value are left out; numbers keep full precision.
-
-    Parameters
-    ----------
-    model : pydantic.BaseModel
-        What to write; a field `kind`, where it has one, comes first.
-    """
-    data = model.model_dump(by_alias=True, exclude_defaults=True)
-    if hasattr(model, "kind"):
-        data = {"kind": model.kind, **data}
-    stream = io.StringIO()
-    yaml = YAML(typ="safe", pure=True)
-    yaml.width = 100
-    yaml.allow_unicode = True
-    yaml.emit(_document(data), stream)
-    return stream.getvalue()
-
-
 def flow(value: Any) -> str:
     """Return a value as YAML writes it within a line."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key}: {flow(item)}' for key, item in value.items())}}}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(flow, value))}]"
-    return _scalar(value)
+    return scalar(value)
 
 
-def _document(data: Any) -> Iterator[Event]:
-    yield StreamStartEvent()
-    yield DocumentStartEvent(explicit=False)
-    yield from _events(data, block=True)
-    yield DocumentEndEvent(explicit=False)
-    yield StreamEndEvent()
-
-
-def _events(value: Any, *, block: bool) -> Iterator[Event]:
-    # What is short stands on one line, in braces; the rest is indented.
-    if isinstance(value, Mapping):
-        flow = not block or _is_short(value)
-        yield MappingStartEvent(None, None, implicit=True, flow_style=flow)
-        for key, item in value.items():
-            # Every key is read as text, whatever it looks like.
-            yield ScalarEvent(None, None, (True, True), str(key))
-            yield from _events(item, block=not flow)
-        yield MappingEndEvent()
-    elif isinstance(value, list | tuple):
-        flow = not block or _is_short(value)
-        yield SequenceStartEvent(None, None, implicit=True, flow_style=flow)
-        for item in value:
-            yield from _events(item, block=not flow)
-        yield SequenceEndEvent()
-    else:
-        text = _scalar(value)
-        quoted = isinstance(value, str) and not _reads_as_text(text)
-        yield ScalarEvent(None, None, (not quoted, True), text, style='"' if quoted else None)
-
-
-def _reads_as_text(text: str) -> bool:
-    try:
-        return isinstance(resolve(text), str)
-    except ValueError:
-        return False
-
-
-def _is_short(value: Any) -> bool:
-    items = list(value.values()) if isinstance(value, Mapping) else list(value)
-    flat = not any(isinstance(item, Mapping | list | tuple) for item in items)
-    return flat and len(str(value)) <= _FLOW_WIDTH
-
-
-def _scalar(value: Any) -> str:
+def scalar(value: Any) -> str:
+    """Return a value without parts as YAML writes it, without quotes."""
     match value:
         case str():
             return value

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from statechart.documents.declaration import Declaration
-from statechart.documents.yaml_text import dump
+from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.loading.kind import offered
 from statechart.loading.load import resolved

@@ -15,7 +15,7 @@ from statechart.documents.outputs import Count, Event, Integral, Moment, Value
 from statechart.documents.settings import Settings, Stop
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read, read_text
-from statechart.documents.yaml_text import dump
+from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, Position
 from statechart.loading.kind import kind, kinds
 from statechart.loading.load import find, interpret, load

@@ -19,7 +19,7 @@ from contacts.testing.symmetry import mirrored, rescaled
 from statechart.automaton.trace import Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
-from statechart.documents.yaml_text import dump
+from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.execution.simulator import Simulator
 from statechart.testing.agreement import assert_same

@@ -20,7 +20,7 @@ from contacts.testing.symmetry import mirrored, rescaled
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
-from statechart.documents.yaml_text import dump
+from statechart.documents.yaml_writer import dump
 from statechart.engines.taylor import Taylor
 from statechart.errors import DeclarationError, DeclarationProblem, NoConsistentMode
 from statechart.execution.simulator import Simulator

@@ -9,7 +9,7 @@ from contacts.scene.scene import Scene
 from statechart.automaton.product import feasibility
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read_text
-from statechart.documents.yaml_text import dump
+from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError
 from statechart.loading.load import interpret
 

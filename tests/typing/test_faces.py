@@ -105,6 +105,15 @@ def test_the_version_is_that_of_the_distribution() -> None:
     assert statechart.__version__.count(".") == 2
 
 
+def test_a_declaration_needs_no_arrays_and_no_reader_of_files() -> None:
+    code = (
+        "import sys; from contacts import Scene; from statechart import Chart; "
+        "print({'numpy', 'sympy', 'scipy', 'numba', 'ruamel.yaml'}.intersection(sys.modules))"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout == "set()\n"
+
+
 def test_a_face_imports_nothing_before_it_is_used() -> None:
     code = "import sys, statechart, contacts; print('numpy' in sys.modules, len(dir(statechart)))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

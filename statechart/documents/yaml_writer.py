@@ -1,0 +1,90 @@
+"""Models written as YAML text."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+from ruamel.yaml import YAML
+from ruamel.yaml.events import (
+    DocumentEndEvent,
+    DocumentStartEvent,
+    Event,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+    StreamEndEvent,
+    StreamStartEvent,
+)
+
+from statechart.documents.yaml_text import resolve, scalar
+
+_FLOW_WIDTH = 80
+
+
+def dump(model: BaseModel) -> str:
+    """Return a model as YAML text that loads back to an equal model.
+
+    Fields that have their default value are left out; numbers keep full precision.
+
+    Parameters
+    ----------
+    model : pydantic.BaseModel
+        What to write; a field `kind`, where it has one, comes first.
+    """
+    data = model.model_dump(by_alias=True, exclude_defaults=True)
+    if hasattr(model, "kind"):
+        data = {"kind": model.kind, **data}
+    stream = io.StringIO()
+    yaml = YAML(typ="safe", pure=True)
+    yaml.width = 100
+    yaml.allow_unicode = True
+    yaml.emit(_document(data), stream)
+    return stream.getvalue()
+
+
+def _document(data: Any) -> Iterator[Event]:
+    yield StreamStartEvent()
+    yield DocumentStartEvent(explicit=False)
+    yield from _events(data, block=True)
+    yield DocumentEndEvent(explicit=False)
+    yield StreamEndEvent()
+
+
+def _events(value: Any, *, block: bool) -> Iterator[Event]:
+    # What is short stands on one line, in braces; the rest is indented.
+    if isinstance(value, Mapping):
+        flow = not block or _is_short(value)
+        yield MappingStartEvent(None, None, implicit=True, flow_style=flow)
+        for key, item in value.items():
+            # Every key is read as text, whatever it looks like.
+            yield ScalarEvent(None, None, (True, True), str(key))
+            yield from _events(item, block=not flow)
+        yield MappingEndEvent()
+    elif isinstance(value, list | tuple):
+        flow = not block or _is_short(value)
+        yield SequenceStartEvent(None, None, implicit=True, flow_style=flow)
+        for item in value:
+            yield from _events(item, block=not flow)
+        yield SequenceEndEvent()
+    else:
+        text = scalar(value)
+        quoted = isinstance(value, str) and not _reads_as_text(text)
+        yield ScalarEvent(None, None, (not quoted, True), text, style='"' if quoted else None)
+
+
+def _reads_as_text(text: str) -> bool:
+    try:
+        return isinstance(resolve(text), str)
+    except ValueError:
+        return False
+
+
+def _is_short(value: Any) -> bool:
+    items = list(value.values()) if isinstance(value, Mapping) else list(value)
+    flat = not any(isinstance(item, Mapping | list | tuple) for item in items)
+    return flat and len(str(value)) <= _FLOW_WIDTH
