@@ -198,7 +198,11 @@ class Diagram(metaclass=Shown):
     explained: tuple[Chart, ...] = ()
 
     def __repr__(self) -> str:
-        return f"<diagram of {self.title}: {len(self.nodes)} states, {len(self.links)} transitions>"
+        states, links = len(self.nodes), len(self.links)
+        return (
+            f"<diagram of {self.title}: {states} state{'s' if states != 1 else ''}, "
+            f"{links} transition{'s' if links != 1 else ''}>"
+        )
 
     def __post_init__(self) -> None:
         names = [node.name for node in self.nodes]

@@ -18,19 +18,16 @@ if TYPE_CHECKING:
 _DIGITS = 6
 
 
-def html(report: Mapping[str, Any], drawing: Figure) -> str:
+def html(report: Mapping[str, Any], drawing: Figure | str) -> str:
     """Return a run as a part of a page.
 
     Parameters
     ----------
     report : mapping
         From `statechart.reporting.report.report`.
-    drawing : Figure
-        Its figure.
+    drawing : Figure or str
+        Its figure; or why it has none.
     """
-    svg = render(drawing, "svg").decode()
-    # As wide as what it stands in: telephones are narrower than the figure.
-    picture = svg[svg.index("<svg") :].replace("<svg", '<svg style="width: 100%; height: auto"', 1)
     head = f"<b>{escape(report['model'])}: {escape(report['outcome'])}</b>"
     said = escape(Outcome[report["outcome"]].value)
     parts = [f"<p>{head}<br>{said} {escape(report['message'])}</p>"]
@@ -44,7 +41,15 @@ def html(report: Mapping[str, Any], drawing: Figure) -> str:
         parts.append(table(("output", "value", "unit" if units else ""), outputs))
     if report["events"]:
         parts.append(table(("t", "region", "cause", "from &rarr; to"), _events(report["events"])))
-    return "<div>" + "".join(parts) + f'<div style="max-width:760px">{picture}</div></div>'
+    drawn = f"<p>{escape(drawing)}</p>" if isinstance(drawing, str) else _picture(drawing)
+    return f"<div>{''.join(parts)}{drawn}</div>"
+
+
+def _picture(drawing: Figure) -> str:
+    svg = render(drawing, "svg").decode()
+    # As wide as what it stands in: telephones are narrower than the figure.
+    whole = svg[svg.index("<svg") :].replace("<svg", '<svg style="width: 100%; height: auto"', 1)
+    return f'<div style="max-width:760px">{whole}</div>'
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

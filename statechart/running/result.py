@@ -165,10 +165,14 @@ class Result(metaclass=Shown):
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: a table of outputs and events, and the figure."""
+        """Return what a notebook shows: tables of outputs and events, and the figure if any."""
         from statechart.reporting.notebook import html
 
-        return html(self.to_dict(), self.plot())
+        try:
+            drawn: Figure | str = self.plot()
+        except StatechartError as error:  # what a run has not recorded is no reason to show nothing
+            drawn = str(error)
+        return html(self.to_dict(), drawn)
 
     @property
     def events(self) -> pd.DataFrame:

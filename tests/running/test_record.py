@@ -233,3 +233,11 @@ def test_a_store_has_the_states_of_all_steps(tmp_path):
             assert column[::17] == pytest.approx(at, abs=1e-12)
     with pytest.raises(StatechartError, match="something of this name"):
         write_store(tmp_path / "run.zarr", result.observer, result.trace, {})
+
+
+def test_a_notebook_shows_a_run_of_which_nothing_was_kept() -> None:
+    result = Runner(read_text(BALL), record="nothing").run()
+    shown = result._repr_html_()
+    assert "<td>lowest</td>" in shown
+    assert "the run recorded nothing between its start and its end" in shown
+    assert "<svg" not in shown
