@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from contacts.scene.controls import Controller, Controls
 from contacts.scene.joints import Force, Joint
@@ -14,7 +14,7 @@ from contacts.scene.parts import (
     Body,
     Contact,
     Coordinate,
-    Gravity,
+    Pair,
     Resolution,
     Simultaneous,
     Surface,
@@ -23,7 +23,7 @@ from contacts.scene.shapes import INDEX, Collision
 from statechart.charts.flat_region import timed
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.dimensions import Fact, per_time
-from statechart.documents.fields import FormulaText, NameText, unit, value_of
+from statechart.documents.fields import FiniteText, FormulaText, NameText, unit, value_of
 from statechart.documents.quantities import POWERS, Dimension, Quantity
 from statechart.documents.quantities import per_time as rate_of
 from statechart.errors import DeclarationProblem
@@ -37,12 +37,21 @@ _OF_CONTACTS: Mapping[str, Dimension] = {
 _MOST_COPIES = 10_000
 
 
+def _components(value: Any) -> str:
+    return "components" if isinstance(value, list | tuple) else "downwards"
+
+
+Gravity = Annotated[
+    Annotated[FiniteText, Tag("downwards")] | Annotated[Pair, Tag("components")],
+    Discriminator(_components),
+]
+"""An acceleration downwards, or its two components."""
+
+
 class SceneFields(Declaration):
     """What a scene declares, before it is checked (see `contacts.scene.scene.Scene`)."""
 
-    OTHER_WORDS: ClassVar = {
-        "g": "gravity",
-    }
+    OTHER_WORDS: ClassVar = {"g": "gravity"}
 
     kind: Literal["scene"] = Field(
         default="scene", description="What is declared.", examples=["scene"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
 from contacts.scene.shapes import INDEX, Shapes
@@ -17,15 +17,8 @@ Pair = tuple[FiniteText, FiniteText]
 """Two components, along x and y."""
 
 
-def _components(value: Any) -> str:
-    return "components" if isinstance(value, list | tuple) else "downwards"
+FREE_START = "where a body starts that moves freely is start: {x: 0, y: 1}"
 
-
-Gravity = Annotated[
-    Annotated[FiniteText, Tag("downwards")] | Annotated[Pair, Tag("components")],
-    Discriminator(_components),
-]
-"""An acceleration downwards, or its two components."""
 
 ImpactLaw = Literal["stronge", "newton", "poisson", "moreau"]
 """The law of an impact at one contact."""
@@ -72,13 +65,7 @@ class Body(Part):
     the scene's coordinates.
     """
 
-    OTHER_WORDS: ClassVar = {
-        "m": "mass",
-        "I": "inertia",
-        "J": "inertia",
-        "velocity": "start: {dx: ..., dy: ...}",
-        "omega": "start: {dangle: ...}",
-    }
+    OTHER_WORDS: ClassVar = {"m": "mass", "I": "inertia", "velocity": "start: {dx: ..., dy: ...}"}
 
     mass: FormulaText = Field(
         description="Above 0.", examples=["m"], json_schema_extra=unit("mass")
@@ -170,7 +157,8 @@ class Body(Part):
         if self.inertia is not None and self.angle is None:
             raise DeclarationProblem(
                 "a body with an inertia and a position needs an angle",
-                advice="give the angle as a formula of the coordinates, or remove the inertia",
+                advice="give the angle as a formula of the coordinates, or remove the inertia; "
+                + FREE_START,
                 loc=("inertia",),
                 key=True,
             )
@@ -184,11 +172,7 @@ class Surface(Part):
     left to right. A surface may be carried by a body, or displaced and turned in time.
     """
 
-    OTHER_WORDS: ClassVar = {
-        "y": "height",
-        "slope": "incline",
-        "velocity": "displacement: [v*time, 0]",
-    }
+    OTHER_WORDS: ClassVar = {"slope": "incline", "velocity": "displacement: [v*time, 0]"}
 
     height: FiniteText | None = Field(
         default=None,
@@ -312,11 +296,7 @@ def _as_list(value: Any) -> Any:
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
 
-    OTHER_WORDS: ClassVar = {
-        "mu": "friction",
-        "e": "restitution",
-        "r": "radius",
-    }
+    OTHER_WORDS: ClassVar = {"mu": "friction", "e": "restitution", "r": "radius"}
 
     point: Point = Field(
         description="The point that may touch.", examples=[{"body": "rod", "at": [0, "-L"]}]

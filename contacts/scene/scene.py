@@ -13,7 +13,7 @@ from contacts.scene.collision_checks import check_collisions, check_copies
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.joints import Path
 from contacts.scene.other_laws import replaced
-from contacts.scene.parts import Contact, Point, Simultaneous
+from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.scene.shapes import INDEX
 from contacts.states import declared_state, superstates_of
@@ -200,6 +200,14 @@ class Scene(SceneFields):
                     found, getattr(coordinate, key), parameters, "coordinates", name, key
                 )
         for name, body in self.bodies.items():
+            with found:
+                if body.position is not None and not self.coordinates:
+                    raise DeclarationProblem(
+                        "a position is a formula of coordinates, and the scene has none",
+                        advice=FREE_START,
+                        loc=("bodies", name, "position"),
+                        key=True,
+                    )
             for key in ("mass", "inertia"):
                 self._formulas(found, getattr(body, key), parameters, "bodies", name, key)
             for key in ("angle", "position"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -35,6 +35,14 @@ EventText = Annotated[str, AfterValidator(_checked)]
 
 class Transition(Part):
     """A way from one state of a region to another (or the same), and what fires it."""
+
+    OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(("when", "if", "condition"), "guard"),
+        **dict.fromkeys(("event", "trigger"), "on: REGION.EVENT, or guard: RELATION"),
+        **dict.fromkeys(("reset", "action", "actions"), "updates: {VARIABLE: FORMULA}"),
+        "source": "from",
+        "target": "to",
+    }
 
     name: NameText = Field(
         description="What happens: the cause that events and outputs name.", examples=["thrust"]

@@ -67,7 +67,7 @@ def no_name(text: str) -> str:
 
 TOKENS: Mapping[str, str] = {
     "^": "write a power as **",
-    "=": "a formula is a value, not an assignment",
+    "=": "a formula is a value, not an assignment; compare with <=, <, >= or >",
     "==": "compare with <=, <, >= or >",
     "!=": "compare with <=, <, >= or >",
     "<": "a comparison stands only where a condition is expected, and once",

@@ -198,6 +198,11 @@ MISTAKES = {
                          "unknown key 'circle'; write disc"),
     "length of steps": ("outputs:", "settings: {dt: 0.1}\noutputs:",
                         "unknown key 'dt'; write step"),
+    "place for a start": ("start: {y: h, angle: 0.3}", "position: [0, h]", "where a body starts "
+                          "that moves freely is start: {x: 0, y: 1}"),
+    "place of a particle": ("inertia: m*L**2/3, start: {y: h, angle: 0.3}", "position: [0, h]",
+                            "7:18: bodies.rod.position: a position is a formula of coordinates, and"
+                            " the scene has none; where a body starts that moves freely is start"),
     "bent ground": ("height: 0", "height: abs(x)", "a surface and a contact for each smooth piece"),
 }  # fmt: skip
 
@@ -210,6 +215,50 @@ def test_a_mistake_is_told_with_what_to_write(mistake: str) -> None:
         Runner(read_text(SCENE.replace(old, new, 1), "f.yaml")).start()
     first, *_ = str(caught.value).splitlines()
     assert first.startswith("f.yaml:")
+    assert told in str(caught.value)
+
+
+CHART = """\
+kind: chart
+name: heater
+variables: {T: 15, n: 0}
+regions:
+  switch:
+    initial: on
+    states: {on: {flows: {T: 1}}, off: {flows: {T: -T/10}}}
+    transitions:
+      - {name: cut, from: on, to: off, guard: T >= 20, updates: {n: n + 1}}
+stop: {time: 10}
+"""
+OF_CHARTS = {
+    "source": ("from: on", "source: on", "9:21: unknown key 'source'; write from"),
+    "target": ("to: off", "target: off", "9:31: unknown key 'target'; write to"),
+    "condition": ("guard: T", "when: T", "9:40: unknown key 'when'; write guard"),
+    "event": ("guard: T >= 20", "event: stop",
+              "'event'; write on: REGION.EVENT, or guard: RELATION"),
+    "reset": ("updates:", "reset:", "unknown key 'reset'; write updates: {VARIABLE: FORMULA}"),
+    "equality": ("T >= 20", "T = 20", "not an assignment; compare with <=, <, >= or >"),
+    "rate": ("{T: 1}", "{dT: 1}",
+             "7:27: regions.switch.states.on.flows.dT: no variable 'dT'; did you"),
+    "states in a list": ("{on: {flows: {T: 1}}, off: {flows: {T: -T/10}}}", "[on, off]",
+                         "7:13: region"
+
+                       "s.switch.states: must be a mapping, not a list; such as {flight: {flows:"),
+    "assignment": ("{n: n + 1}", "n = n + 1",
+                   "must be a mapping, not 'n = n + 1'; such as {v: -k*v}"),
+    "guard left out": (", guard: T >= 20", "",
+                       "needs one of guard, on, after, every; write guard: x <="),
+    "capital": ("to: off", "to: Off",
+                "9:35: regions.switch.transitions.0.to: no state 'Off'; did you me"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", OF_CHARTS)
+def test_a_mistake_in_a_chart_is_told_with_what_to_write(mistake: str) -> None:
+    old, new, told = OF_CHARTS[mistake]
+    assert old in CHART
+    with pytest.raises(DeclarationError) as caught:
+        Runner(read_text(CHART.replace(old, new, 1), "f.yaml")).start()
     assert told in str(caught.value)
 
 

@@ -43,7 +43,7 @@ def scene(**changes: object) -> Scene:
             lambda: Contact(point=Point(body="a"), surface="b", friction=1, modes=(Slide, Pin)),
             "Contact: modes.0: must be built, not the class Slide; write Slide()",
         ),
-        (lambda: Body(mass=1, omega=1), "Body: unknown key 'omega'; write start: {dangle: ...}"),
+        (lambda: Body(mass=1, velocity=1), "Body: unknown key 'velocity'; write start: {dx: ..., "),
         (
             lambda: setattr(Body(mass=1), "mass", 2),
             "Body: mass does not change once it is built; build another one: model_copy(",
