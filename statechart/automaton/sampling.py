@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from statechart.automaton.trace import Arc, Jump
+from statechart.shown import Shown
 
 
-class Sample(NamedTuple):
+@dataclass(frozen=True)
+class Sample(metaclass=Shown):
     """What a controller is shown at an instant.
 
     Attributes
