@@ -185,6 +185,9 @@ def read(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def _unknown(argument: str, verb: argparse.ArgumentParser) -> str:
     name = argument.partition("=")[0]
+    assigned = [a.option_strings[0] for a in verb._actions if str(a.metavar).startswith("NAME=")]
+    if name != argument and assigned and not name.startswith("-"):
+        return f"{argument!r} is left over; write {assigned[0]} before each"
     if not name.startswith("-"):
         return f"{argument!r} is left over; what has blanks stands in quotes"
     if name in verb._option_string_actions:
