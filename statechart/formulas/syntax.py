@@ -77,6 +77,8 @@ def _tokens(source: Source) -> Iterator[_Token]:
             advice = "write a product as 2*x, not 2x; units are not written"
             if text[at] == ".":
                 advice = "a number has one point: 1.5"
+            elif text.startswith("deg", at):
+                advice = f"{TOKENS['deg']}; units are not written"
             source.fail(f"{match[kind]!r} runs into {text[at]!r}", at, character(text[at], advice))
         yield _Token(kind, match[kind], offset)
         if kind == "end":

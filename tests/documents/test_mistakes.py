@@ -45,7 +45,7 @@ MISTAKES = {
     "unknown name": ("m*L**2", "M*L**2", "unknown name 'M'; known: L, e, g, h, m, mu"),
     "angle of a particle": ("inertia: m*L**2/3, ", "", "a particle has no angle; remove it, or"),
     "other word for angle": ("angle: 0.3", "theta: 0.3", "must be 'x', 'y', 'angle', 'dx', 'dy'"),
-    "degrees by name": ("angle: 0.3", "angle: 30deg", "units are not written"),
+    "degrees by name": ("angle: 0.3", "angle: 30deg", "radians: 30*pi/180; units are not written"),
     "degrees of an incline": ("height: 0", "incline: 30", "angles are in radians: 30*pi/180"),
     "mass of zero": ("mass: m", "mass: 0", "bodies.rod.mass: must be positive, not 0"),
     "inside its surface": ("y: h", "y: 0", "0.477668 deep; move the body out of the surface"),
