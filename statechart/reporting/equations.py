@@ -289,16 +289,17 @@ def _forces(rows: _Rows, automaton: Automaton) -> tuple[Equation, ...]:
     forces = [u for u in automaton.unknowns if u not in automaton.coordinates.accelerations]
     found: list[Equation] = []
     for row in list(left):
-        # A law of friction, or a force that is alone in its equation.
+        # A force that is alone in its equation, or one that is in proportion to another, by a law
+        # of friction or by what is at rest.
         inside = [force for force in forces if row.has(force)]
-        if inside and (len(inside) == 1 or not row.has(*automaton.coordinates.accelerations)):
+        share = not row.has(*automaton.coordinates.accelerations) and _vanishes(row, inside)
+        if inside and (len(inside) == 1 or share) and inside[-1] not in dict(found):
             last = inside[-1]
             slope = sp.diff(row, last)
             found.append((last, _short(-row.xreplace({last: sp.S.Zero}) / slope)))
             left.remove(row)
-    forces = [f for f in forces if any(row.has(f) for row in left)]
-    solved = {force for force, _ in found}
-    open_ones = [force for force in forces if force not in solved]
+    left = [row.xreplace(dict(found)) for row in left]
+    open_ones = [f for f in forces if any(row.has(f) for row in left)]
     if left and len(left) == len(open_ones):
         matrix, right = sp.linear_eq_to_matrix(left, open_ones)
         solution = matrix.LUsolve(right)
@@ -306,6 +307,11 @@ def _forces(rows: _Rows, automaton: Automaton) -> tuple[Equation, ...]:
     else:
         found += [(_short(row), sp.S.Zero) for row in left]
     return tuple(found)
+
+
+def _vanishes(row: sp.Expr, forces: Sequence[sp.Symbol]) -> bool:
+    """Whether an equation asks for nothing where there are no forces."""
+    return bool(sp.expand(row.xreplace(dict.fromkeys(forces, sp.S.Zero))) == 0)
 
 
 def _short(expression: sp.Expr) -> sp.Expr:

@@ -108,6 +108,19 @@ def equations(
     ------
     DeclarationError
         If there is no such mode.
+
+    Examples
+    --------
+    >>> print(equations("stick_slip_block", "slide+"))
+    stick_slip_block, base:slide+
+    eliminated:
+      block.y = 0
+    motion:
+      block.x''*m = F0*sin(omega*time) + base.H
+    forces:
+      base.V = g*m
+      base.H = -base.V*mu
+    <BLANKLINE>
     """
     from statechart.reporting.equations import told
 

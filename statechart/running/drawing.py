@@ -57,6 +57,11 @@ def draw(
     StatechartError
         If the model is wrong or cannot be run where a run is shown, the suffix or `guards` is not
         known, or Graphviz is missing where a picture is asked for.
+
+    Examples
+    --------
+    >>> draw("toppling_stick")
+    <diagram of toppling_stick: 6 states, 11 transitions>
     """
     if guards not in GUARDS:
         raise StatechartError(f"guards is one of {', '.join(GUARDS)}, not {guards!r}")

@@ -47,6 +47,12 @@ def test_the_slide_phase_is_that_of_the_paper() -> None:
     assert "  tip.H = -mu*tip.V" in shown("toppling_stick", "slide+").splitlines()
 
 
+def test_what_rests_on_a_slope_is_borne_as_by_hand() -> None:
+    # Of a unit mass: V = g cos(alpha), H = g sin(alpha).
+    _, _, found = shown("block_on_incline", "pin").partition("forces:\n")
+    assert found == "  base.H = base.V*tan(alpha)\n  base.V = g*cos(alpha)\n"
+
+
 def test_latex_has_greek_angles_and_dots() -> None:
     found = shown("toppling_stick", "pin", "latex")
     assert (
@@ -78,6 +84,8 @@ CASES = [
     ("painleve_rod", "tip:slide-"),
     ("simplest_walker", None),
     ("hopper", None),
+    ("block_on_incline", "base:pin"),
+    ("stick_slip_block", "base:pin"),
 ]
 
 
@@ -93,6 +101,8 @@ def test_what_is_integrated_satisfies_the_equations_shown(model: str, named: str
     shown = [block for block in made if block.title != "held"]
     rows = [left - right for block in shown for left, right in block.equations]
     assert rows
+    told_of = [left for block in shown for left, _ in block.equations if left.is_Symbol]
+    assert len(told_of) == len({*told_of})
     random = np.random.default_rng(1)
     values = dict(zip(built.parameters, setup.values.tolist(), strict=True))
     state = random.uniform(-0.7, 0.7, len(built.variables))
@@ -115,7 +125,7 @@ def _on(built: Automaton, made: list[Block], state: Array, values: dict[sp.Symbo
         if block.title == "eliminated":
             for symbol, place in block.equations:
                 anchors = {s: 0.0 for s in place.free_symbols if s.name.endswith(("x0", "y0"))}
-                place = place.xreplace(anchors)
+                place = sp.sympify(place.xreplace(anchors))
                 rate = built.coordinates.rate(place).xreplace(values)
                 known[symbol] = float(place.xreplace(values).xreplace(known))
                 follows = built.coordinates.positions.index(symbol)
