@@ -34,8 +34,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from statechart.shown import Shown
-
 
 @dataclass(frozen=True, slots=True)
 class Position:
@@ -53,7 +51,7 @@ class Position:
         return Position(self.source, self.line, self.column + columns)
 
 
-class StatechartError(Exception, metaclass=Shown):
+class StatechartError(Exception):
     """Root of every error that this project raises on purpose."""
 
 

@@ -14,7 +14,6 @@ from contacts.scene.parts import Contact, Pair, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
-from statechart.shown import Shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +50,7 @@ class ContactGeometry:
     bias_t: sp.Expr
 
 
-class Geometry(metaclass=Shown):
+class Geometry:
     """The places of a scene.
 
     Parameters

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from statechart.automaton.trace import Arc, Jump
-from statechart.shown import Shown
 
 
 @dataclass(frozen=True)
-class Sample(metaclass=Shown):
+class Sample:
     """What a controller is shown at an instant.
 
     Attributes

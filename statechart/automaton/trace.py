@@ -14,7 +14,6 @@ from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.documents.setting import Record
 from statechart.errors import TooLong
-from statechart.shown import Shown
 from statechart.tabular import shortest
 
 LARGEST = 2**28
@@ -102,7 +101,7 @@ Roles = tuple[Role, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Arc(metaclass=Shown):
+class Arc:
     """One flow between two jumps: a polynomial in time for every variable and step.
 
     Attributes
@@ -159,7 +158,7 @@ class Arc(metaclass=Shown):
 
 
 @dataclass(frozen=True, eq=False)
-class Jump(metaclass=Shown):
+class Jump:
     """One discrete transition.
 
     Attributes
@@ -241,7 +240,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Trace(metaclass=Shown):
+class Trace:
     """A run.
 
     Attributes

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from statechart.errors import StatechartError
-from statechart.shown import Shown
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -165,7 +164,7 @@ class Chart:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Diagram(metaclass=Shown):
+class Diagram:
     """What is drawn of a statechart, ready to be rendered; it shows itself in notebooks.
 
     Parameters

@@ -12,11 +12,10 @@ from statechart.automaton.product import feasibility
 from statechart.documents.declaration import Declaration
 from statechart.errors import SimulationError
 from statechart.running.runner import Runner
-from statechart.shown import Shown
 
 
 @dataclass(frozen=True, repr=False)
-class Modes(metaclass=Shown):
+class Modes:
     """The modes of a model where its runs start; `str` lists them with their transitions.
 
     Attributes

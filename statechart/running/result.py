@@ -17,7 +17,6 @@ from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.reporting.pieces import Pieces
 from statechart.running.answer import Cost
-from statechart.shown import Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +65,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Reading(metaclass=Shown):
+class Reading:
     """What held at an instant of a run.
 
     Attributes
@@ -89,7 +88,7 @@ class Reading(metaclass=Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result(metaclass=Shown):
+class Result:
     """What a run gave.
 
     Attributes

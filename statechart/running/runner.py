@@ -32,13 +32,12 @@ from statechart.running.answers import Answers
 from statechart.running.given import Given
 from statechart.running.result import Asked, Result
 from statechart.running.streaming import placed, sampled, unsearched
-from statechart.shown import Shown
 
 if TYPE_CHECKING:
     from statechart.engines.request import Measured
 
 
-class Runner(metaclass=Shown):
+class Runner:
     """A model on an engine, compiled once for many runs.
 
     What is not given is what the model's settings say.

@@ -18,7 +18,6 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Trace
-from statechart.shown import Shown
 from statechart.tabular import shortest
 from statechart.testing.stories import Event, Reading, Story, without_skipped
 
@@ -39,12 +38,12 @@ _LARGE = 1e-2
 _SLOW = 1e-6
 
 
-class Undecidable(Exception, metaclass=Shown):  # noqa: N818 -- nothing went wrong: there is no answer here
+class Undecidable(Exception):  # noqa: N818 -- nothing went wrong: there is no answer here
     """Whether a property holds cannot be told from these runs, and why."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivity(metaclass=Shown):
+class Sensitivity:
     """How errors grow in a run.
 
     Attributes

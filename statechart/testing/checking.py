@@ -13,7 +13,6 @@ from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.loading.kind import offered
 from statechart.loading.load import resolved
-from statechart.shown import Shown
 from statechart.tabular import Block, Table, apart, plain
 from statechart.testing.agreement import Undecidable
 from statechart.testing.properties import Property, generic
@@ -69,7 +68,7 @@ class PropertyReport:
 
 
 @dataclass(frozen=True, repr=False)
-class CheckReport(metaclass=Shown):
+class CheckReport:
     """The result of a check; `str` is the report for people.
 
     Attributes

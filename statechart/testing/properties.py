@@ -23,7 +23,6 @@ from functools import partial
 import numpy as np
 
 from statechart.automaton.trace import Outcome, Role, Trace
-from statechart.shown import Shown
 from statechart.tabular import shortest
 from statechart.testing.agreement import Undecidable, assert_same
 from statechart.testing.guards import GOLDEN, assert_invariants, assert_margins
@@ -40,7 +39,7 @@ _START = 1e-8
 
 
 @dataclass(frozen=True)
-class Property(metaclass=Shown):
+class Property:
     """Something that must hold for every choice of the parameters.
 
     Attributes

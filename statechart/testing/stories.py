@@ -11,11 +11,10 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace
 from statechart.observation.zeno_tails import without_summed
-from statechart.shown import Shown
 
 
 @dataclass(frozen=True, eq=False)
-class Reading(metaclass=Shown):
+class Reading:
     """How to read a trace of a transformed model in the terms of the original.
 
     Attributes

@@ -28,13 +28,12 @@ from statechart.loading.kind import kind
 from statechart.observation.condition import conditions
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.shown import Shown
 from statechart.testing.agreement import NUDGE, Sensitivity, Undecidable
 
 _KEPT = 64  # cases whose runs are kept for the next property
 
 
-class Subject(metaclass=Shown):
+class Subject:
     """A model compiled once for each engine, for any number of runs.
 
     Parameters
@@ -177,7 +176,7 @@ class Subject(metaclass=Shown):
         return self._tapes[key].table(states, trace.values, times)
 
 
-class Case(metaclass=Shown):
+class Case:
     """One choice of parameters of a subject, and its runs, made when asked for.
 
     Parameters
