@@ -207,6 +207,8 @@ class SceneFields(Declaration):
             return Quantity(words, _OF_BODIES[part])
         if part.startswith("d") and part[1:] in _OF_BODIES and owner:
             return Quantity(f"rate of {part[1:]} of {owner}", rate_of(_OF_BODIES[part[1:]]))
+        if name == INDEX and name not in self.parameters:
+            return Quantity("number of a copy", "1")
         if dimension := timed(self.controlled.flat.values(), name):
             return Quantity(name, dimension)
         rates = {self.rate_name(coordinate): coordinate for coordinate in self.coordinates}
@@ -225,9 +227,8 @@ class SceneFields(Declaration):
             yield Name(self.rate_name(name)), rate
             yield parse(coordinate.start).root, Name(name)
             yield parse(coordinate.rate).root, rate
-        # What heights are formulas of, and the number of a copy.
+        # What heights are formulas of.
         yield Name("x"), POWERS["length"]
-        yield Name(INDEX), POWERS["1"]
 
     def jams(self, contact: str) -> bool:
         """Whether a contact may see an impact without collision.

@@ -51,9 +51,9 @@ def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
     facts : iterable of (formula, formula or Powers)
         Formulas, and what each of them measures.
     known : mapping of str to Powers
-        What is known of names beforehand.
+        What is known of names beforehand, whatever their formulas tell.
     """
-    found, told = dict(known), [fact for fact in facts if _short(fact)]
+    found, told = _Known(known), [fact for fact in facts if _short(fact)]
     for _ in range(_PASSES):
         before = dict(found)
         for left, right in told:
@@ -115,7 +115,21 @@ def _number(node: Node) -> bool:
     return next(names_in(node), None) is None
 
 
-def _alike(left: Node, right: Node | Powers, known: Known) -> None:
+class _Known(Known):
+    """What is known of names, of which the first ones are certain."""
+
+    def __init__(self, known: Mapping[str, Powers]) -> None:
+        super().__init__(known)
+        self._certain = frozenset(known)
+
+    def note(self, name: str, powers: Powers) -> None:
+        """Note what a name measures; of an angle more is told than of a number."""
+        before = self.setdefault(name, powers)
+        if name not in self._certain and before[:3] == powers[:3] and powers.angle:
+            self[name] = powers
+
+
+def _alike(left: Node, right: Node | Powers, known: _Known) -> None:
     """Note what follows from two formulas that measure the same."""
     for one, other in ((left, right), (right, left)):
         if isinstance(one, Powers):
@@ -128,7 +142,7 @@ def _alike(left: Node, right: Node | Powers, known: Known) -> None:
             _expect(one, powers, known)
 
 
-def _inside(node: Node, known: Known) -> None:
+def _inside(node: Node, known: _Known) -> None:
     """Note what sums and sines in a formula tell."""
     for part in nodes(node):
         match part:
@@ -140,15 +154,12 @@ def _inside(node: Node, known: Known) -> None:
                     _expect(part, whole, known)
 
 
-def _expect(node: Node, powers: Powers, known: Known) -> None:
+def _expect(node: Node, powers: Powers, known: _Known) -> None:
     """Note what names in a formula measure, which as a whole is measured so."""
     match node:
         case Name():
             if all(exponent.denominator == 1 for exponent in powers[:3]):
-                before = known.setdefault(node.name, powers)
-                if before[:3] == powers[:3] and powers.angle:
-                    # Of an angle more is told than of a number.
-                    known[node.name] = powers
+                known.note(node.name, powers)
         case Unary() | Binary(operator="+" | "-"):
             for part in children(node):
                 _expect(part, powers, known)
@@ -159,7 +170,9 @@ def _expect(node: Node, powers: Powers, known: Known) -> None:
                 _expect(left, powers.times(second, -sign), known)
             elif first is not None and second is None:
                 rest = powers.times(first, -1)
-                _expect(right, rest if sign == 1 else Powers().times(rest, -1), known)
+                # What an angle is divided by is a number of parts.
+                below = Powers().times(rest, -1)._replace(angle=False)
+                _expect(right, rest if sign == 1 else below, known)
         case Binary(operator="**", left=left, right=Number(value=value)) if value:
             _expect(left, Powers().times(powers, 1 / Fraction(value)), known)
         case Call(function=function, arguments=arguments):

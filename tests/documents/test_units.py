@@ -175,3 +175,29 @@ def test_what_has_no_unit_shows_none() -> None:
     shown = str(run("toppling_stick", until=0.5))
     assert not re.search(r"stick\.x .* 1$", shown, re.M)
     assert re.search(r"stick\.angle .* rad$", shown, re.M)
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        "{x: 2*index, y: 1, angle: half*(2*index + 1)}",
+        # A saw-tooth, and a hash: sines of numbers make no angles of them.
+        "{x: 3*index - n/pi*atan(tan(pi*(index - (n - 1)/2)/n)) + 0.02*sin(index), y: 1}",
+    ],
+)
+@pytest.mark.parametrize("count", [1, 3])
+def test_what_counts_is_no_angle(start: str, count: int) -> None:
+    scene = f"""\
+kind: scene
+name: row
+units: SI
+parameters: {{n: {count}, half: pi/(2*n)}}
+gravity: 9.81
+bodies: {{disc: {{copies: n, mass: 1, inertia: 1, shape: {{disc: 0.1}}, start: {start}}}}}
+surfaces: {{floor: {{height: 0}}}}
+collisions: {{all: {{bodies: [disc], surfaces: [floor], friction: 0, restitution: 0}}}}
+outputs: {{tilted: {{value: cos(half), at: end}}}}
+"""
+    model = Runner(read_text(scene)).automaton.declaration
+    assert model.unit("n") in ("", "1")
+    assert model.unit("half") == "rad"
