@@ -13,7 +13,7 @@ from statechart.arrays import Array
 from statechart.formulas.formula import parse
 from statechart.pictures.film import WORLD, Shape, ShapeKind
 
-_ROUND = 96  # points of a circle
+_ROUND = 180  # points of a circle
 _FINE = 320  # points of a curve, in the width of a picture
 _MOST = 6000
 # What is carried by a body and has no end is shown so far, of the picture's width.

@@ -20,7 +20,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
-from statechart.pictures.film import HATCH, WORLD, Film, Shape, Touch, arrows
+from statechart.pictures.film import HATCH, WORLD, Film, Shape, Touch, arrows, cones
 from statechart.pictures.stage import Moments
 
 # Of more bodies none leaves a trail.
@@ -114,7 +114,7 @@ class SceneStage:
         cloud = beside(cloud, held, poses)
         _, half = window(cloud)
         tips = [(t.places + arrows(t.forces, half, force))[:, None] for t in touches]
-        return window(np.concatenate([cloud, *tips], axis=1))
+        return window(np.concatenate([cloud, *tips, *(cones(t, half) for t in touches)], axis=1))
 
     def _grounds(
         self, moments: Moments, poses: Array, centres: Array, reach: Array

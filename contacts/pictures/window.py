@@ -17,8 +17,9 @@ _LONGEST, _FOLLOWED = 4.0, 3.0
 # A side is at least this part of the other.
 _SHORTEST = 0.45
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
-# A surface is shown whole if it is no larger than so many times what moves.
-_AROUND = 2.2
+# A surface is shown whole if it is no larger than so many times what moves; one that goes round it
+# may be larger.
+_AROUND, _ROUND_ABOUT = 2.2, 6.0
 # Followed through what a camera would not see: this part of the run.
 _SMOOTH = 0.04
 
@@ -78,11 +79,17 @@ def beside(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
     Such as a drum around its grains, or a floor between walls; not those that go on.
     """
     low, high = cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))
-    middle, reach = (low + high) / 2.0, _AROUND * float((high - low).max()) / 2.0
-    lines = [placed(s.points, poses[:, s.frame]) for s in surfaces]
-    return np.concatenate(
-        [cloud, *(line for line in lines if (np.abs(line - middle) <= reach).all())], axis=1
-    )
+    middle, size = (low + high) / 2.0, float((high - low).max()) / 2.0
+    found = [cloud]
+    for surface in surfaces:
+        line = placed(surface.points, poses[:, surface.frame])
+        near = (np.abs(line - middle) <= _AROUND * size).all()
+        if np.allclose(line[:, 0], line[:, -1], atol=1e-9 * size):
+            around = line.min(axis=1) <= low, line.max(axis=1) >= high
+            near |= np.all(around) and np.ptp(line, axis=1).max() <= _ROUND_ABOUT * 2.0 * size
+        if near:
+            found.append(line)
+    return np.concatenate(found, axis=1)
 
 
 def _smooth(values: Array) -> Array:

@@ -10,7 +10,7 @@ from statechart.arrays import Array
 from statechart.palette import FAINT, INK, LINES, PAPER, state_colours
 from statechart.pictures.film import Film, Touch, arrows
 from statechart.pictures.names import write_names
-from statechart.pictures.scenery import Scenery, points_of
+from statechart.pictures.scenery import Scenery, points_of, thinner
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +25,8 @@ CLOSED = ("pin", "slide", "slide+", "slide-")
 _CONE = 1.0
 _FLAT = np.pi / 2.0
 _TOUCH = 0.014
+# The head of an arrow, of its width; a width, at most of its length.
+_HEAD, _SHAFT = 5.0, 0.2
 
 
 class Drawing:
@@ -58,9 +60,12 @@ class Drawing:
         ax.set_axis_off()
         self._look(0)
         self._scenery = Scenery(ax, film)
-        self._size = max(_TOUCH * points_of(film.unit, ax), 4.5)
+        paper = points_of(film.unit, ax)
+        self._points, self._thin = paper / film.unit, thinner(paper)
+        self._size = max(_TOUCH * paper, 4.5 * self._thin)
         self._trails = [
-            ax.plot([], [], color=TRAIL, lw=1.0, alpha=0.55, zorder=1.6)[0] for _ in film.trails
+            ax.plot([], [], color=TRAIL, lw=self._thin, alpha=0.55, zorder=1.6)[0]
+            for _ in film.trails
         ]
         self._contacts = [self._contact(touch) for touch in film.touches]
         self._clock = clock
@@ -94,15 +99,20 @@ class Drawing:
     def _contact(self, touch: Touch) -> tuple[Any, Any, Any]:
         from matplotlib.patches import FancyArrowPatch, Polygon
 
-        cone = Polygon(np.zeros((3, 2)), closed=True, color="#000000", alpha=0.09, lw=0, zorder=1.5)
+        cone = Polygon(np.zeros((3, 2)), closed=True, color="#000000", alpha=0.09, lw=0, zorder=2.3)
         arrow = FancyArrowPatch(
-            (0, 0), (0, 0), arrowstyle="-|>", mutation_scale=9, shrinkA=0, shrinkB=0, lw=1.8,
-            color=FORCE, zorder=3.0,
+            (0, 0), (0, 0), arrowstyle="-|>", shrinkA=0, shrinkB=0, color=FORCE, zorder=3.0,
         )  # fmt: skip
         self._ax.add_patch(cone)
         self._ax.add_patch(arrow)
         (mark,) = self._ax.plot(
-            [], [], "o", ms=self._size, markeredgecolor=INK, markeredgewidth=0.9, zorder=3.2
+            [],
+            [],
+            "o",
+            ms=self._size,
+            markeredgecolor=INK,
+            markeredgewidth=0.9 * self._thin,
+            zorder=3.2,
         )
         return mark, arrow, cone
 
@@ -119,7 +129,12 @@ class Drawing:
         mark.set_markeredgecolor(INK if closed else FAINT)
         mark.set_markersize(self._size if closed else 0.7 * self._size)
         force = arrow_of(film, touch, instant)
-        arrow.set_visible(bool(force.any()))
+        # A short arrow has a small head: it would point the other way.
+        long = float(np.hypot(*force)) * self._points
+        width = min(1.8 * self._thin, _SHAFT * long)
+        arrow.set_linewidth(width)
+        arrow.set_mutation_scale(_HEAD * width)
+        arrow.set_visible(long > 0.0)
         arrow.set_positions(tuple(place), tuple(place + force))
         wedge = cone_of(film, touch, instant)
         cone.set_visible(closed and len(wedge) > 0)

@@ -166,6 +166,25 @@ def arrows(forces: Array, half: tuple[float, float], force: float) -> Array:
     return found
 
 
+def cones(touch: Touch, half: tuple[float, float]) -> Array:
+    """Return the ends (k, 3, 2) of the friction cones of a contact: both edges and the middle.
+
+    Parameters
+    ----------
+    touch : Touch
+        The contact; where it has no force, the ends are its place.
+    half : (float, float)
+        Of the film, see `Film`.
+    """
+    edge = np.arctan(touch.friction) * touch.forces.any(axis=1)
+    turn = edge[:, None] * np.array([-1.0, 0.0, 1.0])
+    (x, y), (c, s) = touch.normals.T[:, :, None], (np.cos(turn), np.sin(turn))
+    rim = np.stack([c * x - s * y, s * x + c * y], axis=-1)
+    reach = _arrow(half, 1.0) * (edge > 0.0)
+    found: Array = touch.places[:, None] + reach[:, None, None] * rim
+    return found
+
+
 LONGEST = 1.7
 """At so many times the length of a usual one, which is a quarter of the picture, arrows are cut."""
 

@@ -23,6 +23,8 @@ _OUTSIDE, _TEXT, _MARK, _LINE, _FARTHER = 1000.0, 500.0, 30.0, 4.0, 0.4
 _ROUND, _DISTANCES = 12, (3.0, 8.0, 16.0, 28.0)
 # Kept free around it, in points.
 _CLEAR = 1.5
+# Between two names, along and across lines of text.
+_APART = np.array([5.0, 0.0])
 _CORNERS = np.linspace(0.0, 2.0 * np.pi, 25)
 
 
@@ -63,7 +65,8 @@ def write_names(ax: Axes, film: Film, mark: float) -> None:
         if costs[best] >= _TEXT:
             continue
         middle = name.places[best]
-        taken.append(np.array([middle - name.size / 2.0, middle + name.size / 2.0]))
+        reach = name.size / 2.0 + _APART * scale
+        taken.append(np.array([middle - reach, middle + reach]))
         x, y = ax.transData.inverted().transform(middle)
         ax.text(x, y, name.text, ha="center", va="center", fontsize=_SIZE, zorder=4.0, **name.style)
 

@@ -22,8 +22,8 @@ BODY, SOLID = "#C5D3E2", "#EEF1F4"
 # Sizes on the paper, in parts of the width of a picture.
 _BAR, _MASS, _MARK = 0.012, 0.02, 0.011
 _WINDINGS = 7
-# Shapes beyond which edges are thinner.
-_MANY = 24
+# Shapes beyond which edges are thinner; so are they in a picture narrower than so many points.
+_MANY, _NARROW, _THINNEST = 24, 260.0, 0.4
 _FILLED = ("outline", "disc")
 
 
@@ -35,9 +35,14 @@ def points_of(unit: float, ax: Axes) -> float:
     return float(unit * scale * 72.0 / ax.figure.dpi)
 
 
+def thinner(paper: float) -> float:
+    """Return of which part of their width lines are in a picture so wide in points."""
+    return min(max(paper / _NARROW, _THINNEST), 1.0)
+
+
 def bar_width(paper: float) -> float:
     """Return how wide a bar is with its edges, in points, for a picture so wide in points."""
-    return max(_BAR * paper, 2.5) + 1.6
+    return max(_BAR * paper, 2.5 * thinner(paper)) + 1.6 * thinner(paper)
 
 
 class Scenery:
@@ -54,6 +59,7 @@ class Scenery:
     def __init__(self, ax: Axes, film: Film) -> None:
         self._ax, self._film = ax, film
         self._paper = points_of(film.unit, ax)
+        self._thin = thinner(self._paper)
         self._bodies: list[_Bodies] = []
         self._made: list[tuple[Shape, list[Any]]] = []
         for filled, shapes in groupby(film.shapes, lambda shape: shape.kind in _FILLED):
@@ -89,11 +95,12 @@ class Scenery:
     def _bar(self, shape: Shape) -> list[Artist]:
         from matplotlib.lines import Line2D
 
-        width = bar_width(self._paper) - 1.6
+        edge = 1.6 * self._thin
+        width = bar_width(self._paper) - edge
         style: dict[str, Any] = {"solid_capstyle": "round", "zorder": 2.0}
         x, y = shape.points.T
         return [
-            Line2D(x, y, color=FRAME, lw=width + 1.6, **style),
+            Line2D(x, y, color=FRAME, lw=width + edge, **style),
             Line2D(x, y, color=BODY, lw=width, **(style | {"zorder": 2.01})),
         ]
 
@@ -101,9 +108,11 @@ class Scenery:
         from matplotlib.lines import Line2D
 
         x, y = shape.points.T
-        size = max(size * self._paper, 4.0)
+        size = max(size * self._paper, 4.0 * self._thin)
         mark = {"marker": marker, "markersize": size, "markeredgecolor": INK, "linestyle": "none"}
-        return [Line2D(x, y, markerfacecolor=face, markeredgewidth=0.9, zorder=2.5, **mark)]  # type: ignore[arg-type]
+        return [
+            Line2D(x, y, markerfacecolor=face, markeredgewidth=0.9 * self._thin, zorder=2.5, **mark)
+        ]  # type: ignore[arg-type]
 
     def _mass(self, shape: Shape) -> list[Artist]:
         return self._marked(shape, "o", _MASS, BODY)
@@ -117,7 +126,7 @@ class Scenery:
     def _link(self, shape: Shape) -> list[Artist]:
         from matplotlib.lines import Line2D
 
-        return [Line2D([], [], color=FRAME, lw=1.1, zorder=1.8)]
+        return [Line2D([], [], color=FRAME, lw=1.1 * self._thin, zorder=1.8)]
 
     _spring = _link
 
@@ -126,9 +135,11 @@ class Scenery:
         from matplotlib.lines import Line2D
 
         marks = strokes(shape.points, self._film.spacing)
-        hatching = LineCollection(list(marks), colors=FRAME, linewidths=0.7, zorder=1.2)
+        hatching = LineCollection(
+            list(marks), colors=FRAME, linewidths=0.7 * self._thin, zorder=1.2
+        )
         hatching.set_transform(self._ax.transData)
-        return [Line2D(*shape.points.T, color=INK, lw=1.4, zorder=1.3), hatching]
+        return [Line2D(*shape.points.T, color=INK, lw=1.4 * self._thin, zorder=1.3), hatching]
 
 
 class _Bodies:
@@ -162,9 +173,9 @@ class _Bodies:
         owners = [*range(len(shapes)), *self._turning]
         self._points, self._ends = np.concatenate(points), np.cumsum(counts)[:-1]
         self._of = self._frames[np.repeat(owners, counts)]
-        width = 0.6 if len(film.shapes) > _MANY else 1.0
+        width = thinner(points_of(film.unit, ax)) * (0.6 if len(film.shapes) > _MANY else 1.0)
         self._filled = PathCollection([], edgecolors=FRAME, linewidths=width, zorder=2.0)
-        self._radii = LineCollection([], colors=FRAME, linewidths=0.8, zorder=2.1)
+        self._radii = LineCollection([], colors=FRAME, linewidths=0.8 * width, zorder=2.1)
         for artist in (self._filled, self._radii):
             ax.add_collection(artist, autolim=False)
 

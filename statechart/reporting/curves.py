@@ -95,7 +95,7 @@ def remarks(names: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
 def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
     """Return a run sampled for curves, and which of them share an axis."""
     samples = observer.sample(trace, per_step=_per_step(trace))
-    samples = _without_rounding(observer.automaton, trace, samples)
+    samples = without_rounding(observer.automaton, trace, samples)
     states = _states(observer.automaton, samples)
     forces = _forces(observer.automaton, trace, samples)
     panels = [*states, *_gaps(observer.automaton, trace, samples), *forces]
@@ -127,7 +127,7 @@ def _per_step(trace: Trace) -> int:
     return int(np.clip(4000 // max(steps, 1), 4, 64))
 
 
-def _without_rounding(automaton: Automaton, trace: Trace, samples: Samples) -> Samples:
+def without_rounding(automaton: Automaton, trace: Trace, samples: Samples) -> Samples:
     """Return samples whose columns are zero where they are the rounding of zero.
 
     That is told beside the largest of their kind, beside a radian, and beside speeds that in all of

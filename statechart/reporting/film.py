@@ -16,6 +16,7 @@ from statechart.observation.observer import Observer
 from statechart.pictures import animation
 from statechart.pictures.film import Film
 from statechart.pictures.stage import Moments, Stage
+from statechart.reporting.curves import without_rounding
 
 # What moves less than this part of the picture does not move.
 _STILL = 2e-3
@@ -58,13 +59,14 @@ def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> 
     automaton = observer.automaton
     names = (*automaton.names, *stage.wanted)
     samples = observer.sample(trace, names, times=times)
+    seen = without_rounding(automaton, trace, samples).columns
     return stage.film(
         Moments(
             samples.t,
             samples.j,
             tuple(samples.modes[place] for place in samples.mode),
             np.column_stack([samples.columns[name] for name in automaton.names]),
-            {name: samples.columns[name] for name in stage.wanted},
+            {name: seen[name] for name in stage.wanted},
             trace.parameters,
         )
     )

@@ -21,6 +21,9 @@ from statechart.running.runner import Runner
 if TYPE_CHECKING:
     import networkx as nx
 
+# Of the time in which a scene moves by its own length, as its tolerances tell it.
+_MOMENT = 1e-6
+
 
 def draw(
     model: Declaration | str | Path,
@@ -98,6 +101,10 @@ def draw_scene(model: Declaration | Runner | str | Path, path: str | Path) -> Pa
     runner = model if isinstance(model, Runner) else Runner(model)
     stage = stage_of(runner.automaton)
     start = runner.run(until=0.0)
+    # Forces that a motion shares, and modes of steps, are told of what goes on for a moment.
+    least = start.trace.tolerances
+    moment = start.trace.step or _MOMENT * least["gap"] / least["speed"]
+    start = runner.run(until=moment, throw=False)
     write_figure(picture(filmed(stage, start.observer, start.trace, [0.0])), path)
     return Path(path)
 

@@ -1,5 +1,6 @@
 """What a scene looks like: shapes, places and forces against closed forms."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from statechart.pictures.film import Film, placed, strokes
 from statechart.pictures.names import crossing
 from statechart.pictures.snapshots import picture
 from statechart.reporting.film import filmed, stage_of, until_rest
+from statechart.running.drawing import draw_scene
 
 FILES = sorted((Path(__file__).parents[2] / "models").glob("*.yaml"))
 SCENES = [file.stem for file in FILES if "kind: scene" in file.read_text(encoding="utf-8")]
@@ -228,3 +230,66 @@ def test_a_chart_has_no_bodies_to_draw(tmp_path, capsys):
 def test_a_scene_is_no_text(tmp_path, capsys):
     assert main(["draw", "toppling_stick", "--scene", "-o", str(tmp_path / "a.dot")]) == 2
     assert ".svg, .png, .pdf" in capsys.readouterr().err
+
+
+def test_balls_that_hang_side_by_side_press_on_none_of_the_others():
+    # Newton's cradle at rest: each weight is on its own string, and rounding is no force.
+    film = film_of("newtons_cradle", np.linspace(0.0, 4.0, 41))
+    for touch in film.touches:
+        assert not touch.forces.any()
+
+
+def test_cones_are_within_the_picture():
+    film = film_of("no_slip_pencil", np.linspace(0.0, 4.0, 9))
+    (touch,) = film.touches
+    for k in range(9):
+        inside = np.abs(cone_of(film, touch, k) - film.centres[k]) <= film.half
+        assert inside.all()
+
+
+@pytest.mark.parametrize("name", ["four_legged_table", "box_stack"])
+def test_the_scene_at_the_start_has_the_forces_and_modes_of_the_first_step(
+    name, tmp_path, monkeypatch
+):
+    drawn = []
+    monkeypatch.setattr("statechart.pictures.snapshots.picture", drawn.append)
+    monkeypatch.setattr("statechart.reporting.figure.write", lambda drawing, path: None)
+    draw_scene(name, tmp_path / "scene.png")
+    (film,) = drawn
+    assert film.times.tolist() == [0.0]
+    assert {film.state(0, region) for region in range(len(film.regions))} == {"pin"}
+    weight = 9.81 * 10.0
+    for touch in film.touches:
+        assert touch.forces[0, 1] > 0.0
+    if film.touches:
+        assert sum(touch.forces[0, 1] for touch in film.touches) == pytest.approx(weight)
+
+
+def test_a_ball_is_drawn_in_all_of_its_bowl(tmp_path):
+    film = film_of("ball_in_a_bowl", [0.0], until=0.1)
+    (bowl,) = shapes(film, "ground")
+    assert (np.abs(bowl.points - film.centres[0]) < film.half).all()
+
+
+def test_short_arrows_point_where_forces_do():
+    import matplotlib.pyplot as plt
+
+    from statechart.pictures.drawing import Drawing
+
+    result = statechart.run("hopper", until=0.1)
+    film = filmed(stage_of(result.observer.automaton), result.observer, result.trace, [0.0, 0.1])
+    figure = plt.figure(figsize=(1.4, 1.8))
+    film = dataclasses.replace(film, force=60.0)
+    drawing = Drawing(figure.add_axes((0, 0, 1, 1)), film)
+    drawing.show(1)
+    figure.canvas.draw()
+    for touch, (_, arrow, _) in zip(film.touches, drawing._contacts, strict=True):
+        if not touch.forces[1].any():
+            continue
+        tip, box = touch.places[1], arrow.get_path().get_extents()
+        across = touch.forces[1] / np.hypot(*touch.forces[1])
+        # Nothing of it is behind the contact point.
+        assert (np.array([box.p0, box.p1]) - tip) @ across == pytest.approx(
+            np.clip((np.array([box.p0, box.p1]) - tip) @ across, -1e-9, None)
+        )
+    plt.close(figure)
