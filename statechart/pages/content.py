@@ -18,6 +18,7 @@ from statechart.automaton.trace import Key, Trace
 from statechart.diagram.build import active_states
 from statechart.diagram.model import Chart, Diagram, identifiers
 from statechart.diagram.write import write
+from statechart.documents.declaration import TIME
 from statechart.documents.quantities import beside
 from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
@@ -25,8 +26,8 @@ from statechart.observation.sampling import Samples
 from statechart.palette import GRID, LINES
 from statechart.pictures.film import LONGEST, Film, Shape, strokes
 from statechart.reporting.bands import banded, unbanded
-from statechart.reporting.curves import curves
-from statechart.reporting.film import filmed, stage_of, until_rest
+from statechart.reporting.curves import Panel, busy_until, curves, impulse_label, largest, struck
+from statechart.reporting.film import filmed, stage_of
 from statechart.reporting.text import change, explanation
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
@@ -37,8 +38,10 @@ MOST_EVENTS = 300
 _FEW, _CHANGED = 60, 9000
 # Points of a curve; a diagram of more modes is not looked at.
 _POINTS, _NODES = 1200, 40
-# Of a number in a table: what rounding does is not seen.
-_DIGITS = 10
+# Of a number in a table, and in a reason: what rounding does is not seen.
+_DIGITS, _REASON = 10, 6
+# Names of what changes alike at an event.
+_NAMES = 4
 
 
 def content(
@@ -61,7 +64,8 @@ def content(
     declared = automaton.declaration.parameters
     seen = kind(automaton.declaration.kind).stage is not None
     stage = stage_of(automaton) if seen else None
-    end = trace.t_end if stage is None else until_rest(stage, observer, trace)
+    drawn, panels = curves(observer, trace)
+    end = busy_until(trace, drawn, panels)
     width = 3 * len(automaton.regions) + 9 if seen else 1
     count = int(np.clip(_NUMBERS // max(width, 1), _LEAST, _MOST))
     told = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, MOST_EVENTS))
@@ -76,6 +80,8 @@ def content(
         "doc": automaton.declaration.doc,
         "outcome": f"{report['outcome']}: {report['message']}",
         "engine": report["engine"],
+        "lines": list(LINES),
+        "unit": beside(automaton.declaration.unit(TIME)),
         "cut": end < trace.t_end,
         "end": trace.t_end,
         "times": _packed(times, np.float64),
@@ -83,7 +89,7 @@ def content(
         "unbanded": list(unbanded(trace, rows)),
         "mode": _packed(samples.mode, np.int32),
         "film": None if film is None else _film(film),
-        "panels": _panels(observer, trace, end),
+        "panels": _panels(trace, _until(observer, trace, drawn, end), panels),
         "events": [_event(event, times) for event in events],
         "more": len(trace.jumps) - len(events),
         "chart": _chart(automaton, diagram, samples),
@@ -158,8 +164,27 @@ def _shape(film: Film, shape: Shape) -> dict[str, Any]:
     return made
 
 
-def _panels(observer: Observer, trace: Trace, end: float) -> list[dict[str, Any]]:
-    samples, found = curves(observer, trace)
+def _until(observer: Observer, trace: Trace, samples: Samples, end: float) -> Samples:
+    """Return samples of a run as far as it is shown, the last at the end of that."""
+    if end >= trace.t_end:
+        return samples
+    last = observer.sample(trace, tuple(samples.columns), times=[end])
+    kept = samples.t < end
+    columns = {
+        name: np.append(column[kept], last.columns[name] if largest(column) > 0.0 else 0.0)
+        for name, column in samples.columns.items()
+    }
+    return Samples(
+        np.append(samples.t[kept], end),
+        np.append(samples.j[kept], last.j),
+        np.append(samples.mode[kept], len(samples.modes) + last.mode),
+        (*samples.modes, *last.modes),
+        columns,
+    )
+
+
+def _panels(trace: Trace, samples: Samples, found: Sequence[Panel]) -> list[dict[str, Any]]:
+    end = float(samples.t[-1])
     chosen = _rows(samples, end)
     # A jump takes no time: the curve is broken there.
     breaks = np.flatnonzero(np.diff(samples.j[chosen])) + 1
@@ -170,8 +195,6 @@ def _panels(observer: Observer, trace: Trace, end: float) -> list[dict[str, Any]
     made = []
     for panel in found:
         names = panel.names
-        if not names:
-            continue
         cone = None
         if panel.cone is not None:
             name, friction = panel.cone
@@ -184,10 +207,22 @@ def _panels(observer: Observer, trace: Trace, end: float) -> list[dict[str, Any]
                 "curves": [broken(samples.columns[name]) for name in names],
                 "colours": list(LINES[: len(names)]),
                 "cone": cone,
+                "struck": [_struck(trace, panel, region, end) for region in panel.impulses],
                 "remarks": list(panel.remarks),
             }
         )
     return made
+
+
+def _struck(trace: Trace, panel: Panel, region: str, end: float) -> dict[str, Any]:
+    """Return the impulses of a region: with sizes where no forces have the axis."""
+    times, sizes = struck(trace, region)
+    seen = times <= end
+    return {
+        "name": impulse_label(panel, sizes) if panel.names else region,
+        "t": _packed(times[seen], np.float32),
+        "sizes": "" if panel.names else _packed(sizes[seen], np.float32),
+    }
 
 
 def _rows(samples: Samples, end: float) -> NDArray[np.intp]:
@@ -210,25 +245,42 @@ def _event(event: Mapping[str, Any], times: Array) -> dict[str, Any]:
         "t": event["t"],
         "instant": int(np.searchsorted(times, event["t"])),
         "what": " ".join(filter(None, (event["contact"], event["cause"]))),
-        "change": change(event),
-        "why": explanation({"events": [event]}),
+        "change": change(event, _NAMES),
+        "why": explanation({"events": [_rounded(event)]}),
     }
+
+
+def _rounded(value: Any) -> Any:
+    """Return a report, or a part of it, whose numbers have as many digits as a reason needs."""
+    match value:
+        case float():
+            return float(f"{value:.{_REASON}g}")
+        case Mapping():
+            return {name: _rounded(part) for name, part in value.items()}
+        case list() | tuple():
+            return [_rounded(part) for part in value]
+    return value
 
 
 def _chart(automaton: Automaton, diagram: Diagram | None, samples: Samples) -> dict[str, Any]:
     """Return the drawn statechart, and which nodes each mode is; nothing where it is too large."""
     if diagram is None:
-        return {"svg": "", "nodes": [[] for _ in samples.modes]}
+        return _no_chart(samples)
     diagram, active = _followed(automaton, diagram, samples.modes)
     if len(diagram.nodes) > _NODES:
-        return {"svg": "", "nodes": [[] for _ in samples.modes]}
+        return _no_chart(samples)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "chart.svg"
         write(_bare(diagram), path)
         svg = path.read_text(encoding="utf-8")
     names = identifiers(diagram)
     nodes = [[names[name] for name in active(key) if name in names] for key in samples.modes]
-    return {"svg": svg[svg.index("<svg") :], "nodes": nodes}
+    states = [names[node.name] for piece in diagram.pieces for node in piece.leaves]
+    return {"svg": svg[svg.index("<svg") :], "nodes": nodes, "states": states}
+
+
+def _no_chart(samples: Samples) -> dict[str, Any]:
+    return {"svg": "", "nodes": [[] for _ in samples.modes], "states": []}
 
 
 def _followed(

@@ -59,7 +59,8 @@ function shaped(scene, shape) {
     const [x, y] = shape.points[0];
     const held = shape.kind === "pivot" ? " held" : "";
     const mass = shape.kind === "mass" ? "filled" : "mark" + held;
-    made(group, "circle", { class: mass, cx: x, cy: -y, r });
+    if (held) made(group, "rect", { class: mass, x: x - r, y: -y - r, width: 2 * r, height: 2 * r });
+    else made(group, "circle", { class: mass, cx: x, cy: -y, r });
   }
   if (shape.frame > 0) moving.push((k) => {
     const at = 3 * (k * film.frames + shape.frame);
@@ -144,6 +145,7 @@ byId("diagram").innerHTML = data.chart.svg;
 const nodes = new Map();
 for (const node of byId("diagram").querySelectorAll("g.node"))
   nodes.set(node.querySelector("title").textContent, node);
+for (const name of data.chart.states) nodes.get(name)?.classList.add("state");
 for (const title of byId("diagram").querySelectorAll("title")) title.remove();
 const seen = document.querySelector(".seen");
 if (!film || !data.chart.svg) seen.classList.add("alone");
@@ -161,67 +163,110 @@ moving.push((k) => {
   for (const [name, node] of nodes) node.classList.toggle("lit", active.has(name));
 });
 
-// Curves with a cursor. Names have room on both sides.
+// Curves with a cursor. Names have room on both sides, on narrow screens above.
 const rows = data.regions.filter((region) => region.shown);
+const unit = data.unit && ` ${data.unit}`;
 const longest = (names) => 6.6 * Math.max(0, ...names.map((name) => name.length));
-const left = Math.min(Math.max(64, longest(rows.map((region) => region.name)) + 12), 200);
-const right = Math.max(Math.min(860, 956 - longest(data.panels.flatMap((panel) => panel.names))), 700);
+const fitted = (name, room) => {
+  const most = Math.max(5, Math.floor(room / 6.6));
+  const half = (most - 1) / 2;
+  return name.length <= most ? name : `${name.slice(0, Math.ceil(half))}\u2026${name.slice(name.length - Math.floor(half))}`;
+};
 const [above, high] = [20, 138];
 const span = times[last] || 1;
-const along = (t) => left + ((right - left) * t) / span;
 const cursors = [];
+let [wide, left, right] = [1000, 64, 860];
+const along = (t) => left + ((right - left) * t) / span;
+for (const panel of data.panels) {
+  panel.t = float(panel.t);
+  panel.curves = panel.curves.map(float);
+  panel.cone = panel.cone && float(panel.cone);
+  panel.colours = panel.colours.map((colour) => (colour === "#000000" ? "var(--ink)" : colour));
+  for (const hit of panel.struck) for (const what of ["t", "sizes"]) hit[what] = float(hit[what]);
+  panel.entries = panel.names.map((name, i) => ({ name, colour: panel.colours[i] }));
+  if (panel.cone) panel.entries.push({ name: "\u00b1\u03bcV, the cone", colour: "var(--faint)", dashed: true });
+  panel.struck.forEach((hit, i) => panel.entries.push({ name: hit.name, colour: panel.names.length ? "var(--accent)" : data.lines[i], mark: panel.names.length ? "\u25b2" : "\u25cf" }));
+}
 function axes(height) {
-  const svg = made(byId("curves"), "svg", { viewBox: `0 0 1000 ${height}` });
+  const svg = made(byId("curves"), "svg", { viewBox: `0 0 ${wide} ${height}` });
   svg.addEventListener("click", (event) => {
     const box = svg.getBoundingClientRect();
-    go(at((span * (((event.clientX - box.left) / box.width) * 1000 - left)) / (right - left)));
+    go(at((span * (((event.clientX - box.left) / box.width) * wide - left)) / (right - left)));
   });
   return svg;
 }
-for (const panel of data.panels) {
-  const svg = axes(high + 6);
-  const t = float(panel.t);
-  const values = panel.curves.map(float);
-  const cone = panel.cone && float(panel.cone);
-  const finite = values.flatMap((v) => Array.from(v)).filter(Number.isFinite);
+function named(parent, attributes, name, room) {
+  const text = made(parent, "text", attributes, fitted(name, room));
+  if (text.textContent !== name) made(text, "title", {}, name);
+}
+function entry(svg, { name, colour, dashed, mark }, x, y, room) {
+  if (mark) made(svg, "text", { x: x + 9, y, "text-anchor": "middle", style: `fill: ${colour}` }, mark);
+  else made(svg, "line", { x1: x, x2: x + 18, y1: y - 4, y2: y - 4, style: `stroke: ${colour}; stroke-width: ${dashed ? 1 : 2.5}; ${dashed ? "stroke-dasharray: 4 3" : ""}` });
+  named(svg, { x: x + 24, y }, name, room);
+}
+function drawn(panel, narrow) {
+  const places = [];
+  let [x, y] = [left, above + 6];
+  const room = narrow ? right - left - 24 : wide - right - 40;
+  for (const { name } of panel.entries) {
+    const size = Math.min(longest([name]), room) + 34;
+    if (narrow && x > left && x + size > right) [x, y] = [left, y + 15];
+    places.push(narrow ? [x, y] : [right + 14, above + 8 + 15 * places.length]);
+    x += size;
+  }
+  const remarks = panel.remarks.join("; ");
+  const lower = narrow ? y - above + 6 + (remarks ? 15 : 0) : 0;
+  const svg = axes(Math.max(high, narrow ? 0 : above + 4 + 15 * places.length) + 6 + lower);
+  panel.entries.forEach((those, i) => entry(svg, those, ...places[i], room));
+  named(svg, { x: left, y: above - 9, style: "font-weight: 600" }, panel.title, right - left);
+  const free = narrow ? right - left : right - left - longest([panel.title]) - 30;
+  if (remarks) named(svg, { x: right, y: above - 9 + lower, "text-anchor": "end", style: "fill: var(--faint)" }, remarks, free);
+  const plot = made(svg, "g", lower ? { transform: `translate(0 ${lower})` } : {});
+  const seen = [...panel.curves, ...panel.struck.map((hit) => hit.sizes)];
+  const finite = seen.flatMap((v) => Array.from(v)).filter(Number.isFinite);
   const low = finite.reduce((a, b) => Math.min(a, b), 0);
   const most = finite.reduce((a, b) => Math.max(a, b), 0);
   const scale = (high - above - 6) / (most - low || 1);
   const up = (v) => above + (most - v) * scale;
   const apart = [low, most].filter((level) => Math.abs(up(level) - up(0)) > 12);
   for (const level of [0, ...apart]) {
-    made(svg, "line", { x1: left, x2: right, y1: up(level), y2: up(level), style: "stroke: var(--grid)" });
-    made(svg, "text", { x: left - 6, y: up(level) + 4, "text-anchor": "end" }, short(Number(level.toPrecision(3))));
+    made(plot, "line", { x1: left, x2: right, y1: up(level), y2: up(level), style: "stroke: var(--grid)" });
+    made(plot, "text", { x: left - 6, y: up(level) + 4, "text-anchor": "end" }, short(Number(level.toPrecision(3))));
   }
   const line = (v, style) => {
     let d = "";
     let pen = false;
-    for (let i = 0; i < t.length; i++) {
+    for (let i = 0; i < panel.t.length; i++) {
       const y = up(v[i]);
       // A cone much wider than the force ends at the edge of its panel.
-      if (!Number.isFinite(t[i]) || !(y >= above - 6 && y <= high)) pen = false;
+      if (!Number.isFinite(panel.t[i]) || !(y >= above - 6 && y <= high)) pen = false;
       else {
-        d += `${pen ? "L" : "M"}${along(t[i]).toFixed(1)} ${y.toFixed(1)}`;
+        d += `${pen ? "L" : "M"}${along(panel.t[i]).toFixed(1)} ${y.toFixed(1)}`;
         pen = true;
       }
     }
-    made(svg, "path", { d, style: `fill: none; ${style}` });
+    made(plot, "path", { d, style: `fill: none; ${style}` });
   };
-  if (cone) for (const sign of [1, -1]) line(cone.map((v) => sign * v), "stroke: var(--faint); stroke-dasharray: 4 3");
-  values.forEach((v, i) => {
-    const colour = panel.colours[i] === "#000000" ? "var(--ink)" : panel.colours[i];
-    line(v, `stroke: ${colour}; stroke-width: 1.6`);
-    made(svg, "line", { x1: right + 14, x2: right + 32, y1: above + 4 + 15 * i, y2: above + 4 + 15 * i, style: `stroke: ${colour}; stroke-width: 2.5` });
-    made(svg, "text", { x: right + 38, y: above + 8 + 15 * i }, panel.names[i]);
+  if (panel.cone) for (const sign of [1, -1]) line(panel.cone.map((v) => sign * v), "stroke: var(--faint); stroke-dasharray: 4 3");
+  panel.curves.forEach((v, i) => line(v, `stroke: ${panel.colours[i]}; stroke-width: 1.6`));
+  panel.struck.forEach((hit, i) => {
+    const [foot, sized] = [up(0), hit.sizes.length > 0];
+    const [d, dot] = ["", ""].map((_, part) => Array.from(hit.t, (t, k) => {
+      const [x, y] = [along(t).toFixed(1), up(sized ? hit.sizes[k] : 0).toFixed(1)];
+      if (sized) return part ? `M${x} ${y}l0 0` : `M${x} ${foot.toFixed(1)}L${x} ${y}`;
+      return part ? "" : `M${x - 3.5} ${(foot - 1).toFixed(1)}l3.5 -6l3.5 6z`;
+    }).join(""));
+    const colour = sized ? data.lines[i] : "var(--accent)";
+    made(plot, "path", { class: "struck", d, style: sized ? `stroke: ${colour}; stroke-width: 1.2` : `fill: ${colour}` });
+    if (sized) made(plot, "path", { d: dot, style: `stroke: ${colour}; stroke-width: 5; stroke-linecap: round` });
   });
-  made(svg, "text", { x: right, y: above - 9, "text-anchor": "end", style: "fill: var(--faint)" }, panel.remarks.join("; "));
-  made(svg, "text", { x: left, y: above - 9, style: "font-weight: 600" }, panel.title);
-  cursors.push(made(svg, "line", { y1: above - 6, y2: high, style: "stroke: var(--accent); stroke-width: 1.5" }));
+  cursors.push(made(plot, "line", { y1: above - 6, y2: high, style: "stroke: var(--accent); stroke-width: 1.5" }));
 }
-if (rows.length) {
-  const svg = axes(18 * rows.length + (data.unbanded.length ? 37 : 22));
+function bands() {
+  const told = [`t = ${short(span)}${unit}`, ...(data.cut ? [`nothing happens any more; the run ends at ${short(data.end)}${unit}`] : []), ...(data.unbanded.length ? [data.unbanded.join("; ")] : [])];
+  const svg = axes(18 * rows.length + 7 + 15 * told.length);
   rows.forEach((region, row) => {
-    made(svg, "text", { x: left - 6, y: 18 * row + 13, "text-anchor": "end" }, region.name);
+    named(svg, { x: left - 6, y: 18 * row + 13, "text-anchor": "end" }, region.name, left - 8);
     for (let k = 0; k <= last; ) {
       let end = k;
       while (end < last && region.state[end + 1] === region.state[k]) end++;
@@ -232,17 +277,36 @@ if (rows.length) {
     }
   });
   made(svg, "text", { x: left, y: 18 * rows.length + 16 }, "0");
-  made(svg, "text", { x: right, y: 18 * rows.length + 16, "text-anchor": "end" }, `t = ${short(span)}${data.cut ? `, where nothing moves any more; the run ends at ${short(data.end)}` : ""}`);
-  made(svg, "text", { x: right, y: 18 * rows.length + 31, "text-anchor": "end", style: "fill: var(--faint)" }, data.unbanded.join("; "));
+  told.forEach((line, i) => named(svg, { x: right, y: 18 * rows.length + 16 + 15 * i, "text-anchor": "end", style: i ? "fill: var(--faint)" : "" }, line, right - 8));
   cursors.push(made(svg, "line", { y1: 0, y2: 18 * rows.length, style: "stroke: var(--accent); stroke-width: 1.5" }));
 }
+function drawCurves() {
+  byId("curves").replaceChildren();
+  cursors.length = 0;
+  const there = byId("curves").clientWidth;
+  const narrow = there < 700;
+  wide = narrow ? Math.max(there, 280) : 1000;
+  const names = data.panels.flatMap((panel) => panel.entries.map((those) => those.name));
+  left = Math.min(Math.max(narrow ? 48 : 64, longest(rows.map((region) => region.name)) + 12), wide / 5);
+  right = narrow ? wide - 8 : Math.max(Math.min(860, 956 - longest(names)), 700);
+  for (const panel of data.panels) drawn(panel, narrow);
+  if (rows.length) bands();
+  return there;
+}
+let drawnFor = drawCurves();
+addEventListener("resize", () => {
+  const there = byId("curves").clientWidth;
+  if (there === drawnFor || Math.min(there, drawnFor) >= 700) return;
+  drawnFor = drawCurves();
+  go(now);
+});
 moving.push((k) => {
   for (const cursor of cursors) for (const x of ["x1", "x2"]) cursor.setAttribute(x, along(times[k]));
 });
 
 // Numbers.
 byId("doc").textContent = data.doc;
-byId("outcome").textContent = `${data.outcome} (${data.engine})`;
+byId("outcome").textContent = `${data.outcome} (engine ${data.engine})`;
 for (const warning of data.warnings) made(byId("warnings"), "p", {}, warning);
 for (const name of ["outputs", "parameters"])
   for (const [key, value] of Object.entries(data[name])) {
@@ -287,14 +351,26 @@ function go(k) {
   now = k;
   for (const move of moving) move(k);
   slider.value = k;
-  byId("time").textContent = `t = ${short(times[k])}`;
+  byId("time").textContent = `t = ${short(times[k])}${unit}`;
   const pills = byId("mode");
   pills.replaceChildren();
   pills.dataset.mode = data.regions.map((region) => `${region.name}:${region.states[region.state[k]]}`).join(" ");
-  for (const region of rows) {
-    const state = region.state[k];
-    made(pills, "span", { style: `background: ${region.colours[state]}` }, `${region.name}: ${region.states[state]}`);
+  for (const [label, colour] of pillsOf(k)) made(pills, "span", { style: `background: ${colour}` }, label);
+}
+// Of more regions than have a row those that are alike are counted.
+function pillsOf(k) {
+  const said = (region) => [`${region.name}: ${region.states[region.state[k]]}`, region.colours[region.state[k]]];
+  if (!data.unbanded.length) return rows.map(said);
+  const groups = new Map();
+  for (const region of data.regions) {
+    const kind = region.states.join();
+    if (!groups.has(kind)) groups.set(kind, []);
+    groups.get(kind).push(region);
   }
+  return [...groups.values()].flatMap((those) => those.length === 1 ? [said(those[0])] : those[0].states.flatMap((state, i) => {
+    const count = those.filter((region) => region.state[k] === i).length;
+    return count ? [[`${state}: ${count} of ${those.length}`, those[0].colours[i]]] : [];
+  }));
 }
 const pause = () => {
   cancelAnimationFrame(playing);

@@ -109,10 +109,15 @@ class Scenery:
 
         x, y = shape.points.T
         size = max(size * self._paper, 4.0 * self._thin)
-        mark = {"marker": marker, "markersize": size, "markeredgecolor": INK, "linestyle": "none"}
+        mark: dict[str, Any] = {
+            "marker": marker,
+            "markersize": size,
+            "markeredgecolor": INK,
+            "linestyle": "none",
+        }
         return [
             Line2D(x, y, markerfacecolor=face, markeredgewidth=0.9 * self._thin, zorder=2.5, **mark)
-        ]  # type: ignore[arg-type]
+        ]
 
     def _mass(self, shape: Shape) -> list[Artist]:
         return self._marked(shape, "o", _MASS, BODY)

@@ -11,9 +11,10 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.quantities import entitled, unit_of
+from statechart.documents.quantities import beside, entitled, unit_of
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
+from statechart.reporting.thinning import strongest
 
 MOST = 5
 """Curves of a panel."""
@@ -60,6 +61,8 @@ class Panel:
         The column and the factor that make the edges of the friction cone.
     impulses : tuple of str
         Regions whose impulses are marked.
+    impulse_unit : str
+        Of these.
     """
 
     title: str
@@ -69,6 +72,7 @@ class Panel:
     nothing: tuple[str, ...] = ()
     cone: tuple[str, float | Array] | None = None
     impulses: tuple[str, ...] = ()
+    impulse_unit: str = ""
 
     @property
     def label(self) -> str:
@@ -119,6 +123,18 @@ def busy_until(trace: Trace, samples: Samples, panels: Iterable[Panel]) -> float
 def largest(values: Array) -> float:
     """Return the largest finite magnitude."""
     return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+
+
+def struck(trace: Trace, region: str) -> tuple[Array, Array]:
+    """Return when a region was struck, and the normal impulses; of many the greatest."""
+    found = [(jump.t, jump.impulse[region][0]) for jump in trace.jumps if region in jump.impulse]
+    times, impulses = np.array(found).reshape(-1, 2).T
+    return strongest(times, impulses, trace.t_end)
+
+
+def impulse_label(panel: Panel, impulses: Array) -> str:
+    """Return what is said of impulses on an axis of forces, which has no place for their size."""
+    return f"impulse, up to {largest(impulses):.3g} {beside(panel.impulse_unit)}".rstrip()
 
 
 def _per_step(trace: Trace) -> int:
@@ -224,7 +240,17 @@ def _forces(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]
         slanted = tangential in columns and largest(columns[tangential]) > 0.0
         drawn = (normal, tangential) if slanted else (normal,)
         marked = (region,) if region in struck else ()
-        found.append(Panel("force", drawn, model.unit(normal), cone=cone, impulses=marked))
+        unit = unit_of("impulse", model.units)
+        found.append(
+            Panel(
+                "force",
+                drawn,
+                model.unit(normal),
+                cone=cone,
+                impulses=marked,
+                impulse_unit=unit,
+            )
+        )
     kept, others = found[:_MOST_FORCES], found[_MOST_FORCES:]
     if others:
         left = tuple(name for panel in others for name in panel.names)

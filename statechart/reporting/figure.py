@@ -20,10 +20,10 @@ from statechart.observation.sampling import Samples
 from statechart.palette import GRID, INK, LINES, RUN
 from statechart.pictures.film import Film
 from statechart.reporting.bands import banded, draw_bands
-from statechart.reporting.curves import Panel, busy_until, curves, largest
+from statechart.reporting.curves import Panel, busy_until, curves, impulse_label, largest, struck
 from statechart.reporting.legends import legend, remark_lines, room
 from statechart.reporting.stack import stack
-from statechart.reporting.thinning import Line, strongest
+from statechart.reporting.thinning import Line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -183,17 +183,10 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
         legend(ax, [*handles, *remark_lines(panel.remarks)])
 
 
-def _struck(trace: Trace, region: str) -> tuple[Array, Array]:
-    """Return when a region was struck, and the normal impulses; of many the greatest."""
-    found = [(jump.t, jump.impulse[region][0]) for jump in trace.jumps if region in jump.impulse]
-    times, impulses = np.array(found).reshape(-1, 2).T
-    return strongest(times, impulses, trace.t_end)
-
-
 def _mark_impulses(ax: Axes, panel: Panel, trace: Trace) -> None:
     """Mark impulses on the axis of forces, which has no place for their size."""
     for region in panel.impulses:
-        times, impulses = _struck(trace, region)
+        times, impulses = struck(trace, region)
         ax.plot(
             times,
             np.zeros(len(times)),
@@ -203,7 +196,7 @@ def _mark_impulses(ax: Axes, panel: Panel, trace: Trace) -> None:
             markeredgecolor="white",
             markeredgewidth=0.5,
             zorder=4,
-            label=f"impulse, up to {largest(impulses):.3g}",
+            label=impulse_label(panel, impulses),
         )
 
 
@@ -211,7 +204,7 @@ def _draw_impulses(ax: Axes, panel: Panel, trace: Trace) -> tuple[float, float]:
     """Draw impulses as stems; return the limits of the axis."""
     greatest = 0.0
     for region, colour in zip(panel.impulses, LINES, strict=False):
-        times, impulses = _struck(trace, region)
+        times, impulses = struck(trace, region)
         ax.vlines(times, 0.0, impulses, color=colour, linewidth=1.2, zorder=3)
         ax.plot(times, impulses, "o", markersize=2.5, color=colour, label=region, zorder=3)
         greatest = max(greatest, largest(impulses))

@@ -111,8 +111,11 @@ def shown(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
     return ends(events, _SHOWN)
 
 
-def change(event: Mapping[str, Any]) -> str:
-    """Return what an event changes, such as ``A: free -> pin; B, C: free again``."""
+def change(event: Mapping[str, Any], most: int | None = None) -> str:
+    """Return what an event changes, such as ``A: free -> pin; B, C: free again``.
+
+    Of more than `most` names that change alike the first are told, and how many there are.
+    """
     before, after = event["from"], event["to"]
     changes: dict[str, list[str]] = {}
     for name in before:
@@ -124,7 +127,13 @@ def change(event: Mapping[str, Any]) -> str:
             changes.setdefault(f"{after[name]} again", []).append(name)
     if len(before) == 1:
         return "".join(changes)
-    return "; ".join(f"{', '.join(names)}: {what}" for what, names in changes.items())
+
+    def cut(names: list[str]) -> str:
+        if most is None or len(names) <= most:
+            return ", ".join(names)
+        return f"{', '.join(names[: most - 1])}, {len(names) - most + 1} more"
+
+    return "; ".join(f"{cut(names)}: {what}" for what, names in changes.items())
 
 
 def _alternatives(rows: Sequence[Mapping[str, Any]]) -> list[Block]:

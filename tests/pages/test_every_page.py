@@ -32,7 +32,8 @@ SLIDER = """(() => { const e = document.querySelector('#slider'); e.scrollIntoVi
 def of_one_mind(browser: Browser, result: statechart.Result) -> dict[str, Any]:
     """Check that slider, clock, modes and cursors show one instant of the run; return it."""
     seen: dict[str, Any] = browser.value(SEEN)
-    assert seen["said"] == f"t = {seen['time']:.6g}"
+    unit = result.runner.model.unit("time")
+    assert seen["said"] == f"t = {seen['time']:.6g} {unit.removeprefix('1')}".rstrip()
     assert seen["slider"] == browser.value("now")
     assert len({round(place, 3) for place in seen["cursors"]}) == 1
     # At the instant of a jump, after it.

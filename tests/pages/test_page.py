@@ -215,6 +215,103 @@ def test_pages_open_without_a_word_on_the_console(name, tmp_path):
                 assert sorted(shown) == sorted(opened.value(found))
 
 
+def panels_of(result, tmp_path) -> tuple[dict, list[dict]]:
+    shown = data_of(result.report(tmp_path / "page.html").read_text(encoding="utf-8"))
+    return shown, shown["panels"]
+
+
+def numbers(text: str, kind: str = "<f4") -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), kind)
+
+
+@pytest.mark.parametrize("name", ["block_on_incline", "bouncing_ball", "bouncing_ball_chart"])
+def test_a_page_ends_where_its_figure_does_and_curves_reach_the_end(name, tmp_path):
+    result = statechart.run(name)
+    shown, panels = panels_of(result, tmp_path)
+    end = numbers(shown["times"], "<f8")[-1]
+    assert end < result.trace.t_end
+    assert shown["cut"]
+    assert end == pytest.approx(result.plot().axes[0].get_xlim()[1])
+    for panel in panels:
+        assert numbers(panel["t"])[-1] == np.float32(end)
+        for name, curve in zip(panel["names"], panel["curves"], strict=True):
+            found = result.observer.sample(result.trace, (name,), times=[end]).columns[name]
+            assert numbers(curve)[-1] == pytest.approx(found[0], abs=1e-6)
+
+
+def test_impulses_are_marked_on_pages_as_on_figures(tmp_path):
+    result = statechart.run("newtons_cradle")
+    _, panels = panels_of(result, tmp_path)
+    (panel,) = (panel for panel in panels if panel["title"] == "impulse in N s")
+    assert [hit["name"] for hit in panel["struck"]] == ["c12", "c23", "c34", "c45"]
+    # Balls of 1 kg at the end of strings of 1 m, let go at 0.3 rad.
+    speed = np.sqrt(2.0 * 9.81 * (1.0 - np.cos(0.3)))
+    for hit in panel["struck"]:
+        assert len(numbers(hit["t"])) == 4
+        np.testing.assert_allclose(numbers(hit["sizes"]), speed, rtol=1e-6)
+    ball = statechart.run("bouncing_ball")
+    _, panels = panels_of(ball, tmp_path)
+    (panel,) = (panel for panel in panels if panel["struck"])
+    (hit,) = panel["struck"]
+    first = 0.9 * np.sqrt(2.0 * 9.81) + np.sqrt(2.0 * 9.81)
+    assert hit["name"] == f"impulse, up to {first:.3g} N s"
+    struck = [jump.t for jump in ball.trace.jumps if jump.impulse]
+    np.testing.assert_allclose(numbers(hit["t"]), struck, rtol=1e-6)
+
+
+def test_reasons_have_no_digits_of_rounding_and_changes_of_many_are_short(tmp_path):
+    shown, _ = panels_of(statechart.run("granular_column", until=0.2), tmp_path)
+    for event in shown["events"]:
+        for number in re.findall(r"\d+\.\d+(?:e-?\d+)?", event["why"]):
+            assert float(number) == float(f"{float(number):.6g}")
+        for part in event["change"].split("; "):
+            assert part.count(",") <= 3
+    assert any(" more: " in event["change"] for event in shown["events"])
+
+
+@in_browser
+def test_what_is_lit_has_the_colour_of_its_state_and_the_rest_is_faint(browser, result):
+    for place in range(len(result.trace.jumps) - 1):
+        browser.click(f"#events tbody tr:nth-child({place + 1})")
+        colour = browser.value("data.regions[0].colours[data.regions[0].state[now]]")
+        lit = "document.querySelector('#diagram g.lit :is(path, polygon)')"
+        rgb = ", ".join(str(int(colour[k : k + 2], 16)) for k in (1, 3, 5))
+        assert browser.value(f"getComputedStyle({lit}).fill") == f"rgb({rgb})"
+        faint = "[...document.querySelectorAll('#diagram g.state:not(.lit)')].map((e) =>"
+        assert set(browser.value(f"{faint} Number(getComputedStyle(e).opacity))")) == {0.4}
+
+
+@in_browser
+def test_a_telephone_shows_curves_legibly(tmp_path):
+    result = statechart.run("compass_walker", until=2.0)
+    shown = result.report(tmp_path / "page.html")
+    with Browser(tmp_path / "browser", width=390) as opened:
+        opened.open(shown)
+        assert opened.value("document.documentElement.scrollWidth") <= 390
+        sizes = "[...document.querySelectorAll('#curves text')].map((e) => 11 * e.getScreenCTM().a)"
+        assert min(opened.value(sizes)) > 10.0
+        beyond = (
+            "[...document.querySelectorAll('#curves text')].map((e) => e.getBBox())"
+            ".filter((b) => b.x < 0 || b.x + b.width > wide).length"
+        )
+        assert opened.value(beyond) == 0
+        opened.value("go(Math.round(last / 2))")
+        assert of_panels(opened) == len(data_of(shown.read_text(encoding="utf-8"))["panels"])
+        # Turned over, it has the room of a table, and shows the same instant.
+        size = {"width": 1000, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+        opened.do("Emulation.setDeviceMetricsOverride", **size)
+        opened.value("new Promise((done) => setTimeout(done, 200))")
+        assert opened.value("wide") == 1000
+        assert opened.value("cursors[0].x1.baseVal.value") == pytest.approx(
+            opened.value("along(times[now])"), rel=1e-5
+        )
+        assert opened.said == []
+
+
+def of_panels(browser: Browser) -> int:
+    return browser.value("document.querySelectorAll('#curves svg').length") - 1
+
+
 @in_browser
 def test_nothing_was_said_on_the_console(browser):
     assert browser.said == []
