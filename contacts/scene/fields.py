@@ -184,6 +184,12 @@ class SceneFields(Declaration):
         used = frozenset[str]().union(*(parse(text).names for text in counts))
         return used & frozenset(self.parameters)
 
+    @property
+    def timers(self) -> frozenset[str]:
+        """Variables that nobody declared: what transitions of controllers wait by."""
+        flat = self.controlled.flat.values()
+        return frozenset(timer for region in flat for timer in region.timers)
+
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the scene itself, or the one with as many copies as `overrides` make."""
         if not self.whole or copies(self, self.values()) == copies(self, self.values(overrides)):

@@ -101,6 +101,11 @@ class Chart(Declaration):
         """The regions as the executor knows them."""
         return {name: flatten(name, r, "regions", name) for name, r in self.regions.items()}
 
+    @property
+    def timers(self) -> frozenset[str]:
+        """Variables that nobody declared: what transitions wait by."""
+        return frozenset(timer for region in self.flat.values() for timer in region.timers)
+
     def stated(self, name: str) -> Quantity:
         """Return what a name of the chart measures: a variable that transitions wait by, too."""
         dimension = timed(self.flat.values(), name)
@@ -153,7 +158,7 @@ class Chart(Declaration):
         for name, declared in self.regions.items():
             found = list(declared_transitions(declared, "regions", name))
             check_listening(name, found, causes, states, alone=("zeno",))
-        timers = {timer for region in self.flat.values() for timer in region.timers}
+        timers = self.timers
         check_uses(self, names | timers, states, causes)
         return self
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from statechart.automaton.automaton import Automaton
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 _MOST_CELLS = 16
 # Of a run that went through more modes the first steps are drawn.
 _MOST_VISITED = 12
+# Regions of an arrow that are named.
+_NAMED = 2
 
 
 def needs_run(automaton: Automaton) -> bool:
@@ -199,12 +202,17 @@ def _run(
     automaton: Automaton, trace: Trace, modes: nx.MultiDiGraph
 ) -> tuple[Chart, tuple[str, ...]]:
     """Return the modes that a run visited, named by what is not at its default; and notes."""
-    path = passed(automaton, trace)
+    if trace.step is None:
+        path = passed(automaton, trace)
+        links = _taken(automaton, modes)
+    else:
+        path, links = _stepped(automaton, trace)
     told = path
-    if len(modes) > _MOST_VISITED:
+    if len(set(path)) > _MOST_VISITED:
         told = path[:MOST_STEPS]
     shown = list(dict.fromkeys(told))
-    regions = list(zip(automaton.regions, zip(*modes, strict=True), strict=True))
+    visits = Counter(path)
+    regions = list(zip(automaton.regions, zip(*visits, strict=True), strict=True))
     changing = [k for k, (_, states) in enumerate(regions) if len(set(states)) > 1]
     changing = changing or [k for k, (r, _) in enumerate(regions) if len(r.states) > 1]
     changing = changing or list(range(len(regions)))
@@ -215,41 +223,77 @@ def _run(
             Node(
                 _name(key),
                 label,
-                initial=key == trace.start_mode,
-                visits=modes.nodes[key]["visits"],
+                initial=key == path[0],
+                visits=visits[key],
                 colours=tuple(automaton.colours[r.name][state] for r, state in lines),
             )
         )
     notes = list(_notes(automaton))
     if len(told) < len(path):
         notes.append(
-            f"{len(modes)} modes in {len(path)} steps, of which the first {len(told)} are drawn"
+            f"{len(visits)} modes in {len(path)} steps, of which the first {len(told)} are drawn"
         )
     resting: dict[str, list[str]] = {}
     for k, (region, states) in enumerate(regions):
         if k not in changing and len(region.states) > 1:
             resting.setdefault(states[0], []).append(region.name)
     notes += [f"always {state}: {', '.join(cut(names))}" for state, names in resting.items()]
-    links = _taken(automaton, modes, shown)
-    return Chart(tuple(nodes), links, "modes of the run", tuple(map(_name, told))), tuple(notes)
+    drawn = {_name(key) for key in shown}
+    seen = tuple(link for link in links if {link.source, link.target} <= drawn)
+    return Chart(tuple(nodes), seen, "modes of the run", tuple(map(_name, told))), tuple(notes)
 
 
-def _taken(automaton: Automaton, modes: nx.MultiDiGraph, shown: Sequence[Key]) -> tuple[Link, ...]:
+def _stepped(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[Link]]:
+    """Return the modes that steps led to, and the links between them.
+
+    What changes in a step changes at once: the order in which its jumps are written tells nothing.
+    """
+    path = [trace.start_mode]
+    made: dict[tuple[Key, Key], Counter[str]] = {}
+    whose: dict[tuple[Key, Key, str], dict[str, None]] = {}
+    for _, jumps in groupby(trace.jumps, key=lambda jump: jump.t):
+        together = [jump for jump in jumps if jump.region]
+        if not together or together[-1].target == path[-1]:
+            continue
+        ends = path[-1], together[-1].target
+        path.append(ends[1])
+        made.setdefault(ends, Counter()).update({jump.cause for jump in together})
+        for jump in together:
+            whose.setdefault((*ends, jump.cause), {})[jump.region] = None
+    single = len(_moving(automaton)) == 1
+    links = [
+        Link(
+            _name(ends[0]), _name(ends[1]), cause, "", "", count,
+            "" if single else _several([*whose[*ends, cause]]),
+        )
+        for ends, causes in made.items()
+        for cause, count in causes.items()
+    ]  # fmt: skip
+    return tuple(path), links
+
+
+def _several(names: Sequence[str]) -> str:
+    """Return names for an arrow: of more than two the first, and how many others."""
+    if len(names) <= _NAMED:
+        return " and ".join(names)
+    return f"{names[0]} and {len(names) - 1} more"
+
+
+def _taken(automaton: Automaton, modes: nx.MultiDiGraph) -> list[Link]:
     """Return the jumps of a run; those that differ in their regions alone are one link."""
-    known = set(shown)
     made: dict[tuple[Key, Key, str, str, str], Counter[str]] = {}
     for source, target, data in modes.edges(data=True):
-        if data["visits"] and source in known and target in known:
+        if data["visits"]:
             alike = source, target, data["event"], data["guard"], data["reset"]
             made.setdefault(alike, Counter())[data["region"]] += data["visits"]
     single = len(_moving(automaton)) == 1
-    return tuple(
+    return [
         Link(
             _name(source), _name(target), event, guard, reset, counts.total(),
             "" if single else ", ".join(cut([*counts])),
         )
         for (source, target, event, guard, reset), counts in made.items()
-    )  # fmt: skip
+    ]  # fmt: skip
 
 
 def _notes(automaton: Automaton) -> tuple[str, ...]:

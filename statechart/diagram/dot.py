@@ -21,8 +21,8 @@ _WIDTH, _WIDE = 740.0, 800.0
 # Characters a line of what is below the title, and of a cell of the legend.
 _LINE, _CELL = 110, 44
 _GAP = 18.0
-# 3000 pixels at 144 a inch, which no picture is larger than.
-_LARGEST = "20.8,20.8"
+# 2000 pixels at 144 a inch, which no picture is larger than.
+_LARGEST = "13.88,13.88"
 
 
 def dot(diagram: Diagram, guards: Guards = "legend") -> str:

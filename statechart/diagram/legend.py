@@ -64,13 +64,20 @@ def legend(diagram: Diagram, guards: Guards = "legend") -> Legend:
             if (link.guard or link.reset) and link.cause in shown:
                 routes.setdefault((link.cause, link.guard, link.reset), []).append(link)
     often = [cause for cause, _, _ in routes]
+    # Labels of regions' own charts; the name of a mode is the states of its regions.
+    states = {word for node in diagram.nodes for word in (node.label, *node.name.split())}
     return Legend(
         tuple(
             Meaning(cause, _route(links, named) if often.count(cause) > 1 else "", guard, reset)
             for (cause, guard, reset), links in routes.items()
         ),
         tuple(
-            dict.fromkeys(_condition(n) for piece in pieces for n in piece.nodes if n.invariants)
+            dict.fromkeys(
+                _condition(node)
+                for piece in pieces
+                for node in piece.nodes
+                if node.invariants and node.label in states
+            )
         ),
         reasons,
     )

@@ -132,8 +132,9 @@ def mode_label(
         together.setdefault(state, []).append((region, state))
     lines = []
     for state, of in together.items():  # many names make boxes of which few are beside each other
-        which = of[0][0].name if len(of) == 1 else f"{len(of)} of {len(states)}"
-        lines.append(f"{state}: {which}")
+        alike = sum(state in region.states for region, _ in states)
+        alone = len(of) == 1
+        lines.append(f"{of[0][0].name} {state}" if alone else f"{state}: {len(of)} of {alike}")
     return "\n".join(lines), tuple(of[0] for of in together.values())
 
 

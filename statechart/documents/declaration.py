@@ -150,6 +150,11 @@ class Declaration(Part):
         """Parameters that count something: their values are whole numbers."""
         return frozenset()
 
+    @property
+    def timers(self) -> frozenset[str]:
+        """Variables that nobody declared: what transitions wait by."""
+        return frozenset()
+
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the model that runs with `overrides`: another where they change what it has."""
         return self

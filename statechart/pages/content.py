@@ -74,7 +74,7 @@ def content(
     film = None if stage is None else filmed(stage, observer, trace, times)
     samples = observer.sample(trace, automaton.names[:1], times=times)
     keys = [samples.modes[place] for place in samples.mode]
-    rows = banded(trace)
+    rows = banded(automaton, trace)
     return {
         "title": trace.name,
         "doc": automaton.declaration.doc,

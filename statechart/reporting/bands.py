@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -25,12 +26,18 @@ Stretches = dict[str, list[tuple[float, float]]]
 _MOST_BANDS, _MOST_NAMED = 12, 24
 
 
-def banded(trace: Trace) -> list[int]:
-    """Return the regions whose modes are shown: all, or of many the first ones that change."""
+def banded(automaton: Automaton, trace: Trace) -> list[int]:
+    """Return the regions whose modes are shown: all, or of many the first ones that change.
+
+    Before those that are one of many come those that have states of their own, such as controllers.
+    """
     places = list(range(len(trace.regions)))
     if len(places) > _MOST_BANDS:
         changing = [k for k in places if len(_stretches(trace, k)) > 1 or _instants(trace, k)]
-        places = (changing or places)[:_MOST_BANDS]
+        states = {region.name: region.states for region in automaton.regions}
+        alike = Counter(states[name] for name in trace.regions)
+        own = sorted(changing or places, key=lambda k: alike[states[trace.regions[k]]] > 1)
+        places = sorted(own[:_MOST_BANDS])
     return places
 
 
@@ -38,7 +45,7 @@ def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None
     """Draw one row per region, the first on top, its states as coloured stretches of time."""
     from matplotlib.patches import Patch
 
-    places = banded(trace)
+    places = banded(automaton, trace)
     unnamed: dict[str, Artist] = {}
     for y, row in zip(reversed(range(len(places))), places, strict=True):
         colours = automaton.colours[trace.regions[row]]

@@ -172,8 +172,15 @@ def without_rounding(automaton: Automaton, trace: Trace, samples: Samples) -> Sa
 
 def _chosen(title: str, names: Sequence[str], unit: str, samples: Samples) -> Panel:
     """Return a panel of the curves that move most, in their order."""
-    ranges = {name: float(np.ptp(np.nan_to_num(samples.columns[name]))) for name in names}
-    kept = sorted(names, key=lambda name: -ranges[name])[:MOST]
+    columns = {name: np.nan_to_num(samples.columns[name]) for name in names}
+    nothing = _NOTHING * max(map(largest, columns.values()))
+
+    def order(name: str) -> tuple[float, float]:
+        """Order by how far a curve moves, of those that stand by how far off zero."""
+        moves = float(np.ptp(columns[name]))
+        return -moves if moves > nothing else 0.0, -largest(columns[name])
+
+    kept = sorted(names, key=order)[:MOST]
     drawn = tuple(name for name in names if name in kept)
     return Panel(title, drawn, unit, tuple(name for name in names if name not in kept))
 
@@ -187,6 +194,8 @@ def _states(automaton: Automaton, samples: Samples) -> list[Panel]:
     few = len(automaton.names) < _MOST_PANELS
     groups: dict[tuple[str, str], list[str]] = {}
     for k, name in enumerate(automaton.names):
+        if name in model.timers:
+            continue
         dimension, unit = model.quantity(name).dimension, model.unit(name)
         title = _STATES.get(dimension, "")
         if not title and speeds:

@@ -32,13 +32,11 @@ if TYPE_CHECKING:
 
 _MOST_LABELLED = 24
 # Of more the lines make a grey area, which tells nothing that bands of modes do not.
-_MOST_LINES = 150
+_MOST_LINES = 75
 # Between a label that ends at its event and one that begins there, of the width.
 _GAP = 0.02
 # Lines of labels, and how far apart they are in points.
 _LEVELS, _LINE = 3, 10.0
-# A longer label would be higher than a low panel, and stands in two lines.
-_LABEL = 16
 # How high a panel is, of few and of many.
 _TALL, _LOW, _MANY = 1.3, 0.95, 5
 
@@ -98,7 +96,7 @@ def figure(
 
     samples, panels = curves(observer, trace)
     end = busy_until(trace, samples, panels) or 1.0
-    bands = len(banded(trace)) or 1
+    bands = len(banded(observer.automaton, trace)) or 1
     each = _TALL if len(panels) < _MANY else _LOW
     heights = [*(each for _ in panels), 0.26 * bands]
     with rc_context(STYLE):
@@ -171,9 +169,7 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
     elif panel.impulses:
         low, high = _draw_impulses(ax, panel, trace)
     ax.set_ylim(low, high)
-    ax.set_ylabel(
-        panel.label if len(panel.label) <= _LABEL else panel.label.replace(" in ", "\nin ")
-    )
+    ax.set_ylabel(panel.label)
     ax.grid(visible=True, color=GRID, linewidth=0.6)
     ax.set_axisbelow(True)
     for side in ("top", "right"):

@@ -276,12 +276,12 @@ def test_a_diagram_shows_itself_in_a_notebook():
     assert shown["image/svg+xml"] == one_contact()._repr_svg_()
 
 
-def test_no_picture_is_larger_than_3000_pixels(tmp_path):
+def test_no_picture_is_larger_than_2000_pixels(tmp_path):
     nodes = tuple(Node(f"n{k}", f"a state of a long chain {k}") for k in range(60))
     links = [Link(a.name, b.name, "go", "", "") for a, b in itertools.pairwise(nodes)]
     write(single("t", nodes, links), tmp_path / "x.png")
     with Image.open(tmp_path / "x.png") as picture:
-        assert 2500 < max(picture.size) <= 3000
+        assert 1800 < max(picture.size) <= 2000
 
 
 def test_every_renderer_tells_the_path():

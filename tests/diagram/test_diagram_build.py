@@ -150,6 +150,27 @@ def test_of_a_run_through_many_modes_the_first_steps_are_drawn() -> None:
     assert any("of which the first 16 are drawn" in note for note in diagram.notes)
 
 
+def test_what_changes_in_a_step_changes_at_once() -> None:
+    runner = Runner("box_stack")
+    trace = runner.run().trace
+    assert len(trace.jumps) == 5  # one for every box, all at the start
+    diagram = build(runner.automaton, trace.start_mode, trace)
+    run = diagram.charts[0]
+    assert run.path == (" ".join(["free"] * 5), " ".join(["pin"] * 5))
+    assert [node.visits for node in run.nodes] == [1, 1]
+    (link,) = run.links
+    assert (link.event, link.visits) == ("box0 and 4 more touchdown", 1)
+
+
+def test_of_a_run_alone_the_legend_tells_the_states_that_it_was_in() -> None:
+    runner = Runner("toppling_stick")
+    trace = runner.run().trace
+    whole = legend(build(runner.automaton, trace.start_mode))
+    alone = legend(build(runner.automaton, trace.start_mode, trace, visited=True))
+    assert [state for state, _ in whole.states] == ["free", "slide+", "slide-", "pin"]
+    assert [state for state, _ in alone.states] == ["slide+", "slide-", "pin"]
+
+
 def test_modes_are_named_by_what_is_not_at_its_default() -> None:
     regions = automaton("woodpecker").regions
     names = [
@@ -171,7 +192,7 @@ def test_a_mode_of_many_closed_contacts_is_named_by_their_states() -> None:
     contacts = [replace(region, name=f"c{k}") for k in range(12)]
     states = ["pin"] * 10 + ["slide+", "free"]
     label, told = mode_label(list(zip(contacts, states, strict=True)))
-    assert label == "pin: 10 of 12\nslide+: c10"
+    assert label == "pin: 10 of 12\nc10 slide+"
     assert [(region.name, state) for region, state in told] == [("c0", "pin"), ("c10", "slide+")]
 
 

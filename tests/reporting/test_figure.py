@@ -200,7 +200,7 @@ def test_what_is_zero_all_along_has_no_axis_and_is_named() -> None:
 
 def test_of_many_regions_those_that_change_have_a_row() -> None:
     result = Runner("rimless_wheel").run()
-    rows = [result.trace.regions[k] for k in banded(result.trace)]
+    rows = [result.trace.regions[k] for k in banded(result.observer.automaton, result.trace)]
     assert rows == [f"s{k}" for k in range(8)]  # the others are off all the time
     band = figure(result.observer, result.trace).axes[-1]
     (said,) = [text.get_text() for text in band.get_legend().get_texts()]
@@ -220,6 +220,48 @@ def test_nothing_is_cut_off_and_legends_are_apart(name: str) -> None:
     assert len(boxes) > 3
     for k, box in enumerate(boxes):
         assert not any(box.overlaps(other) for other in boxes[:k])
+
+
+@pytest.mark.parametrize("name", ["sampled_balance", "rocking_block"])
+def test_words_at_axes_are_apart(name: str) -> None:
+    drawing = Runner(name).run().plot()
+    drawing.draw_without_rendering()
+    labelled = [ax.yaxis.label for ax in drawing.axes if ax.get_ylabel()]
+    said = [label.get_window_extent().padded(3.0) for label in labelled]
+    assert len(said) > 4
+    for k, box in enumerate(said):
+        assert not any(box.overlaps(other) for other in said[:k])
+
+
+def test_what_transitions_wait_by_is_not_drawn() -> None:
+    result = Runner("sampled_balance").run(until=0.1)
+    timers = result.observer.automaton.declaration.timers
+    assert timers == {"controller.sample_clock", "controller.sample_count"}
+    _, panels = curves(result.observer, result.trace)
+    told = {name for p in panels for name in (*p.names, *p.left_out, *p.nothing)}
+    assert not told & timers
+    assert {"held", "sum"} <= told
+
+
+def test_a_controller_among_many_bodies_has_a_row() -> None:
+    result = Runner("silo").run(until=0.1)
+    assert len(result.trace.regions) == 152
+    rows = [result.trace.regions[k] for k in banded(result.observer.automaton, result.trace)]
+    assert len(rows) == 12
+    assert rows[-1] == "valve"
+
+
+def test_of_curves_that_stand_those_far_off_zero_are_drawn() -> None:
+    result = Runner("box_stack").run()
+    _, (position, *_) = curves(result.observer, result.trace)
+    # Boxes of 0.1 m on each other, moved aside by 0.02 m each: the lowest is at 0 and 0.05 m.
+    assert position.names == ("box1.y", "box2.y", "box3.y", "box4.x", "box4.y")
+
+
+def test_impulses_have_a_unit_where_forces_have_the_axis() -> None:
+    result = Runner("bouncing_ball").run()
+    force = figure(result.observer, result.trace).axes[-2]
+    assert labels(force)[-1] == f"impulse, up to {1.9 * math.sqrt(2 * 9.81):.3g} N s"
 
 
 def test_powers_of_ten_stand_above_their_axes_and_below_others() -> None:
