@@ -36,7 +36,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
             transition.source,
             transition.target,
             transition.trigger,
-            ", ".join(filter(None, (transition.reset, *changed))),
+            ", ".join(filter(None, (transition.reset(flat.timers), *changed))),
         )
 
     edges = tuple(map(edge, flat.transitions))

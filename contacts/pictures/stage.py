@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 
 from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.mechanics import Mechanics
@@ -75,7 +76,10 @@ class SceneStage:
             self._touch(name, moments, poses) for name in scene.contacts if name not in never
         )
         force = _usual(touches)
-        centres, half = self._window(moments, shapes, poses, touches, force)
+        closed = [
+            np.array([states[t.region][k] not in OPEN for k in modes[:, t.region]]) for t in touches
+        ]
+        centres, half = self._window(moments, shapes, poses, touches, closed, force)
         unit = 2.0 * max(half)
         poses = self._held(poses, moments, HATCH * unit)
         carried = self._grounds(moments, poses, centres, 1.05 * np.array(half))
@@ -102,6 +106,7 @@ class SceneStage:
         shapes: Sequence[Shape],
         poses: Array,
         touches: Sequence[Touch],
+        closed: Sequence[NDArray[np.bool_]],
         force: float,
     ) -> tuple[Array, tuple[float, float]]:
         """Return the window on bodies, contacts, arrows of forces, and what holds the bodies."""
@@ -114,7 +119,8 @@ class SceneStage:
         cloud = beside(cloud, held, poses)
         _, half = window(cloud)
         tips = [(t.places + arrows(t.forces, half, force))[:, None] for t in touches]
-        return window(np.concatenate([cloud, *tips, *(cones(t, half) for t in touches)], axis=1))
+        rims = [cones(t, half, when) for t, when in zip(touches, closed, strict=True)]
+        return window(np.concatenate([cloud, *tips, *rims], axis=1))
 
     def _grounds(
         self, moments: Moments, poses: Array, centres: Array, reach: Array

@@ -60,10 +60,10 @@ class FlatTransition:
         """What fires it, in words."""
         return " and ".join(dict.fromkeys(member.trigger for member in self.members))
 
-    @property
-    def reset(self) -> str:
-        """What it sets, in words."""
-        return ", ".join(f"{n} := {update}" for block in self.blocks for n, update in block.items())
+    def reset(self, apart: Collection[str] = ()) -> str:
+        """Return what it sets, in words, apart from some variables."""
+        updates = (update for block in self.blocks for update in block.items())
+        return ", ".join(f"{name} := {to}" for name, to in updates if name not in apart)
 
 
 class Shared(NamedTuple):
@@ -127,7 +127,7 @@ class FlatRegion:
     def edges(self) -> tuple[Edge, ...]:
         """The transitions as text for people, in their order."""
         return tuple(
-            Edge(t.name, t.source, t.target, t.trigger, t.reset, on_zeno=t.on_zeno)
+            Edge(t.name, t.source, t.target, t.trigger, t.reset(self.timers), on_zeno=t.on_zeno)
             for t in self.transitions
         )
 

@@ -38,6 +38,8 @@ MOST_EVENTS = 300
 _FEW, _CHANGED = 60, 9000
 # Points of a curve; a diagram of more modes is not looked at.
 _POINTS, _NODES = 1200, 40
+# How wide the moving scene is, in its own units.
+_PICTURE = 1000.0
 # Of a number in a table, and in a reason: what rounding does is not seen.
 _DIGITS, _REASON = 10, 6
 # Names of what changes alike at an event.
@@ -124,22 +126,25 @@ def _regions(
 
 
 def _film(film: Film) -> dict[str, Any]:
+    """Return a film whose lengths are parts of its picture: browsers draw none of a micrometre."""
+    part = _PICTURE / film.unit
+    place = np.array([part, part, 1.0])
     return {
-        "half": film.half,
-        "unit": film.unit,
-        "arrow": film.arrow,
+        "half": [part * film.half[0], part * film.half[1]],
+        "unit": _PICTURE,
+        "arrow": part * film.arrow,
         "usual": film.force,
         "longest": LONGEST * film.force,
         "trails": film.trails,
         "frames": film.poses.shape[1],
-        "poses": _packed(film.poses, np.float32),
-        "centres": _packed(film.centres, np.float32),
-        "shapes": [_shape(film, shape) for shape in film.shapes],
+        "poses": _packed(film.poses * place, np.float32),
+        "centres": _packed(part * film.centres, np.float32),
+        "shapes": [_shape(film, shape, part) for shape in film.shapes],
         "touches": [
             {
                 "name": touch.name,
                 "region": touch.region,
-                "places": _packed(touch.places, np.float32),
+                "places": _packed(part * touch.places, np.float32),
                 "normals": _packed(touch.normals, np.float32),
                 "forces": _packed(touch.forces, np.float32),
                 "friction": _packed(touch.friction, np.float32),
@@ -149,18 +154,18 @@ def _film(film: Film) -> dict[str, Any]:
     }
 
 
-def _shape(film: Film, shape: Shape) -> dict[str, Any]:
+def _shape(film: Film, shape: Shape, part: float) -> dict[str, Any]:
     made: dict[str, Any] = {
         "kind": shape.kind,
-        "points": _short(shape.points),
+        "points": _short(part * shape.points),
         "frame": shape.frame,
         "other": shape.other,
-        "radius": shape.radius,
+        "radius": part * shape.radius,
         "region": shape.region,
         "name": shape.name,
     }
     if shape.kind == "ground":
-        made["strokes"] = _short(strokes(shape.points, film.spacing).reshape(-1, 4))
+        made["strokes"] = _short(part * strokes(shape.points, film.spacing).reshape(-1, 4))
     return made
 
 

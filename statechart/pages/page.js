@@ -15,6 +15,10 @@ const made = (parent, tag, attributes = {}, text = null) => {
   return parent.appendChild(node);
 };
 const short = (x) => String(Number(x.toPrecision(6)));
+const level = (x) => {
+  const plain = String(Number(x.toPrecision(3)));
+  return plain.length < 9 ? plain : x.toExponential(2).replace(/\.?0+e/, "e");
+};
 
 // The scene: y is up, so every place is written with its y turned round.
 const film = data.film;
@@ -143,9 +147,12 @@ if (film) {
 // The statechart, its active mode lit.
 byId("diagram").innerHTML = data.chart.svg;
 const nodes = new Map();
-for (const node of byId("diagram").querySelectorAll("g.node"))
-  nodes.set(node.querySelector("title").textContent, node);
-for (const name of data.chart.states) nodes.get(name)?.classList.add("state");
+for (const node of byId("diagram").querySelectorAll("g.node")) {
+  // A mode that a path passes again stands in it again.
+  const name = node.querySelector("title").textContent.replace(/^_.*again_\d+_/, "");
+  nodes.set(name, [...(nodes.get(name) ?? []), node]);
+}
+for (const name of data.chart.states) for (const node of nodes.get(name) ?? []) node.classList.add("state");
 for (const title of byId("diagram").querySelectorAll("title")) title.remove();
 const seen = document.querySelector(".seen");
 if (!film || !data.chart.svg) seen.classList.add("alone");
@@ -160,7 +167,7 @@ moving.push((k) => {
   if (mode[k] === lit) return;
   lit = mode[k];
   const active = new Set(data.chart.nodes[lit]);
-  for (const [name, node] of nodes) node.classList.toggle("lit", active.has(name));
+  for (const [name, those] of nodes) for (const node of those) node.classList.toggle("lit", active.has(name));
 });
 
 // Curves with a cursor. Names have room on both sides, on narrow screens above.
@@ -228,10 +235,10 @@ function drawn(panel, narrow) {
   const most = finite.reduce((a, b) => Math.max(a, b), 0);
   const scale = (high - above - 6) / (most - low || 1);
   const up = (v) => above + (most - v) * scale;
-  const apart = [low, most].filter((level) => Math.abs(up(level) - up(0)) > 12);
-  for (const level of [0, ...apart]) {
-    made(plot, "line", { x1: left, x2: right, y1: up(level), y2: up(level), style: "stroke: var(--grid)" });
-    made(plot, "text", { x: left - 6, y: up(level) + 4, "text-anchor": "end" }, short(Number(level.toPrecision(3))));
+  const apart = [low, most].filter((v) => Math.abs(up(v) - up(0)) > 12);
+  for (const v of [0, ...apart]) {
+    made(plot, "line", { x1: left, x2: right, y1: up(v), y2: up(v), style: "stroke: var(--grid)" });
+    made(plot, "text", { x: left - 6, y: up(v) + 4, "text-anchor": "end" }, level(v));
   }
   const line = (v, style) => {
     let d = "";

@@ -166,17 +166,19 @@ def arrows(forces: Array, half: tuple[float, float], force: float) -> Array:
     return found
 
 
-def cones(touch: Touch, half: tuple[float, float]) -> Array:
+def cones(touch: Touch, half: tuple[float, float], closed: NDArray[np.bool_]) -> Array:
     """Return the ends (k, 3, 2) of the friction cones of a contact: both edges and the middle.
 
     Parameters
     ----------
     touch : Touch
-        The contact; where it has no force, the ends are its place.
+        The contact.
     half : (float, float)
         Of the film, see `Film`.
+    closed : (k,) array of bool
+        When it has a cone; else the ends are its place.
     """
-    edge = np.arctan(touch.friction) * touch.forces.any(axis=1)
+    edge = np.arctan(touch.friction) * closed
     turn = edge[:, None] * np.array([-1.0, 0.0, 1.0])
     (x, y), (c, s) = touch.normals.T[:, :, None], (np.cos(turn), np.sin(turn))
     rim = np.stack([c * x - s * y, s * x + c * y], axis=-1)

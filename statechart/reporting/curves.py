@@ -219,7 +219,8 @@ def _without_nothing(panels: Sequence[Panel], samples: Samples) -> list[Panel]:
 
 def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
     columns, model = samples.columns, automaton.declaration
-    scale = max((largest(columns[name]) for name in automaton.names), default=0.0)
+    lengths = [n for n in automaton.names if model.quantity(n).dimension == "length"]
+    scale = max((largest(columns[name]) for name in lengths or automaton.names), default=0.0)
     names = []
     for region in trace.regions:
         gap = columns.get(f"{region}.gap")

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from browser import FOUND, Browser
+from PIL import Image
 
 import statechart
 from statechart import StatechartError
@@ -306,6 +307,59 @@ def test_a_telephone_shows_curves_legibly(tmp_path):
             opened.value("along(times[now])"), rel=1e-5
         )
         assert opened.said == []
+
+
+ROD = """\
+kind: scene
+name: a_rod_whose_name_has_as_many_as_42_letters
+units: SI
+parameters: {{L: {length}}}
+gravity: 9.81
+bodies: {{rod: {{mass: 1, inertia: L**2/12, start: {{y: L, angle: 0.3}}}}}}
+surfaces: {{ground: {{height: 0}}}}
+contacts:
+  {one}: {{point: {{body: rod, at: [-L/2, 0]}}, surface: ground, friction: 0.4, restitution: 0.3}}
+  two: {{point: {{body: rod, at: [L/2, 0]}}, surface: ground, friction: 0.4, restitution: 0.3}}
+stop: {{time: 4*sqrt(L/9.81)}}
+"""
+
+
+@in_browser
+@pytest.mark.parametrize("length", ["1e-6", "1e5"])
+@pytest.mark.parametrize("width", [390, 1000])
+def test_lengths_of_any_size_and_long_names_are_shown(length, width, tmp_path):
+    file = tmp_path / "rod.yaml"
+    file.write_text(ROD.format(length=length, one="the_end_on_the_left_of_this_very_long_rod"))
+    shown = statechart.run(file).report(tmp_path / "page.html")
+    with Browser(tmp_path / "browser", width=width) as opened:
+        opened.open(shown)
+        assert opened.value("document.documentElement.scrollWidth") <= width
+        opened.screenshot(tmp_path / "shot.png")
+        picture = np.asarray(Image.open(tmp_path / "shot.png").convert("RGB"))
+        # The colour of bodies; where they have a place, and are not painted, there is none.
+        body = (picture == (0xC5, 0xD3, 0xE2)).all(axis=2)
+        assert np.count_nonzero(body.any(axis=0)) > 100
+        beyond = (
+            "[...document.querySelectorAll('#curves text')].map((e) => e.getBBox())"
+            ".filter((b) => b.x < 0 || b.x + b.width > wide).length"
+        )
+        assert opened.value(beyond) == 0
+        assert opened.said == []
+
+
+@in_browser
+def test_a_mode_that_comes_again_is_lit_wherever_it_stands(tmp_path):
+    result = statechart.run("woodpecker", until=0.3)
+    with Browser(tmp_path / "browser") as opened:
+        opened.open(result.report(tmp_path / "page.html"))
+        words = "[...document.querySelectorAll('#diagram g.{}')].map((e) => e.textContent.trim())"
+        states = opened.value(words.format("state"))
+        assert len(states) > len(set(states)) > 3  # it is free again and again
+        for part in (0.1, 0.4, 0.7, 1.0):
+            opened.value(f"go(Math.round({part} * last))")
+            lit = opened.value(words.format("lit"))
+            assert len(set(lit)) == 1
+            assert len(lit) == states.count(lit[0])
 
 
 def of_panels(browser: Browser) -> int:

@@ -222,6 +222,29 @@ def test_nothing_is_cut_off_and_legends_are_apart(name: str) -> None:
         assert not any(box.overlaps(other) for other in boxes[:k])
 
 
+ROD = """\
+kind: scene
+name: rod
+gravity: 9.81
+bodies: {rod: {mass: 1, inertia: L**2/12, start: {y: L, angle: 0.3}}}
+parameters: {L: 1}
+surfaces: {ground: {height: 0}}
+contacts:
+  one: {point: {body: rod, at: [-L/2, 0]}, surface: ground, friction: 0.4, restitution: 0.3}
+  two: {point: {body: rod, at: [L/2, 0]}, surface: ground, friction: 0.4, restitution: 0.3}
+stop: {time: 4*sqrt(L/9.81)}
+"""
+
+
+def test_panels_do_not_depend_on_the_unit_of_length() -> None:
+    found = []
+    for length in ("1e-6", "1", "1e5"):
+        result = Runner(read_text(ROD.replace("L: 1", f"L: {length}"))).run()
+        _, panels = curves(result.observer, result.trace)
+        found.append([(panel.title, panel.names) for panel in panels])
+    assert found[0] == found[1] == found[2]
+
+
 @pytest.mark.parametrize("name", ["sampled_balance", "rocking_block"])
 def test_words_at_axes_are_apart(name: str) -> None:
     drawing = Runner(name).run().plot()

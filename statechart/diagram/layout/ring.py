@@ -20,8 +20,9 @@ from statechart.diagram.legend import drawn_once
 from statechart.diagram.model import Chart
 from statechart.palette import RUN
 
-# Points: what a row may take; a line on each side of its words; between words and a line's end.
-_WIDTH, _ROOM, _AIR = 740.0, 16.0, 3.0
+# Points: what a row may take, and in a picture that were higher than that; a line on each side of
+# its words; between words and a line's end.
+_WIDTH, _WIDEST, _ROOM, _AIR = 740.0, 980.0, 16.0, 3.0
 # Between fewer modes there is nothing to see.
 _LEAST = 3
 # What comes again in the same order is a round from so many on.
@@ -88,7 +89,7 @@ def ring(chart: Chart, style: Style, prefix: str) -> Block | None:
         return None
     nodes = {node.name: replace(node, visits=None) for node in chart.nodes}
     names = [
-        f"{prefix}again_{k}" if name in found.order[:k] else style.names[name]
+        f"{prefix}again_{k}_{style.names[name]}" if name in found.order[:k] else style.names[name]
         for k, name in enumerate(found.order)
     ]
     looks: dict[str, Look] = {
@@ -108,6 +109,8 @@ def ring(chart: Chart, style: Style, prefix: str) -> Block | None:
         cell[k] + max((sizes[n][k] for n in labels), default=0.0) + 2 * _ROOM for k in (0, 1)
     )
     most = 1 + int((_WIDTH - cell[0]) // pitch[0])
+    if ceil(len(names) / max(most, 2)) * pitch[1] > _WIDTH:
+        most = 1 + int((_WIDEST - cell[0]) // pitch[0])
     spots = [(x * pitch[0], -y * pitch[1]) for x, y in _spots(found, most)]
     boxes = [Box(n, spot, cell, looks[n]) for n, spot in zip(names, spots, strict=True)]
     arrows = []
