@@ -29,6 +29,7 @@ from statechart.reporting.bands import banded, unbanded
 from statechart.reporting.curves import Panel, busy_until, curves, impulse_label, largest, struck
 from statechart.reporting.film import filmed, stage_of
 from statechart.reporting.text import change, explanation
+from statechart.reporting.thinning import Line
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
 _MOST, _LEAST, _NUMBERS = 600, 120, 150_000
@@ -191,11 +192,10 @@ def _until(observer: Observer, trace: Trace, samples: Samples, end: float) -> Sa
 def _panels(trace: Trace, samples: Samples, found: Sequence[Panel]) -> list[dict[str, Any]]:
     end = float(samples.t[-1])
     chosen = _rows(samples, end)
-    # A jump takes no time: the curve is broken there.
-    breaks = np.flatnonzero(np.diff(samples.j[chosen])) + 1
+    line = Line.of(replace(samples, t=samples.t[chosen], j=samples.j[chosen]))
 
-    def broken(values: Array) -> str:
-        return _packed(np.insert(values[chosen], breaks, np.nan), np.float32)
+    def drawn(values: Array) -> str:
+        return _packed(line.values(values[chosen]), np.float32)
 
     made = []
     for panel in found:
@@ -203,13 +203,13 @@ def _panels(trace: Trace, samples: Samples, found: Sequence[Panel]) -> list[dict
         cone = None
         if panel.cone is not None:
             name, friction = panel.cone
-            cone = broken(np.broadcast_to(friction * samples.columns[name], samples.t.shape))
+            cone = drawn(np.broadcast_to(friction * samples.columns[name], samples.t.shape))
         made.append(
             {
                 "title": panel.label,
-                "t": broken(samples.t),
+                "t": _packed(line.times, np.float32),
                 "names": list(names),
-                "curves": [broken(samples.columns[name]) for name in names],
+                "curves": [drawn(samples.columns[name]) for name in names],
                 "colours": list(LINES[: len(names)]),
                 "cone": cone,
                 "struck": [_struck(trace, panel, region, end) for region in panel.impulses],
@@ -231,9 +231,10 @@ def _struck(trace: Trace, panel: Panel, region: str, end: float) -> dict[str, An
 
 
 def _rows(samples: Samples, end: float) -> NDArray[np.intp]:
-    """Return the rows that curves are drawn by: some, and both ends of every flow of not too many.
+    """Return the rows that curves are drawn by: some, and both ends of every flow.
 
-    Without these a curve would end short of where it jumps.
+    Without these a curve would end short of where it jumps. Of too many flows all rows, of which
+    `Line` draws the least and the greatest of every column.
     """
     inside = np.flatnonzero(samples.t <= end)
     # One of every column, as far as there are any: a long flow looks as smooth as short ones.
@@ -241,7 +242,7 @@ def _rows(samples: Samples, end: float) -> NDArray[np.intp]:
     chosen = inside[np.flatnonzero(np.diff(columns, prepend=-1.0))]
     first = np.flatnonzero(np.diff(samples.j[inside])) + 1
     if len(first) > _POINTS:
-        return chosen
+        return inside
     return np.unique(np.concatenate([chosen, inside[first - 1], inside[first], inside[-1:]]))
 
 
