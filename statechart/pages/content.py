@@ -28,7 +28,7 @@ from statechart.pictures.film import LONGEST, Film, Shape, strokes
 from statechart.reporting.bands import banded, unbanded
 from statechart.reporting.curves import Panel, busy_until, curves, impulse_label, largest, struck
 from statechart.reporting.film import filmed, stage_of
-from statechart.reporting.text import change, explanation
+from statechart.reporting.text import change, computed, explanation
 from statechart.reporting.thinning import Line
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
@@ -82,7 +82,7 @@ def content(
         "title": trace.name,
         "doc": automaton.declaration.doc,
         "outcome": f"{report['outcome']}: {report['message']}",
-        "engine": report["engine"],
+        "computed": computed(report),
         "lines": list(LINES),
         "unit": beside(automaton.declaration.unit(TIME)),
         "cut": end < trace.t_end,

@@ -313,7 +313,8 @@ moving.push((k) => {
 
 // Numbers.
 byId("doc").textContent = data.doc;
-byId("outcome").textContent = `${data.outcome} (engine ${data.engine})`;
+byId("outcome").textContent = data.outcome;
+for (const line of data.computed) made(byId("computed"), "li", {}, line);
 for (const warning of data.warnings) made(byId("warnings"), "p", {}, warning);
 for (const name of ["outputs", "parameters"])
   for (const [key, value] of Object.entries(data[name])) {
@@ -342,7 +343,7 @@ moving.push((k) => lines.forEach((row, i) => row.classList.toggle("now", data.ev
 
 // The clock: an instant is a number, and all that is seen belongs to it.
 const slider = byId("slider");
-slider.max = last;
+slider.max = span;
 let now = 0;
 let playing = 0;
 function at(t) {
@@ -357,7 +358,7 @@ function at(t) {
 function go(k) {
   now = k;
   for (const move of moving) move(k);
-  slider.value = k;
+  slider.value = times[k];
   byId("time").textContent = `t = ${short(times[k])}${unit}`;
   const pills = byId("mode");
   pills.replaceChildren();
@@ -399,7 +400,9 @@ byId("play").addEventListener("click", () => {
   };
   playing = requestAnimationFrame(step);
 });
-slider.addEventListener("input", () => { pause(); go(Number(slider.value)); });
+// It keeps 15 digits of where it is.
+const slid = () => at(Number(slider.value) * (1 + 1e-12));
+slider.addEventListener("input", () => { pause(); go(slid()); });
 byId("speed").addEventListener("change", pause);
 const usual = span >= 3 && span <= 10 ? 1 : 10 ** Math.round(Math.log10(span / 6));
 for (const factor of [0.1, 0.2, 0.5, 1, 2, 5, 10]) {

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from io import BytesIO
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.trace import Trace
+from statechart.automaton.trace import Jump, Trace
 from statechart.documents.declaration import TIME
 from statechart.documents.files import write_atomic
 from statechart.documents.quantities import entitled
@@ -222,6 +223,17 @@ def _time(unit: str, trace: Trace, end: float) -> str:
     return label
 
 
+def _called(jumps: Sequence[Jump]) -> Iterator[tuple[Jump, str]]:
+    """Yield events and what they are called; of more at one instant than have lines the first."""
+    for _, group in groupby(jumps, key=lambda jump: jump.t):
+        together = list(group)
+        named = [f"{jump.region}.{jump.cause}".removeprefix(".") for jump in together]
+        if len(together) > _LEVELS:
+            yield together[0], f"{named[0]} and {len(named) - 1} more"
+        else:
+            yield from zip(together, named, strict=True)
+
+
 def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
     """Draw lines at events, and label them where they do not crowd; return lines of labels."""
     jumps = [jump for jump in trace.jumps if jump.t <= span]
@@ -250,8 +262,7 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
     # Labels on levels over the first panel; what has no room on them is left out.
     free = [-1.0] * _LEVELS
     top = axes[0].get_xaxis_transform()
-    for jump in jumps:
-        said = f"{jump.region}.{jump.cause}" if jump.region else jump.cause
+    for jump, said in _called(jumps):
         place, width = jump.t / span, room(said)
         left = place if place + width <= 1.0 else place - width
         level = next((k for k, last in enumerate(free) if left >= last), None)

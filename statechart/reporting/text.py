@@ -53,36 +53,39 @@ def told(report: Mapping[str, Any]) -> list[Block]:
 
 
 def _head(report: Mapping[str, Any]) -> str:
+    lines = [Outcome[report["outcome"]].value, report["message"], *computed(report)]
+    return "\n".join([f"{report['model']}: {report['outcome']}", *(f"  {x}" for x in lines)]) + "\n"
+
+
+def computed(report: Mapping[str, Any]) -> list[str]:
+    """Return how a run was computed, what that took, and how exact it is, in lines."""
     counts = report["counts"]
     certified = _CERTIFIED[report["certified"]]
     lines = [
-        f"{report['model']}: {report['outcome']}",
-        f"  {Outcome[report['outcome']].value}",
-        f"  {report['message']}",
-        f"  engine {report['engine']}, {_how(report)}; {certified}",
-        f"  {counts['steps']} steps, {counts['jumps']} jumps, "
+        f"engine {report['engine']}, {_how(report)}; {certified}",
+        f"{counts['steps']} steps, {counts['jumps']} jumps, "
         f"{report['modes_built']} of {whole(report['modes_total'])} modes built",
     ]
     if report["error_estimate"] is not None:
-        lines.append(f"  estimated relative error {float(report['error_estimate']):.2g}")
+        lines.append(f"estimated relative error {float(report['error_estimate']):.2g}")
     if report["asked"] is not None:
         cost = report["asked"]["cost"]
         runs = f"{cost['runs']} run{'s' if cost['runs'] != 1 else ''}"
         lines.append(
-            f"  it took {runs}, {cost['steps']} steps, {cost['seconds']:.2g} s; first "
+            f"it took {runs}, {cost['steps']} steps, {cost['seconds']:.2g} s; first "
             f"{'tolerance' if report['step'] is None else 'step'} {report['asked']['basis']}"
         )
         if report["asked"]["not_judged"]:
             names = ", ".join(report["asked"]["not_judged"])
-            lines.append(f"  not judged: {names} (of events without end)")
+            lines.append(f"not judged: {names} (of events without end)")
     if report["condition"] is not None:
         condition = float(report["condition"])
-        lines.append(f"  times of events magnify errors of the state by up to {condition:.2g}")
+        lines.append(f"times of events magnify errors of the state by up to {condition:.2g}")
     if report["motion"] is not None:
-        lines.append(f"  motion: {report['evidence']['motion']}")
+        lines.append(f"motion: {report['evidence']['motion']}")
     if not report["certified"]:
-        lines += [f"  evidence of {name}: {how}" for name, how in report["evidence"].items()]
-    return "\n".join(lines) + "\n"
+        lines += [f"evidence of {name}: {how}" for name, how in report["evidence"].items()]
+    return lines
 
 
 def _how(report: Mapping[str, Any]) -> str:

@@ -34,7 +34,7 @@ def of_one_mind(browser: Browser, result: statechart.Result) -> dict[str, Any]:
     seen: dict[str, Any] = browser.value(SEEN)
     unit = result.runner.model.unit("time")
     assert seen["said"] == f"t = {seen['time']:.6g} {unit.removeprefix('1')}".rstrip()
-    assert seen["slider"] == browser.value("now")
+    assert seen["slider"] == pytest.approx(seen["time"], rel=1e-12)
     assert len({round(place, 3) for place in seen["cursors"]}) == 1
     # At the instant of a jump, after it.
     mode = tuple(result.at(seen["time"]).mode.values())

@@ -89,7 +89,9 @@ def agree(browser: Browser, result: statechart.Result) -> float:
     """Check that time, mode, picture and chart show the same instant; return it."""
     k = browser.value("now")
     time = browser.value("times[now]")
-    assert browser.value("Number(document.querySelector('#slider').value)") == k
+    slider = browser.value("Number(document.querySelector('#slider').value)")
+    assert slider == pytest.approx(time, rel=1e-12)
+    assert browser.value("slid()") == k
     assert browser.value("document.querySelector('#time').value") == f"t = {time:.6g}"
     reading = result.at(time)
     state = reading.mode["tip"]
@@ -240,6 +242,15 @@ def test_a_page_ends_where_its_figure_does_and_curves_reach_the_end(name, tmp_pa
             assert numbers(curve)[-1] == pytest.approx(found[0], abs=1e-6)
 
 
+def test_a_page_tells_how_exact_its_run_is_and_what_that_took(tmp_path):
+    result = statechart.run("toppling_stick", accuracy=1e-6)
+    shown, _ = panels_of(result, tmp_path)
+    said = "\n".join(shown["computed"])
+    assert said in "\n".join(line.strip() for line in str(result).splitlines())
+    assert "estimated relative error" in said
+    assert "runs" in said
+
+
 def test_impulses_are_marked_on_pages_as_on_figures(tmp_path):
     result = statechart.run("newtons_cradle")
     _, panels = panels_of(result, tmp_path)
@@ -280,6 +291,24 @@ def test_what_is_lit_has_the_colour_of_its_state_and_the_rest_is_faint(browser, 
         assert browser.value(f"getComputedStyle({lit}).fill") == f"rgb({rgb})"
         faint = "[...document.querySelectorAll('#diagram g.state:not(.lit)')].map((e) =>"
         assert set(browser.value(f"{faint} Number(getComputedStyle(e).opacity))")) == {0.4}
+
+
+@in_browser
+def test_the_slider_is_where_the_cursor_is_and_stays_as_wide(tmp_path):
+    result = statechart.run("hopper")
+    box = "document.querySelector('#slider').getBoundingClientRect()"
+    with Browser(tmp_path / "browser", width=1000) as opened:
+        opened.open(result.report(tmp_path / "page.html"))
+        widths = set()
+        for part in range(21):
+            opened.value(f"go(Math.round({part / 20} * last))")
+            widths.add(opened.value(f"{box}.width"))
+        assert len(widths) == 1
+        x, y, width, height = (opened.value(f"{box}.{n}") for n in ("x", "y", "width", "height"))
+        y += height / 2.0
+        opened.press(x + 0.1 * width, y, to=(x + 0.6 * width, y))
+        at = opened.value("(cursors[0].x1.baseVal.value - left) / (right - left)")
+        assert at == pytest.approx(0.6, abs=0.02)
 
 
 @in_browser

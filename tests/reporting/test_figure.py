@@ -274,6 +274,12 @@ def test_a_controller_among_many_bodies_has_a_row() -> None:
     assert rows[-1] == "valve"
 
 
+def test_many_events_at_one_instant_are_named_once() -> None:
+    result = Runner("box_stack").run()
+    first = figure(result.observer, result.trace).axes[0]
+    assert [text.get_text() for text in first.texts] == ["box0.touchdown and 4 more"]
+
+
 def test_of_curves_that_stand_those_far_off_zero_are_drawn() -> None:
     result = Runner("box_stack").run()
     _, (position, *_) = curves(result.observer, result.trace)
