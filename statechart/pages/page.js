@@ -231,8 +231,12 @@ function drawn(panel, narrow) {
   const plot = made(svg, "g", lower ? { transform: `translate(0 ${lower})` } : {});
   const seen = [...panel.curves, ...panel.struck.map((hit) => hit.sizes)];
   const finite = seen.flatMap((v) => Array.from(v)).filter(Number.isFinite);
-  const low = finite.reduce((a, b) => Math.min(a, b), 0);
-  const most = finite.reduce((a, b) => Math.max(a, b), 0);
+  let [low, most] = [Math.min, Math.max].map((best) => finite.reduce((a, b) => best(a, b), 0));
+  if (panel.cone) {
+    const edge = Array.from(panel.cone).filter(Number.isFinite).reduce((a, b) => Math.max(a, b), 0);
+    const reach = Math.min(edge, 2 * Math.max(-low, most));
+    [low, most] = [Math.min(low, -reach), Math.max(most, reach)];
+  }
   const scale = (high - above - 6) / (most - low || 1);
   const up = (v) => above + (most - v) * scale;
   const apart = [low, most].filter((v) => Math.abs(up(v) - up(0)) > 12);

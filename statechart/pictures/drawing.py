@@ -24,7 +24,7 @@ CLOSED = ("pin", "slide", "slide+", "slide-")
 # The cone reaches so far, of the length of a usual arrow.
 _CONE = 1.0
 _FLAT = np.pi / 2.0
-_TOUCH = 0.014
+_TOUCH, _LEAST = 0.014, 3.0
 # The head of an arrow, of its width; a width, at most of its length.
 _HEAD, _SHAFT = 5.0, 0.2
 
@@ -62,7 +62,7 @@ class Drawing:
         self._scenery = Scenery(ax, film)
         paper = points_of(film.unit, ax)
         self._points, self._thin = paper / film.unit, thinner(paper)
-        self._size = max(_TOUCH * paper, 4.5 * self._thin)
+        self._size = max(_TOUCH * paper, _LEAST)
         self._trails = [
             ax.plot([], [], color=TRAIL, lw=self._thin, alpha=0.55, zorder=1.6)[0]
             for _ in film.trails

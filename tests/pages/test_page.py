@@ -132,6 +132,13 @@ def test_curves_and_cones_stay_in_their_panels_and_times_on_a_line(browser, resu
         " b.y < above - 6 || b.y + b.height > high)).length"
     )
     assert browser.value(beyond) == 0
+    # Both edges of the cone are seen all along.
+    edges = (
+        "[...document.querySelectorAll('#curves path[style*=dasharray]')].map((e) => e.getBBox())"
+    )
+    boxes = browser.value(f"{edges}.map((b) => [b.width / (right - left), b.y])")
+    assert [width for width, _ in boxes] == pytest.approx([1.0, 1.0], abs=0.01)
+    assert boxes[0][1] != boxes[1][1]
     widths = browser.value(
         "Array.from(document.querySelectorAll('#events tr:first-child td'), (d) => d.offsetWidth)"
     )
