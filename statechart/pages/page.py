@@ -13,6 +13,8 @@ from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 
 _HERE = Path(__file__).parent
+# In this order: the moving scene, then all that moves along.
+_SCRIPTS = ("scene.js", "page.js")
 
 
 def html(shown: Mapping[str, Any]) -> str:
@@ -28,7 +30,7 @@ def html(shown: Mapping[str, Any]) -> str:
     parts = {
         "TITLE": escape(shown["title"]),
         "STYLE": (_HERE / "page.css").read_text(encoding="utf-8"),
-        "SCRIPT": (_HERE / "page.js").read_text(encoding="utf-8"),
+        "SCRIPT": "".join((_HERE / name).read_text(encoding="utf-8") for name in _SCRIPTS),
         "DATA": data,
     }
     text = (_HERE / "page.html").read_text(encoding="utf-8")

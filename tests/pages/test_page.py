@@ -7,7 +7,6 @@ import re
 import numpy as np
 import pytest
 from browser import FOUND, Browser
-from PIL import Image
 
 import statechart
 from statechart import StatechartError
@@ -301,89 +300,6 @@ def test_what_is_lit_has_the_colour_of_its_state_and_the_rest_is_faint(browser, 
 
 
 @in_browser
-def test_the_slider_is_where_the_cursor_is_and_stays_as_wide(tmp_path):
-    result = statechart.run("hopper")
-    box = "document.querySelector('#slider').getBoundingClientRect()"
-    with Browser(tmp_path / "browser", width=1000) as opened:
-        opened.open(result.report(tmp_path / "page.html"))
-        widths = set()
-        for part in range(21):
-            opened.value(f"go(Math.round({part / 20} * last))")
-            widths.add(opened.value(f"{box}.width"))
-        assert len(widths) == 1
-        x, y, width, height = (opened.value(f"{box}.{n}") for n in ("x", "y", "width", "height"))
-        y += height / 2.0
-        opened.press(x + 0.1 * width, y, to=(x + 0.6 * width, y))
-        at = opened.value("(cursors[0].x1.baseVal.value - left) / (right - left)")
-        assert at == pytest.approx(0.6, abs=0.02)
-
-
-@in_browser
-def test_a_telephone_shows_curves_legibly(tmp_path):
-    result = statechart.run("compass_walker", until=2.0)
-    shown = result.report(tmp_path / "page.html")
-    with Browser(tmp_path / "browser", width=390) as opened:
-        opened.open(shown)
-        assert opened.value("document.documentElement.scrollWidth") <= 390
-        sizes = "[...document.querySelectorAll('#curves text')].map((e) => 11 * e.getScreenCTM().a)"
-        assert min(opened.value(sizes)) > 10.0
-        beyond = (
-            "[...document.querySelectorAll('#curves text')].map((e) => e.getBBox())"
-            ".filter((b) => b.x < 0 || b.x + b.width > wide).length"
-        )
-        assert opened.value(beyond) == 0
-        opened.value("go(Math.round(last / 2))")
-        assert of_panels(opened) == len(data_of(shown.read_text(encoding="utf-8"))["panels"])
-        # Turned over, it has the room of a table, and shows the same instant.
-        size = {"width": 1000, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-        opened.do("Emulation.setDeviceMetricsOverride", **size)
-        opened.value("new Promise((done) => setTimeout(done, 200))")
-        assert opened.value("wide") == 1000
-        assert opened.value("cursors[0].x1.baseVal.value") == pytest.approx(
-            opened.value("along(times[now])"), rel=1e-5
-        )
-        assert opened.said == []
-
-
-ROD = """\
-kind: scene
-name: a_rod_whose_name_has_as_many_as_42_letters
-units: SI
-parameters: {{L: {length}}}
-gravity: 9.81
-bodies: {{rod: {{mass: 1, inertia: L**2/12, start: {{y: L, angle: 0.3}}}}}}
-surfaces: {{ground: {{height: 0}}}}
-contacts:
-  {one}: {{point: {{body: rod, at: [-L/2, 0]}}, surface: ground, friction: 0.4, restitution: 0.3}}
-  two: {{point: {{body: rod, at: [L/2, 0]}}, surface: ground, friction: 0.4, restitution: 0.3}}
-stop: {{time: 4*sqrt(L/9.81)}}
-"""
-
-
-@in_browser
-@pytest.mark.parametrize("length", ["1e-6", "1e5"])
-@pytest.mark.parametrize("width", [390, 1000])
-def test_lengths_of_any_size_and_long_names_are_shown(length, width, tmp_path):
-    file = tmp_path / "rod.yaml"
-    file.write_text(ROD.format(length=length, one="the_end_on_the_left_of_this_very_long_rod"))
-    shown = statechart.run(file).report(tmp_path / "page.html")
-    with Browser(tmp_path / "browser", width=width) as opened:
-        opened.open(shown)
-        assert opened.value("document.documentElement.scrollWidth") <= width
-        opened.screenshot(tmp_path / "shot.png")
-        picture = np.asarray(Image.open(tmp_path / "shot.png").convert("RGB"))
-        # The colour of bodies; where they have a place, and are not painted, there is none.
-        body = (picture == (0xC5, 0xD3, 0xE2)).all(axis=2)
-        assert np.count_nonzero(body.any(axis=0)) > 100
-        beyond = (
-            "[...document.querySelectorAll('#curves text')].map((e) => e.getBBox())"
-            ".filter((b) => b.x < 0 || b.x + b.width > wide).length"
-        )
-        assert opened.value(beyond) == 0
-        assert opened.said == []
-
-
-@in_browser
 def test_a_mode_that_comes_again_is_lit_wherever_it_stands(tmp_path):
     result = statechart.run("woodpecker", until=0.3)
     with Browser(tmp_path / "browser") as opened:
@@ -396,10 +312,6 @@ def test_a_mode_that_comes_again_is_lit_wherever_it_stands(tmp_path):
             lit = opened.value(words.format("lit"))
             assert len(set(lit)) == 1
             assert len(lit) == states.count(lit[0])
-
-
-def of_panels(browser: Browser) -> int:
-    return browser.value("document.querySelectorAll('#curves svg').length") - 1
 
 
 @in_browser
