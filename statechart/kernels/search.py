@@ -139,6 +139,87 @@ def _clear_at_edge(
     return jets[output, 0] + tolerance > 0.0
 
 
+CLEAR, FALLS, OPEN, STUCK = range(4)
+"""What is known of an output on a box: it does not fall, it does, or neither; the last where the
+box is too narrow to look closer."""
+
+
+@part
+def _sure(
+    along: Along,
+    guard: Ints32,
+    tolerance: float,
+    step: int,
+    here: float,
+    end: float,
+    scratch: Scratch,
+) -> float:
+    """Where an output is sure to be below -tolerance that falls from `here` to `end`."""
+    bounds, _, jets, aside = scratch
+    # What rounding left over at the float root, the slope carries below 0.
+    enclose(along, step, bounds, here, 0.0, 0, jets)
+    rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
+    far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
+    if far > here + NARROW:
+        # Nearly flat at the end of where it falls: it is below long before.
+        near = here + NARROW
+        while near < far:
+            enclose(along, step, bounds, near, 0.0, 0, jets)
+            if jets[guard[0], 1] + tolerance <= 0.0:
+                far = near
+            near = here + 2.0 * (near - here)
+    return far
+
+
+@part
+def _decided(
+    along: Along,
+    guard: Ints32,
+    tolerance: float,
+    step: int,
+    a: float,
+    b: float,
+    evidence: Array,
+    scratch: Scratch,
+) -> tuple[int, float, float]:
+    """Tell from the evidence whether an output falls on [a, b]: where, and where it surely has."""
+    bounds, regs, jets, aside = scratch
+    output = guard[0]
+    if a == 0.0 and evidence[10] + tolerance < 0.0:
+        return FALLS, 0.0, 0.0
+    # It rises: positive up to a, as the boxes before are clear; or zero there to within rounding,
+    # and leaving.
+    rises = evidence[6] > 0.0 and (a > 0.0 or evidence[9] > -INF)
+    if evidence[4] + tolerance > 0.0 or rises:
+        return CLEAR, INF, INF
+    if evidence[7] < 0.0:
+        aside[0, 7] = evidence[7]
+        falls, end = _falls(along, guard, tolerance, step, a, b, scratch)
+        if falls == 0:
+            return CLEAR, INF, INF
+        if falls == 1:
+            here = last_place(along, step, output, tolerance, a, end, regs)
+            return FALLS, here, _sure(along, guard, tolerance, step, here, end, scratch)
+    bounded = evidence[4] > -INF and evidence[5] < INF
+    edge = b - a <= FLAT and not bounded
+    if edge and _clear_at_edge(along, output, tolerance, step, a, b, bounds, jets):
+        return CLEAR, INF, INF
+    if b - a > NARROW:
+        return OPEN, INF, INF
+    # A jump, say: positive at a, and negative at b or, where that is the place of the jump to
+    # within rounding, a little beyond.
+    for end in (b, min(1.0, b + 4.0 * NARROW)):
+        enclose(along, step, bounds, end, 0.0, 0, jets)
+        if bounded and jets[output, 1] + tolerance < 0.0:
+            return FALLS, a, end
+    if a == 0.0 and bounded and not evidence[7] < INF:
+        # What jumps as it starts (an angle at the origin) has its value behind.
+        enclose(along, step, bounds, b, 0.0, 0, jets)
+        if jets[output, 0] + tolerance > 0.0:
+            return CLEAR, INF, INF
+    return STUCK, INF, INF
+
+
 Ready = tuple[Along, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
 """A tape that is evaluated along steps, with what depends on parameters alone: see `Along`, and
 `Needed`; bounds of third derivatives, registers, jets; evidence on the outputs; boxes still to see,
@@ -290,74 +371,19 @@ def search_step(
         for i in range(n_out):
             if state[i] == 0:
                 continue
-            alone = narrowed(needs, along, bit(i))
-            tolerance = tolerances[i]
-            below = a == 0.0 and work[i, 10] + tolerance < 0.0
-            # It rises: positive up to a, as the boxes before are clear; or zero there to
-            # within rounding, and leaving.
-            rises = work[i, 6] > 0.0 and (a > 0.0 or work[i, 9] > -INF)
-            if not below and (work[i, 4] + tolerance > 0.0 or rises):
-                state[i] = 0
+            alone, guard = narrowed(needs, along, bit(i)), outputs[i : i + 1]
+            verdict, here, far = _decided(alone, guard, tolerances[i], step, a, b, work[i], scratch)
+            if verdict == OPEN:
+                unclear += 1
                 continue
-            here, far = INF, INF
-            if below:
-                here = far = 0.0
-            elif work[i, 7] < 0.0:
-                guard = outputs[i : i + 1]
-                aside[0, 7] = work[i, 7]
-                falls, end = _falls(alone, guard, tolerance, step, a, b, scratch)
-                if falls == 0:
-                    state[i] = 0
-                    continue
-                if falls == 1:
-                    here = last_place(alone, step, guard[0], tolerance, a, end, regs)
-                    # What rounding left over at the float root, the slope carries below 0.
-                    enclose(alone, step, bounds, here, 0.0, 0, jets)
-                    rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
-                    far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
-                    if far > here + NARROW:
-                        # Nearly flat at the end of where it falls: it is below long before.
-                        near = here + NARROW
-                        while near < far:
-                            enclose(alone, step, bounds, near, 0.0, 0, jets)
-                            if jets[guard[0], 1] + tolerance <= 0.0:
-                                far = near
-                            near = here + 2.0 * (near - here)
-            bounded = work[i, 4] > -INF and work[i, 5] < INF
-            if (
-                here == INF
-                and b - a <= FLAT
-                and not bounded
-                and _clear_at_edge(alone, outputs[i], tolerance, step, a, b, bounds, jets)
-            ):
-                state[i] = 0
-                continue
-            if here == INF and b - a <= NARROW:
-                # A jump, say: positive at a, and negative at b or, where that is the place of
-                # the jump to within rounding, a little beyond.
-                for end in (b, min(1.0, b + 4.0 * NARROW)):
-                    enclose(along, step, bounds, end, 0.0, 0, jets)
-                    if here == INF and bounded and jets[outputs[i], 1] + tolerance < 0.0:
-                        here, far = a, end
-                if here == INF and a == 0.0 and bounded and not work[i, 7] < INF:
-                    # What jumps as it starts (an angle at the origin) has its value behind.
-                    enclose(along, step, bounds, b, 0.0, 0, jets)
-                    if jets[outputs[i], 0] + tolerance > 0.0:
-                        state[i] = 0
-                        continue
-                if here == INF:
-                    if found < 0 or b < root - 4.0 * NARROW:
-                        verdict = GRAZE if bounded else NON_FINITE
-                        at, far = local_time(times, step, a), local_time(times, step, b)
-                        return verdict, i, step, a, at, far, boxes
-                    state[i] = 0  # a tie with the crossing found, to within rounding
-                    continue
-            if here < INF:
-                state[i] = 0
-                if found < 0 or here < root or (here == root and i < found):
-                    found, root, sure, found_left, improved = i, here, far, a, True
-                continue
-            unclear += 1
+            if verdict == STUCK and (found < 0 or b < root - 4.0 * NARROW):
+                verdict = GRAZE if work[i, 4] > -INF and work[i, 5] < INF else NON_FINITE
+                at, far = local_time(times, step, a), local_time(times, step, b)
+                return verdict, i, step, a, at, far, boxes
+            # What is stuck here is a tie with the crossing found, to within rounding.
+            state[i] = 0
+            if verdict == FALLS and (found < 0 or here < root or (here == root and i < found)):
+                found, root, sure, found_left, improved = i, here, far, a, True
         if improved:
             # Only what is undecided before the crossing matters any more.
             top = 0
