@@ -69,7 +69,7 @@ class _Flattening:
         self._counts = {
             place: f"{name}.{found.arrows[place].declared.name}_count"
             for place in self._clocks
-            if found.arrows[place].declared.every is not None
+            if found.arrows[place].declared.every is not None or found.arrows[place].target < 0
         }
         # Asked in this order: those of inner states first, then as declared.
         self._ranks = _inner_first(found)
@@ -161,9 +161,13 @@ class _Flattening:
             updates = dict(member.updates)
             count = self._counts.get(place)
             if count is not None:
+                updates[count] = f"{count} + 1"
+            if member.every is not None:
                 # Multiples of the period: a sum of periods would gather their roundings.
                 guard = f"{TIME} >= {clock} + ({count} + 1)*({member.period})"
-                updates[count] = f"{count} + 1"
+            elif count is not None:
+                # The time has come once, and stays so as long as the source is not left.
+                guard = f"(1 - {count})*({TIME} - {clock} - ({member.period})) >= {count}"
             elif clock is not None:
                 guard = f"{TIME} >= {clock} + ({member.period})"
             blocks.append(updates)

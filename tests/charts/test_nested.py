@@ -124,6 +124,31 @@ def test_timeouts_count_from_the_entry_of_their_source(tmp_path: Path, engine: s
     assert found["entered"] == 8
 
 
+REMIND = """
+variables: {n: 0}
+regions:
+  s:
+    initial: wait
+    states:
+      wait: {}
+      busy: {initial: slow, states: {slow: {}, fast: {}}}
+    transitions:
+      - {name: begin, from: wait, to: busy, after: 0.3}
+      - {name: hurry, from: slow, to: fast, after: 0.4}
+      - {name: remind, from: busy, after: 0.5, updates: {n: n + 1}}
+      - {name: end, from: busy, to: wait, after: 0.9}
+stop: {time: 6}
+outputs: {n: {value: n}, ts: {value: time, at: each remind}}
+"""
+
+
+@ENGINES
+def test_a_timeout_that_leaves_no_state_comes_once_an_entry(tmp_path: Path, engine: str) -> None:
+    found = run(tmp_path, REMIND, engine).outputs
+    assert found["n"] == 5
+    assert found["ts"] == pytest.approx([0.8 + 1.2 * k for k in range(5)], rel=1e-13)
+
+
 ORDER = """
 variables: {x: 1, y: 0, z: 0}
 regions:
