@@ -66,7 +66,8 @@ def sweep(arguments: argparse.Namespace) -> int:
     target = Target(arguments.output, arguments.plot, arguments.resume)
     target.check(plan)
     shown = not arguments.quiet
-    with crew(arguments.workers, arguments.scheduler) as executor:
+    workers = arguments.workers and min(arguments.workers, plan.size)
+    with crew(workers, arguments.scheduler) as executor:
         made = make(plan, executor, store=target.store, resume=arguments.resume, progress=shown)
     pieces = Pieces()
     with interrupts.held(), interrupts.limited(PATIENCE):

@@ -49,13 +49,14 @@ def check(plan: Plan) -> None:
     Raises
     ------
     DeclarationError
-        If it varies more than two parameters.
+        If it varies none, or more than two parameters.
     """
     varied = [name for name, column in plan.columns.items() if len(np.unique(column)) > 1]
-    if len(varied) > 2:
+    if len(varied) not in (1, 2):
+        fewer = "vary fewer, or draw what -o FILE.nc keeps"
         raise DeclarationError(
             f"a picture shows one or two parameters, not {len(varied)}",
-            advice="vary fewer, or draw what -o FILE.nc keeps",
+            advice=fewer if varied else "give one several values",
         )
 
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Seconds in which a scheduler has to answer.
 _ANSWER = 10.0
+# Processes for each processor: further ones cost 150 MB each and gain nothing.
+_EACH = 16
 _NAME = "contact-statecharts"
 
 
@@ -50,7 +52,18 @@ def processes(count: int) -> Iterator[Executor]:
     ----------
     count : int
         How many.
+
+    Raises
+    ------
+    DeclarationError
+        If they are many more than processors.
     """
+    here = os.cpu_count() or 1
+    if count > _EACH * here:
+        raise DeclarationError(
+            f"{count} workers are too many for {here} processors",
+            advice=f"write --workers {here}, or take more machines with --scheduler",
+        )
     # Not forked: threads of libraries do not survive that.
     context = multiprocessing.get_context("spawn")
     before = set(multiprocessing.active_children())

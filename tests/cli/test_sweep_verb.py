@@ -9,6 +9,8 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +139,8 @@ def test_a_sweep_of_which_nothing_runs_has_failed() -> None:
         (["--over", "mu=1", "--resume"], "-o STORE.zarr"),
         (["--over", "mu=1", "--plot", "a.txt"], "the suffix must be one of"),
         (["--over", "mu=1,2", "--over", "I_G=1,2", "--over", "L=1,2", "--plot", "a.png"], "one or"),
+        (["--over", "mu=1", "--plot", "a.png"], "give one several values"),
+        (["--over", "mu=lin:0:1:10000000", "--workers", "1000000"], "too many for"),
         (["--over", "mu=1", "--engine", "impulse"], "step"),
         (["--over", "mu=1", "--scheduler", "tcp://127.0.0.1:1"], "no scheduler answers"),
         (["--over", "mu=1", "--scheduler", "nowhere"], "no scheduler answers"),
@@ -217,6 +221,20 @@ def test_processes_give_the_same_bits(tmp_path: Path) -> None:
     subprocess.run([script, *arguments, tmp_path / "two.zarr", "--workers", "2"], check=True)
     assert main([*map(str, arguments), str(tmp_path / "one.zarr")]) == 0
     same(tmp_path / "one.zarr", tmp_path / "two.zarr")
+
+
+def test_cells_have_no_more_processes_than_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int | None] = []
+
+    @contextmanager
+    def crew(count: int | None, address: str | None) -> Iterator[None]:
+        asked.append(count)
+        yield
+
+    monkeypatch.setattr("statechart.sweeps.workers.crew", crew)
+    for workers in (["--workers", "1000"], ["--workers", "1"], []):
+        assert main(["sweep", STICK, "--over", "mu=1,2", "--outputs", "t_impact", *workers]) == 0
+    assert asked == [2, 1, None]
 
 
 _DEAD = """
