@@ -57,6 +57,7 @@ def parameters(model: Declaration) -> SearchStrategy[dict[str, float]]:
     """Return the strategy over the `ranges` of a model.
 
     Shrinking leads to the declared values: what differs from them in a failing example matters.
+    Ends of ranges are drawn often: what grows with a parameter is largest there.
 
     Parameters
     ----------
@@ -79,6 +80,8 @@ def parameters(model: Declaration) -> SearchStrategy[dict[str, float]]:
             continue
         # Numbers below 2e-308 in size have few digits, and measure nothing.
         within = st.floats(least, greatest, allow_subnormal=False)
-        inside = least <= declared <= greatest
-        choices[name] = st.one_of(st.just(declared), within) if inside else within
+        drawn = [within, st.sampled_from((least, greatest))]
+        if least <= declared <= greatest:
+            drawn.insert(0, st.just(declared))
+        choices[name] = st.one_of(drawn)
     return st.fixed_dictionaries(choices)

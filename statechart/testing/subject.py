@@ -122,14 +122,24 @@ class Subject:
         assert isinstance(simulator, Simulator)  # steps have no equations of modes
         return simulator.compiled(arc.roles, trace.zeros).mode
 
-    def solved(self, trace: Trace, arc: Arc, tau: Array, expressions: Sequence[sp.Expr]) -> Array:
+    def solved(
+        self,
+        trace: Trace,
+        arc: Arc,
+        tau: Array,
+        expressions: Sequence[sp.Expr],
+        states: Array | None = None,
+    ) -> Array:
         """Evaluate expressions that may use unknowns at local times (m,) of an arc.
+
+        With `states` (m, n) as if these were those of the arc.
 
         Returns
         -------
         (m, f) array
         """
-        states, times = arc.states(tau), arc.start.high + (arc.start.low + tau)
+        times = arc.start.high + (arc.start.low + tau)
+        states = arc.states(tau) if states is None else states
         known = arc.unknowns(tau)
         if known is None:
             return self.values(trace, expressions, states, times, self.mode(trace, arc))

@@ -9,7 +9,7 @@ import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.kind import automaton as scene_automaton
-from contacts.testing.scene_properties import assert_energy
+from contacts.testing.scene_properties import assert_energy, assert_gaps
 from contacts.testing.scene_properties import properties as contact_properties
 from contacts.testing.symmetry import LENGTH, TIMES, mirrored, rescaled
 from statechart.automaton.regions import State
@@ -212,6 +212,40 @@ def test_a_failure_is_shrunk_and_its_yaml_fails_alike():
     assert failure(Subject(again), "declared invariants hold", examples=1).parameters == {}
 
 
+GROWING = """
+kind: chart
+name: growing
+parameters: {a: 1, b: 1}
+ranges: {a: [0, 10], b: [0, 10]}
+variables: {x: 0}
+regions:
+  it:
+    initial: on
+    states: {on: {flows: {x: a + b}, invariants: {outside: IN_STATE}}}
+stop: {time: 5}
+invariants: {far: IN_RUN}
+"""
+
+
+@pytest.mark.parametrize("where", ["IN_STATE", "IN_RUN"])
+def test_an_invariant_that_is_broken_for_a_moment_is_caught(where):
+    # For 4e-4 of 5 about the time at which x passes 1, between any samples.
+    broken = "exp(-((x - 1)/1e-3)**2) <= 0.9"
+    faulty = (
+        GROWING.replace(where, broken).replace("IN_STATE", "x >= -1").replace("IN_RUN", "x >= -1")
+    )
+    found = failure(Subject(model(faulty)), "declared invariants hold", examples=1)
+    assert "falls to -0.1 between t = 0 and 5" in found.message
+
+
+def test_what_fails_in_a_corner_of_the_ranges_is_caught():
+    # In 5e-5 of the square that is varied, by the largest of both.
+    faulty = GROWING.replace("IN_STATE", "x >= -1").replace("IN_RUN", "x <= 99.5")
+    found = check(model(faulty), examples=200, seed=1).properties[6].failure
+    assert found is not None
+    assert found.parameters["a"] + found.parameters["b"] > 19.9
+
+
 def test_an_impact_that_gains_energy_is_caught():
     def faster(jump):
         after = jump.after.copy()
@@ -260,6 +294,22 @@ def test_a_removed_gap_guard_tunnels():
 
     found = failure(with_states(model(ROD), blind), "no contact is inside its surface")
     assert "deep in its surface" in found.message
+
+
+def test_a_point_that_slides_is_not_inside_its_surface_by_an_interpolant():
+    # Steps are so long that dense output in between is off by 1.3 of the tolerance of gaps.
+    scene = load("toppling_stick")
+    subject = Subject(scene)
+    for trace in subject.case({"mu": 0.0, "I_G": 1.0, "theta0": 0.25}).traces.values():
+        assert_gaps(scene, subject, trace)
+        arc = max(trace.arcs, key=lambda arc: arc.duration)
+        coefficients = arc.coefficients.copy()
+        coefficients[len(coefficients) // 2, 1, 0] -= 1e-10
+        sunk = dataclasses.replace(
+            trace, arcs=(dataclasses.replace(arc, coefficients=coefficients),)
+        )
+        with pytest.raises(AssertionError, match="deep in its surface"):
+            assert_gaps(scene, subject, sunk)
 
 
 def test_adhesion_is_caught():

@@ -84,6 +84,21 @@ def test_a_good_model_passes(text):
     assert units.examples > units.undecidable
 
 
+def test_invariants_of_steps_are_judged_by_what_a_step_moves():
+    # The ball comes to the ground by up to a step of its fall deeper than its radius, at -3.4.
+    text = HEAP.replace("y: 0.11", "y: 0.5")
+    sound = model(
+        text + "invariants: {above: ball.y >= 0.1, slow: ball.dx <= 3, push: energy >= 0}\n"
+    )
+    of_sound = check(sound, examples=4, seed=2).properties[6]
+    assert of_sound.name == "declared invariants hold"
+    assert of_sound.failure is None, of_sound.failure
+    assert of_sound.examples == 4
+    for broken in ("ball.y >= 0.11", "ball.dy >= -1", "ball.dx <= -1.1"):
+        found = check(model(f"{text}invariants: {{broken: {broken}}}\n"), examples=4, seed=2)
+        assert "broken is" in found.properties[6].failure.message
+
+
 def test_a_run_that_does_not_end_is_shrunk_to_a_model_that_shows_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fast.yaml").write_text(
