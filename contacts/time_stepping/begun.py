@@ -41,6 +41,8 @@ class Stepping:
     stops : Tape
         Margins of the stop conditions, over variables and unknowns.
     stop_names : tuple of str
+    stop_counts : (s,) array of bool
+        Which of them hold on their boundary, too; see `counting`.
     energy : Tape
     """
 
@@ -55,6 +57,7 @@ class Stepping:
     angles: Bools
     stops: Tape
     stop_names: tuple[str, ...]
+    stop_counts: Bools
     energy: Tape
 
 

@@ -14,6 +14,7 @@ from contacts.scene.other_laws import replaced
 from contacts.states import STATES
 from contacts.time_stepping.begun import Begun, Span, Stepping
 from contacts.time_stepping.loop import made_ready
+from contacts.time_stepping.stops import counting
 from contacts.time_stepping.streaming import stream
 from statechart.arrays import Bools
 from statechart.automaton.keeping import EVERYTHING, Keeping
@@ -71,6 +72,7 @@ class Stepper(ABC):
             np.array([name.endswith(".angle") for name in mechanics.names]),
             mechanics.tape([margin.expression for margin in stops.values()], unknowns=unknowns),
             tuple(stops),
+            counting(self._scene),
             mechanics.tape([energy]),
         )
 

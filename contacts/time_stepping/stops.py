@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
+from contacts.scene.controls import ControlState
+from contacts.scene.scene import Scene
+from contacts.time_stepping.begun import Stepping
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
 from statechart.arrays import Array, Bools
 from statechart.automaton.trace import Arc
-from statechart.formulas.tape import Tape
+from statechart.charts.transitions import nested
+from statechart.formulas.formula import parse_relation
 
 # A condition is located within its step to this part of it.
 _BISECTIONS = 60
@@ -21,16 +23,15 @@ class StopConditions:
 
     Parameters
     ----------
-    tape : Tape
-        Their margins, over variables and unknowns.
-    names : sequence of str
-        What they are called; none where the run has no conditions.
+    stepping : Stepping
+        Whose.
     values : (p,) array
         Of the parameters.
     """
 
-    def __init__(self, tape: Tape, names: Sequence[str], values: Array) -> None:
-        self._tape, self._names, self._values = tape, names, values
+    def __init__(self, stepping: Stepping, values: Array) -> None:
+        self._tape, self._names, self._values = stepping.stops, stepping.stop_names, values
+        self._counts = stepping.stop_counts
 
     def unknown(self, state: Array) -> Array:
         """Return what is solved for where it is not known yet, before the first step."""
@@ -40,18 +41,22 @@ class StopConditions:
         """Return the condition that holds at the start; those on unknowns wait for a step."""
         if not self._names:
             return None
-        below = self._margins(np.concatenate([state, self.unknown(state)])[None], 0.0)[0] < 0.0
+        below = self._met(self._margins(np.concatenate([state, self.unknown(state)])[None], 0.0))[0]
         return int(np.argmax(below)) if below.any() else None
 
     def met(self, chunk: Chunk, start: float) -> tuple[int, int] | None:
         """Return (step, condition) of the first condition met, by the steps' ends."""
         if not self._names:
             return None
-        below = self._ends(chunk, start)[1] < 0.0
+        below = self._met(self._ends(chunk, start)[1])
         if not below.any():
             return None
         k = int(np.argmax(below.any(axis=1)))
         return k, int(np.argmax(below[k]))
+
+    def _met(self, margins: Array) -> Bools:
+        found: Bools = (margins < 0.0) | (self._counts & (margins == 0.0))
+        return found
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a condition has no value, and its name."""
@@ -100,6 +105,30 @@ class StopConditions:
     def _margins(self, rows: Array, times: Array | float) -> Array:
         times = np.broadcast_to(np.asarray(times, dtype=float), len(rows)).copy()
         return self._tape.table(rows, self._values, times)
+
+
+def counting(scene: Scene) -> Bools:
+    """Return which stop conditions (s,) hold on their boundary, too.
+
+    Those whose relation counts it, of what jumps alone change: no motion tells the way it goes.
+    """
+    flowing = {
+        variable
+        for name, region in scene.regions.items()
+        for _, state, _ in nested(region, name)
+        if isinstance(state, ControlState)
+        for variable in state.flows
+    }
+    kept = {variable for region in scene.regions.values() for variable in region.variables}
+    still = {*scene.parameters, *(kept - flowing)}
+    relations = [parse_relation(text) for text in scene.stop.conditions.values()]
+    return np.array(
+        [
+            r.operator in ("<=", ">=") and {*r.left.names, *r.right.names} <= still
+            for r in relations
+        ],
+        np.bool_,
+    )
 
 
 def first_lost(margins: Array, inputs: Array) -> tuple[int, int] | None:

@@ -13,6 +13,7 @@ from statechart.automaton.modes import build_mode, captured
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Key, Roles
 from statechart.engines.engine import Engine
+from statechart.execution.standing import StandingStops
 from statechart.formulas.tape import Tape
 
 
@@ -72,6 +73,7 @@ class SolvedModes:
 
     def __init__(self, automaton: Automaton) -> None:
         self.automaton = automaton
+        self.standing = StandingStops(automaton)
         self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
         self._taped: dict[Mode, TapedMode] = {}
 
@@ -133,6 +135,7 @@ class CompiledModes:
 
     def __init__(self, solved: SolvedModes, engine: Engine) -> None:
         self.automaton, self.mode = solved.automaton, solved.mode
+        self.standing = solved.standing
         self.engine = engine
         self._solved = solved
         self._compiled: dict[tuple[Roles, frozenset[int]], CompiledMode] = {}

@@ -21,7 +21,7 @@ from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.finding import closing
 from statechart.execution.flow import UNFOLLOWED, Advance
-from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace
+from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
 from statechart.execution.outcome import Progress
 from statechart.execution.record import trace_of
 from statechart.execution.zeno import Accumulation
@@ -138,7 +138,7 @@ class Execution:
             self.flow, self.state = self.automaton.laws_of_events.begin(self.setup)
         self.started_mode, self.started_state = self.flow.mode, self.state
         self._warn()
-        return not self.flow.settled and self.settle()
+        return self._stands() if self.flow.settled else self.settle()
 
     def advance(self) -> bool:
         """Flow to the next event and jump; whether the run ends there, or its time is over."""
@@ -244,9 +244,7 @@ class Execution:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {shortest(self.clock.high)}"] = None
         if stops:
-            now = self._instant(margin.name)
-            self.record.add_jump(now.jump("", "stop", now.flow.mode))
-            self._end(Outcome.STOPPED, f"{margin.name} at t = {shortest(self.clock.high)}")
+            self._stop(margin.name)
         return (margin.name,)
 
     def _unbounded(self) -> bool:
@@ -314,11 +312,7 @@ class Execution:
             if self.flow.settled:
                 break
         else:
-            recent = ", ".join(
-                f"{jump.cause} -> {self.automaton.label(jump.target)}"
-                for jump in self.record.jumps[-6:]
-            )
-            raise EventLoop(f"{JUMPS_AT_ONCE} jumps at t = {shortest(self.clock.high)}: {recent}")
+            raise looping(self.record.jumps[-6:], self.clock, self.automaton.label)
         if fired and not moved:
             if self.failure is not None:
                 raise self.failure
@@ -329,7 +323,19 @@ class Execution:
                 )
                 return self.settle((UNBOUNDED,))
         self.failure = None
-        return False
+        return self._stands()
+
+    def _stands(self) -> bool:
+        """Whether the run ends here, on the boundary of a stop condition that counts it."""
+        if standing := self.modes.standing:
+            mode = self.modes.mode(self.flow.roles, self.zeros)
+            if met := standing.met(mode, self.state, self.setup.values):
+                self._stop(met)
+        return self.outcome is Outcome.STOPPED
+
+    def _stop(self, condition: str) -> None:
+        self.record.add_jump(self._instant(condition).jump("", "stop", self.flow.mode))
+        self._end(Outcome.STOPPED, f"{condition} at t = {shortest(self.clock.high)}")
 
     def counted(self) -> bool:
         """Whether the run ends here, as there were as many jumps as may be.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 from statechart.automaton.clock import Clock
-from statechart.automaton.trace import FAR_TOO_MANY, Jump
+from statechart.automaton.trace import FAR_TOO_MANY, Jump, Key
 from statechart.errors import EventLoop, TooLong
 from statechart.tabular import shortest
 
@@ -68,3 +68,9 @@ def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int
             f"{count} jumps took {clock.high:.3g}, and {left:.3g} is left, too much for "
             f"{max_jumps} jumps; end the run earlier"
         )
+
+
+def looping(last: Sequence[Jump], clock: Clock, label: Callable[[Key], str]) -> EventLoop:
+    """Return the error of too many jumps at one instant, with the last ones."""
+    recent = ", ".join(f"{jump.cause} -> {label(jump.target)}" for jump in last)
+    return EventLoop(f"{JUMPS_AT_ONCE} jumps at t = {shortest(clock.high)}: {recent}")

@@ -14,9 +14,11 @@ from runs import ENGINES, engine
 from scenes import compose, go, region, run, scene, times
 from strategies import examples
 
+from statechart import sweep
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.yaml_reader import read_text
 from statechart.execution.simulator import Simulator
+from statechart.loading.load import interpret
 from statechart.running.runner import run as run_model
 
 both = pytest.mark.parametrize("name", ENGINES)
@@ -365,3 +367,69 @@ def test_guards_are_seen_from_where_their_roots_begin(
 def test_a_guard_whose_root_ends_is_undefined_there(guard: str) -> None:
     for name in ENGINES:
         assert edge("1", "-1", guard, name).outcome is Outcome.NON_FINITE
+
+
+COUNTED = """
+kind: chart
+name: counted
+parameters: {N: 5, begun: 0}
+variables: {n: begun, x: 0}
+regions:
+  c:
+    initial: a
+    states: {a: {flows: {x: 1}}}
+    transitions: [{name: tick, from: a, every: 0.5, updates: {n: n + 1}}]
+stop: {time: 10, conditions: {enough: n >= N}}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize(
+    ("condition", "begun", "end"),
+    [
+        ("n >= N", 0, 2.5),
+        ("N <= n", 0, 2.5),
+        ("n > N", 0, 3.0),
+        ("n >= N", 5, 0.0),
+        ("n > N", 5, 0.5),
+        ("x <= 0", 0, 10.0),  # it leaves its boundary the other way
+        ("x + 0*n >= 1", 0, 1.0),
+    ],
+)
+def test_a_count_ends_a_run_as_its_relation_is_written(
+    engine: str, condition: str, begun: float, end: float
+) -> None:
+    text = COUNTED.replace("n >= N", condition)
+    trace = run_model(interpret(read_text(text)), engine=engine, parameters={"begun": begun}).trace
+    assert trace.t_end == pytest.approx(end, rel=1e-12)
+    assert (trace.outcome is Outcome.STOPPED) == (end < 10.0)
+
+
+BOUNCES = """
+kind: scene
+name: bounces
+parameters: {e: 0.9, N: 3}
+gravity: 10
+bodies: {ball: {mass: 1, start: {y: 0.8}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: ball}, surface: floor, restitution: e, modes: [free]}}
+regions:
+  counter:
+    initial: on
+    variables: {n: 0}
+    states: {on: {}}
+    transitions: [{name: hit, from: on, on: c.touchdown, updates: {n: n + 1}}]
+stop: {time: 5, conditions: {enough: n >= N}}
+outputs: {n: {value: n}, t: {value: time}}
+"""
+
+
+def test_a_scene_ends_at_the_bounce_that_is_asked_for() -> None:
+    # Falls of 0.4, then twice 0.4 times e, and e of e.
+    bounces = interpret(read_text(BOUNCES))
+    for count, end in ((1, 0.4), (2, 0.4 + 0.72), (3, 0.4 + 0.72 + 0.648)):
+        found = run_model(bounces, parameters={"N": count}).outputs
+        assert found == {"n": count, "t": pytest.approx(end, rel=1e-12)}
+    rows = sweep(bounces, {"N": [1, 2, 3]})
+    assert rows["n"].values.tolist() == [1, 2, 3]
+    assert rows["t"].values == pytest.approx([0.4, 1.12, 1.768], rel=1e-12)

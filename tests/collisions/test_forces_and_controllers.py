@@ -134,3 +134,23 @@ def test_paths_of_surfaces_use_no_controls_that_jump():
     surfaces = ", plate: {edge: [[-1, 0.0], [0.8, 0.0]], displacement: [0, push]}"
     with pytest.raises(DeclarationError, match="unknown name 'push'"):
         interpret(read_text(text(more, surfaces=surfaces, names=", plate")))
+
+
+@pytest.mark.parametrize(("condition", "end"), [("n >= 3", 0.3), ("3 <= n", 0.3), ("n > 3", 0.4)])
+def test_a_count_ends_a_run_by_steps_as_its_relation_is_written(condition: str, end: float) -> None:
+    more = """
+regions:
+  counter:
+    initial: on
+    variables: {n: 0}
+    states: {on: {}}
+    transitions: [{name: tick, from: on, every: 0.1, updates: {n: n + 1}}]
+"""
+    stopping = text(more).replace(
+        "{time: 1.0}", f"{{time: 1.0, conditions: {{enough: {condition}}}}}"
+    )
+    trace = Runner(interpret(read_text(stopping))).run().trace
+    assert trace.outcome is Outcome.STOPPED
+    # Controllers act at the end of a step, here of the one behind 0.3, and conditions are seen
+    # at the end of the next.
+    assert trace.t_end == pytest.approx(end, abs=2.5e-3)
