@@ -109,6 +109,8 @@ def by_us(count: int, tolerance: float) -> tuple[float, Iterator[Step]]:
         begun = runner.automaton.stepper()._begin(values, STEP, tolerance)
         heap = begun.stepped
         assert isinstance(heap, SteppedHeap)
+        # What is in the way after a step is not looked at: contacts are those of the step.
+        heap._deepest = math.inf
         state = begun.setup.initial
         for k in range(STEPS):
             state = heap.steps(k * STEP, STEP, state, 1).states[-1]

@@ -26,14 +26,17 @@ from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put
-from statechart.kernels.jit import beside, kernel, late
+from statechart.kernels.copies import put, put_rows
+from statechart.kernels.jit import beside, kernel, late, part
 from statechart.kernels.tapes import BLOCK, filled
 
 # What is no farther from the edge of its cone than this part of its impulse slides.
 _EDGE = 1e-9
 # Forces beside impacts are found to this part of what falls in a step at least.
 _NEAR = 1e-2
+# In a step in which no body goes so far, in parts of the smallest one's size, none passes another
+# or is deep in it.
+_FAR = 0.1
 
 
 class Room(NamedTuple):
@@ -53,6 +56,8 @@ class Room(NamedTuple):
     worst : (4,)
         What lasts: of all islands whose impulses missed what was allowed, that with the largest
         ratio of masses: this ratio, its lightest and its heaviest body, the residual.
+    earlier : Memory
+        What was remembered before the last step.
     """
 
     look: Look
@@ -66,6 +71,7 @@ class Room(NamedTuple):
     begins: Ints
     order: Ints
     worst: Array
+    earlier: Memory
 
     @classmethod
     def of(cls, numbers: BodyNumbers, memory: Memory) -> Room:
@@ -83,6 +89,7 @@ class Room(NamedTuple):
             np.empty(count + 1, np.int64),
             np.empty(most, np.int64),
             np.zeros(4),
+            memory.copy(),
         )
 
 
@@ -256,6 +263,30 @@ def _kept_joints(
     memory.many[0] = first + len(holds)
 
 
+@part
+def _remember(memory: Memory, kept: Memory) -> None:
+    """Copy what is remembered, in place."""
+    count = memory.many[0]
+    for i in range(count):
+        kept.keys[i, 0], kept.keys[i, 1] = memory.keys[i]
+    put_rows(memory.contacts[:count], kept.contacts)
+    kept.many[0] = count
+    put(memory.past, kept.past)
+
+
+@part
+def _hurry(numbers: BodyNumbers, state: Array, h: float) -> bool:
+    """Whether a body goes far in a step, beside the smallest."""
+    count, least, most = len(numbers.sizes), math.inf, 0.0
+    for b in range(count):
+        size, at = numbers.sizes[b], 3 * (count + b)
+        if size > 0.0:
+            least = min(least, size)
+            speed = math.hypot(state[at], state[at + 1]) + size * abs(state[at + 2])
+            most = max(most, speed)
+    return h * most > _FAR * least
+
+
 @kernel
 def step_bodies(
     numbers: BodyNumbers,
@@ -284,7 +315,8 @@ def step_bodies(
     bounds : (float, float)
         Residual of impulses that are good enough; a step that closes a larger gap, or in which
         bodies pass or sink into each other or turn by more than half a turn, is not taken: the
-        status is `COARSE`. Infinite: all are taken.
+        status is `COARSE`. Nor is the step before it, of whose second half that tells. Infinite:
+        all are taken.
     chunk : Chunk
         To be filled, per body instead of per contact; the unknowns are accelerations, and the
         forces of joints.
@@ -298,17 +330,29 @@ def step_bodies(
     frames, still, forces = np.zeros((3, 3)), np.zeros((3, 3)), around.forces
     width = 2 * n + around.memories.shape[1]
     acting = filled(forces.code, forces.constants, forces.values, width, 1)
-    for k in range(len(chunk.codes)):
+    steps = len(chunk.codes)
+    # What is in the way after the last step tells whether that could be taken.
+    for k in range(steps + 1):
+        if k == steps and not (deepest < math.inf and _hurry(numbers, state, h)):
+            break
         ground = Ground(around.frames[k : k + 3], registers, frames, still)
         look_at(numbers, state, h, memory.past[0], room.look)
         if len(forces.bodies) > 0:
             time = instant + (k + 0.5) * h
             pushed(numbers, forces, acting, around.memories[k + 1], time, h, room.look)
         seen = touching(numbers, ground, memory, room.look, room.grid, h, touches)
-        if seen.contacts < 0 or seen.contacts + len(numbers.joints.holds) >= len(touches.hit):
+        full = seen.contacts < 0 or seen.contacts + len(numbers.joints.holds) >= len(touches.hit)
+        if full and k < steps:
             return k, FULL
-        if deepest < math.inf and (seen.passed > 0.0 or seen.sunk > 0.0 or seen.closing > deepest):
-            return k, COARSE
+        coarse = seen.passed > 0.0 or seen.sunk > 0.0 or seen.closing > deepest
+        if deepest < math.inf and coarse:
+            if k == 0 or not _hurry(numbers, state, h):
+                return k, COARSE
+            _remember(room.earlier, memory)
+            return k - 1, COARSE
+        if k == steps:
+            break
+        _remember(memory, room.earlier)
         count, joins = seen.contacts, len(numbers.joints.holds) > 0
         if joins:
             places = around.places[k : k + 3]
@@ -341,4 +385,4 @@ def step_bodies(
                 if not math.isfinite(state[at]):
                     return k, NOT_FINITE
         put(state, chunk.states[k + 1])
-    return len(chunk.codes), DONE
+    return steps, DONE

@@ -162,7 +162,8 @@ class SteppedHeap:
         joint_forces = int((1 + (self.numbers.joints.holds == BOTH)).sum())
         solved = 3 * bodies + joint_forces
         chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
-        ahead, remembered = self._around.ahead(start, h, state[6 * bodies :], count)
+        # Of one step more, which is looked at.
+        ahead, remembered = self._around.ahead(start, h, state[6 * bodies :], count + 1)
         done, status = 0, FULL
         while status == FULL:
             taken, status = step_bodies(
@@ -174,7 +175,7 @@ class SteppedHeap:
                 self._memory = self._memory.larger()
                 worst = self._room.worst
                 self._room = Room.of(self.numbers, self._memory)._replace(worst=worst)
-        chunk.states[1:, 6 * bodies :] = remembered
+        chunk.states[1:, 6 * bodies :] = remembered[:-1]
         chunk = chunk.first(done)
         if self._around.count:
             chunk.solved[:, solved:] = self._around.given(start, h, chunk.states)

@@ -49,7 +49,8 @@ class Seen(NamedTuple):
         See `contacts.time_stepping.chunk.Chunk`.
     sunk : float
         By how much the deepest that was not known yet is deeper than two looks explain; or how
-        deep what is hit is, where that is much beside its size.
+        deep is what is hit, where that is much beside its size, or what approaches, where that is
+        more than a step at the fastest approach.
     """
 
     contacts: int
@@ -180,6 +181,8 @@ def touching(
                     passed = max(passed, crossed)
                 if role == APART:
                     continue
+                if nearing > slow and -gap > max(memory.past[2], h * nearing):
+                    sunk = max(sunk, -gap)
                 touches.hit[m] = role == HIT
                 touches.wanted[m, 0] = touches.wanted[m, 1] = 0.0
                 if role == HIT:

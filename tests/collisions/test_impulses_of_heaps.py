@@ -7,7 +7,7 @@ import pytest
 from heaps import heap
 
 from contacts.collisions.outlines import body_numbers
-from contacts.testing.body_properties import assert_energy_of_steps
+from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
@@ -18,12 +18,24 @@ from statechart.testing.subject import Subject
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_heaps_are_never_unsolved_and_keep_their_energy(seed):
+def test_heaps_come_to_their_end_and_keep_their_energy(seed):
     subject = Subject(interpret(read_text(heap(seed, most=20))))
     trace = subject.case({}).trace
-    assert trace.outcome is not Outcome.UNSOLVED_IMPULSES
+    assert trace.outcome is Outcome.HORIZON, trace.message
     scene = subject.model
     numbers = body_numbers(scene, scene.values())
+    assert_energy_of_steps(numbers, subject, trace)
+
+
+@pytest.mark.parametrize("seed", [59, 399, 639, 650, 664])
+def test_what_is_in_the_way_after_a_step_tells_whether_it_was_too_long(seed):
+    """Light bodies between heavy ones cross more than their size in a step."""
+    subject = Subject(interpret(read_text(heap(seed))))
+    trace = subject.case({}).trace
+    assert trace.outcome is Outcome.HORIZON, trace.message
+    scene = subject.model
+    numbers = body_numbers(scene, scene.values())
+    assert_depths(numbers, trace)
     assert_energy_of_steps(numbers, subject, trace)
 
 

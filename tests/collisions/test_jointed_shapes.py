@@ -150,6 +150,43 @@ def test_a_driven_joint_takes_its_point_along():
     )
 
 
+CRANK = """
+kind: scene
+name: crank
+gravity: 9.81
+parameters: {R: 0.1, L: 0.3, w: 15, p: 3*pi/2, s: sqrt(L**2 - R**2*sin(p)**2), v: -R*w*sin(p)}
+bodies:
+  rod:
+    mass: 0.2
+    inertia: 0.2*L**2/12
+    shape: {polygon: [[-L/2, -0.005], [L/2, -0.005], [L/2, 0.005], [-L/2, 0.005]]}
+    start: {x: (2*R*cos(p) + s)/2, y: R*sin(p)/2, angle: -asin(R*sin(p)/L),
+      dx: v*(1 + R*cos(p)/s/2), dy: R*w*cos(p)/2, dangle: -R*w*cos(p)/s}
+  slider:
+    mass: 0.5
+    inertia: 0.01
+    shape: {polygon: [[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]]}
+    start: {x: R*cos(p) + s, dx: v*(1 + R*cos(p)/s)}
+surfaces: {ground: {height: -1}}
+joints:
+  pin: {point: {body: rod, at: [-L/2, 0]}, to: [R*cos(w*time + p), R*sin(w*time + p)]}
+  wrist: {point: {body: rod, at: [L/2, 0]}, to: {body: slider}}
+  fore: {point: {body: slider, at: [0.04, 0]}, to: {y: 0}}
+  aft: {point: {body: slider, at: [-0.04, 0]}, to: {y: 0}}
+collisions: {all: {bodies: [rod, slider], surfaces: [ground], friction: 0, restitution: 0}}
+stop: {time: 0.6}
+settings: {engine: impulse, step: STEP}
+"""
+
+
+def test_a_crank_that_turns_drives_a_slider():
+    at = 15 * 0.6 + 1.5 * math.pi
+    place = 0.1 * math.cos(at) + math.sqrt(0.3**2 - (0.1 * math.sin(at)) ** 2)
+    found = [run(CRANK.replace("STEP", str(step))).trace.final[3] for step in (1e-3, 5e-4)]
+    assert found[0] == pytest.approx(place, abs=1e-5)
+    assert abs(found[1] - place) < 0.3 * abs(found[0] - place)
+
+
 def test_a_closed_loop_on_the_ground_stands():
     # Two bars lean on each other, pinned at the top; their feet stand by friction, or slip.
     text = """

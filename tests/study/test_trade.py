@@ -68,6 +68,9 @@ def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> N
     column = Runner("granular_column")
     found = traded(column, settings=settings, until=0.1, folder=tmp_path)
     assert found.reference.startswith("impulse to 1e-10 step ")
+    # The reference is checked along both axes.
+    assert found.check.startswith("impulse to 1e-08 step ")
+    assert found.check.split("step ")[1] != found.reference.split("step ")[1]
     assert [point.setting for point in found.points] == settings
     assert found.points == load(tmp_path).points
     assert "impulse to 1e-08 step 0.001" in text(found)
