@@ -70,6 +70,12 @@ class Surroundings:
         now = self._paths.at(self._known, times[:1], memories[:1])
         looks = self._paths.at(self._known, times[1::2], memories[1::2])
         before = Where(*(2.0 * a - b[:1] for a, b in zip(now, looks, strict=True)))
+        # What turns about a point goes on to do so.
+        turned = before.frames[:, :, 2] - now.frames[:, :, 2]
+        cos, sin = np.cos(turned), np.sin(turned)
+        dx, dy = np.moveaxis((now.frames - looks.frames[:1])[:, :, :2], -1, 0)
+        moved = np.stack([cos * dx - sin * dy, sin * dx + cos * dy], -1)
+        before.frames[:, :, :2] = now.frames[:, :, :2] + moved
         if self._last is not None and self._last[1] == h:
             before = self._last[0]
         self._kept = self._last

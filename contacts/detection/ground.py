@@ -8,6 +8,9 @@ from typing import NamedTuple
 from contacts.detection.body_numbers import BodyNumbers
 from contacts.detection.look import Look
 from contacts.detection.surfaces import (
+    HOLLOW,
+    ROUND,
+    SurfaceNumbers,
     against_surface,
     carried,
     crossed,
@@ -86,17 +89,30 @@ def on_surface(
 
 
 @part
-def carried_along(frames: Array, found: Array, h: float, m: int, touches: Touches) -> float:
+def carried_along(
+    ground: Ground, surfaces: SurfaceNumbers, s: int, found: Array, h: float, m: int,
+    touches: Touches,
+) -> float:  # fmt: skip
     """Take the motion of a surface from a contact's velocities; return its pull.
 
-    It moves from look to look, as the bodies do.
+    It moves from look to look, as the bodies do. A circle nears only as its centre does, and slips
+    along its rim.
     """
     nx, ny, x, y = found[0], found[1], found[2], found[3]
-    before, free = touches.before, touches.free
-    u, v = _moved(frames, x, y, 0)
-    before[m, 0] -= (nx * (x - u) + ny * (y - v)) / h
-    before[m, 1] -= (ny * (x - u) - nx * (y - v)) / h
-    u, v = _moved(frames, x, y, 2)
-    free[m, 0] -= (nx * (u - x) + ny * (v - y)) / h
-    free[m, 1] -= (ny * (u - x) - nx * (v - y)) / h
+    before, free, frames = touches.before, touches.free, ground.frames
+    a, b = x, y
+    if surfaces.kinds[s] == ROUND or surfaces.kinds[s] == HOLLOW:
+        a, b = carried(frames[1], surfaces.numbers[s, 0], surfaces.numbers[s, 1])
+    arm = nx * (x - a) + ny * (y - b)
+    for look in (0, 2):
+        way, turned = (look - 1.0) / h, frames[look, 2] - frames[1, 2]
+        u, v = _moved(frames, a, b, look)
+        nearing = way * (nx * (u - a) + ny * (v - b))
+        along = way * (ny * (u - a) - nx * (v - b) - turned * arm)
+        if look == 0:
+            before[m, 0] -= nearing
+            before[m, 1] -= along
+        else:
+            free[m, 0] -= nearing
+            free[m, 1] -= along
     return math.hypot(free[m, 0] - before[m, 0], free[m, 1] - before[m, 1])

@@ -13,7 +13,7 @@ from contacts.detection.convex import FOUND, between
 from contacts.detection.ground import Ground, carried_along, on_surface
 from contacts.detection.joints import held
 from contacts.detection.look import TOUCHING, Look
-from contacts.detection.meeting import arrives, came, nearby, overlap
+from contacts.detection.meeting import arrives, came, crossing, nearby, overlap
 from contacts.detection.seams import exposed
 from contacts.detection.touches import Touches, felt, recalled, turned
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
@@ -119,9 +119,12 @@ def touching(
                 slowly = nearby(drifts, sizes, p, q, _CROSSED / since)
                 # Of what grazes the approach is slow.
                 core = _CORE if slowly else _WHOLE
-                begin, end = overlap(centres, drifts, p, q, core * (cores[p] + cores[q]))
-                if -since < begin and begin + end < 0.0:
-                    passed = max(passed, (end - begin) / h)
+                if radii[p] * radii[q] > 0.0 or nearby(drifts, cores, p, q, _CROSSED / since):
+                    begin, end = overlap(centres, drifts, p, q, core * (cores[p] + cores[q]))
+                    if -since < begin and begin + end < 0.0:
+                        passed = max(passed, (end - begin) / h)
+                else:
+                    passed = max(passed, crossing(numbers, look, (p, q), since, core, aside) / h)
                 points = between(
                     look.world[firsts[p] : firsts[p + 1]], centres[p], radii[p],
                     look.world[firsts[q] : firsts[q + 1]], centres[q], radii[q],
@@ -150,7 +153,7 @@ def touching(
                 level, lasting, place = recalled(memory, at_old, pair, features[at], h, m, touches)
                 felt(look, b, other, found[at], m, touches)
                 if moves:
-                    pull = carried_along(ground.frames, found[at], h, m, touches)
+                    pull = carried_along(ground, surfaces, s, found[at], h, m, touches)
                     look.pull[b] = max(look.pull[b], pull)
                 nearing = -touches.before[m, 0]
                 changed = touches.free[m, 0] - touches.before[m, 0]

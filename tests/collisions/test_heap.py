@@ -335,3 +335,33 @@ def test_a_step_in_which_a_body_would_turn_by_more_than_half_a_turn_is_taken_in_
     spin = trace.final[8] ** 2 + 1e3 * trace.final[11] ** 2
     assert momentum == pytest.approx(10, abs=1e-9)
     assert energy + spin == pytest.approx(100, rel=1e-6)
+
+
+WALL = """
+kind: scene
+name: wall
+parameters: {v: 1e4, y: 0.1, w: 0.001}
+bodies:
+  bullet: {mass: 1, inertia: 1, shape: SHAPE, start: {y: y, dx: v}}
+  wall:
+    mass: 1
+    inertia: 1e9
+    shape: {polygon: [[-w, -0.5], [w, -0.5], [w, 0.5], [-w, 0.5]]}
+    start: {x: 3, y: 0.5}
+collisions: {all: {bodies: [bullet, wall], friction: 0, restitution: 1}}
+stop: {time: 0.02}
+settings: {engine: impulse, step: 1e-3}
+"""
+SQUARE_OF_A_BULLET = "{polygon: [[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]]}"
+
+
+@pytest.mark.parametrize("shape", ["{disc: 0.01}", SQUARE_OF_A_BULLET])
+@pytest.mark.parametrize("y", [0.1, 0.9])
+def test_what_crosses_a_thin_wall_far_from_its_middle_within_a_step_strikes_it(shape, y):
+    """It goes 10 m in a step; nothing is lost, and all of its momentum is the wall's."""
+    trace = Runner(interpret(read_text(WALL.replace("SHAPE", shape)))).run({"y": y}).trace
+    assert trace.outcome is Outcome.HORIZON
+    assert trace.final[[6, 9]] == pytest.approx([0.0, 1e4], abs=1e-5)
+    # Beside its end nothing is in the way.
+    free = Runner(interpret(read_text(WALL.replace("SHAPE", shape)))).run({"y": 1.02}).trace
+    assert free.final[[6, 9]] == pytest.approx([1e4, 0.0], abs=0.0)

@@ -391,3 +391,31 @@ stop: {time: 0.3}
     )
     expected = [0.5 * math.sin(swing.y[0, -1]), -0.5 * math.cos(swing.y[0, -1])]
     assert found[:2] == pytest.approx(expected, abs=1e-8)
+
+
+ROLLERS = """
+kind: scene
+name: rollers
+parameters: {R: 0.1, r: 0.15, a: 40*pi/180, mu: 0.2, w: 20, until: 0.2}
+gravity: 9.81
+bodies:
+  disc: {mass: 1, inertia: r**2/2, shape: {disc: r}, start: {y: (R + r)*cos(a)}}
+surfaces:
+  left: {circle: [-(R + r)*sin(a), 0], radius: R, turn: w*time}
+  right: {circle: [(R + r)*sin(a), 0], radius: R, turn: w*time}
+collisions: {all: {bodies: [disc], surfaces: [left, right], friction: mu, restitution: 0}}
+stop: {time: until}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+@pytest.mark.parametrize("until", [0.2, 0.20031, 0.6])
+def test_a_disc_on_two_rollers_that_turn_is_spun_up_in_its_place(until):
+    """Constant friction of both spins it up until it rolls; the last steps may be shorter."""
+    up, across = math.cos(math.radians(40)), math.sin(math.radians(40))
+    normals = np.array([[across, up], [-across, up]])
+    along = np.array([[-up, across], [-up, -across]])
+    forces = np.linalg.solve((normals + 0.2 * along).T, [0.0, 9.81])
+    spin = -min(0.2 * forces.sum() / (0.5 * 0.15) * until, 20 * 0.1 / 0.15)
+    final = Runner(interpret(read_text(ROLLERS))).run({"until": until}).trace.final
+    assert final[[0, 1, 3, 4, 5]] == pytest.approx([0, 0.25 * up, 0, 0, spin], abs=1e-10)
