@@ -50,9 +50,9 @@ def median(function: Callable[[], object], repeats: int) -> float:
     return statistics.median(taken)
 
 
-def ours(name: str, count: int, tolerance: float, repeats: int) -> None:
-    """Print what a run of a shipped model takes, and what it reaches."""
-    runner = Runner(name, impulse_tolerance=tolerance)
+def ours(name: str, count: int, tolerance: float, repeats: int, text: str = "") -> None:
+    """Print what a run of a shipped model takes, or of a text, and what it reaches."""
+    runner = Runner(interpret(read_text(text)) if text else name, impulse_tolerance=tolerance)
     trace = runner.run({"n": count}, throw=False).trace
     taken = median(lambda: runner.run({"n": count}, throw=False), repeats)
     counts = trace.counts
@@ -63,6 +63,30 @@ def ours(name: str, count: int, tolerance: float, repeats: int) -> None:
         f"{-min(trace.margins.values()) / trace.tolerances['gap']:10.2f}  {trace.outcome.name}",
         flush=True,
     )
+
+
+COLUMNS = """
+kind: scene
+name: columns
+parameters: {n: 100, r: 0.01, m: 0.01, gap: 2.2*r}
+gravity: 9.81
+bodies:
+  grain:
+    copies: n
+    mass: m
+    inertia: m*r**2/2
+    shape: {disc: r}
+    start:
+      x: 0.8*COLUMN + gap*(1.5 + 4/pi*atan(tan(pi*(index - 1.5)/4)))
+        + 0.09*r*sin(index - 100*COLUMN)
+      y: 1.01*r + gap*(index - 100*COLUMN - (1.5 + 4/pi*atan(tan(pi*(index - 1.5)/4))))/4
+surfaces: {ground: {height: 0}}
+collisions: {all: {bodies: [grain], surfaces: [ground], friction: 0.5, restitution: 0.2}}
+stop: {time: 0.6}
+settings: {engine: impulse, step: 1e-3, record: nothing}
+""".replace("COLUMN", "((index - 49.5 - 100/pi*atan(tan(pi*(index - 49.5)/100)))/100)")
+"""As many columns of a hundred discs as there are discs for, beside each other: of a higher column
+more and more discs touch nothing."""
 
 
 def starts(count: int) -> list[tuple[float, float]]:
@@ -255,6 +279,7 @@ def main() -> None:
     for count in chosen.discs:
         for tolerance in chosen.tolerances:
             ours("granular_column", count, tolerance, chosen.repeats)
+        ours("columns", count, 1e-4, chosen.repeats, COLUMNS)
         for name in PEERS:
             alone = [sys.executable, __file__, "--peer", name, "--discs", str(count)]
             subprocess.run([*alone, "--repeats", str(chosen.repeats)], check=True)
