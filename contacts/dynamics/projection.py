@@ -32,8 +32,10 @@ _FREE = (0.0,) * 5
 # as narrow as the gap's tolerance would take 1e5 boxes a step.
 UNSEEN = 1e-4
 _EPS = float(np.finfo(float).eps)
-# A distance that projection cannot reduce is rounding up to so many of those of its terms.
+# What projection cannot reduce is rounding up to so many times what a last bit makes of it.
 _ROUNDINGS = 64.0
+# What a last bit makes is read off so small a part of every number.
+_SHIFT = 2.0**-26
 
 
 class Projection:
@@ -117,11 +119,18 @@ class Projection:
             projected = _brought(flow, snapshot, joints, state, held=pins)
             if joints is None:
                 return projected
+            before = constraints.off(state, values, time)
             left = constraints.off(projected, values, time)
-            if left > 0.5 * constraints.off(state, values, time):
-                # An angle of many turns is rounded to more than the tolerances.
-                terms = np.abs(joints.jacobian) @ np.abs(state[: len(state) // 2])
-                if left <= near * _ROUNDINGS * _EPS * float(terms.max()):
+            if left > 0.5 * before:
+                # Rates were brought onto the constraints of the place left: what turns fast is as
+                # far off again at the new one, and no longer at the next.
+                again = self._snapshots.whole(values, projected, time)
+                projected = _brought(flow, *again, projected, held=pins)
+                left = constraints.off(projected, values, time)
+            if left > 0.5 * before:
+                # Angles of many turns, and rates that have grown, are rounded to more than the
+                # tolerances.
+                if left <= _ROUNDINGS * (self._rounding(state, values, time) * (near, slow)).max():
                     return state
                 if left > 1.0:
                     rows = joints.jacobian * scales.sizes[: len(state) // 2]
@@ -136,6 +145,16 @@ class Projection:
         room = unseen_room(tolerances, scales)
         constraints = Constraints(self.tape, targets, weights, project, self.unseen(flow), room)
         return constraints
+
+    def _rounding(self, state: Array, values: Array, time: float) -> Array:
+        """Return how far a last bit of every number of the state takes the joints (rows, 2)."""
+        rows = [self.tape.at(state, values, time)]
+        for i, number in enumerate(state):
+            moved = state.copy()
+            moved[i] += _SHIFT * number
+            rows.append(self.tape.at(moved, values, time))
+        moves = np.abs(np.array(rows[1:]) - rows[0]).sum(axis=0)
+        return (_EPS / _SHIFT) * moves[5 * len(self._gaps) :].reshape(-1, 2)
 
     def unseen(self, flow: Key) -> Tape | None:
         """Return what tells that a step passed over a bump of a surface, or a dip, unseen.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Discriminator, Field, Tag
@@ -15,6 +16,7 @@ from contacts.scene.parts import (
     Contact,
     Coordinate,
     Pair,
+    Point,
     Resolution,
     Simultaneous,
     Surface,
@@ -248,10 +250,40 @@ class SceneFields(Declaration):
         return rubs and (turns or len(self.contacts) > 1) and self.paradox == "impact"
 
     def bounces(self, contact: str) -> bool:
-        """Whether impacts may accumulate: its own, or in turn with those elsewhere on its body."""
+        """Whether impacts may accumulate: its own, or in turn with others that feel them."""
         declared = self.contacts[contact]
-        beside = sum(other.point.body == declared.point.body for other in self.contacts.values())
-        return "free" in declared.kinds and (declared.restitution != 0 or beside > 1)
+        if "free" not in declared.kinds or declared.restitution != 0:
+            return "free" in declared.kinds
+        moved = self._moved_with(declared.point.body)
+        return sum(other.point.body in moved for other in self.contacts.values()) > 1
+
+    def _moved_with(self, body: str) -> set[str]:
+        """Return what feels an impact on a body through joints, coordinates and contacts."""
+        pairs = [
+            (joint.point.body, joint.to.body)
+            for joint in self.joints.values()
+            if isinstance(joint.to, Point)
+        ]
+        for contact in self.contacts.values():
+            carrier = self.surfaces[contact.surface].body
+            pairs += [] if carrier is None else [(contact.point.body, carrier)]
+        for coordinate in self.coordinates:
+            pairs += pairwise(
+                name
+                for name, one in self.bodies.items()
+                if any(
+                    coordinate in parse(text).names
+                    for text in (*(one.position or ()), one.angle or 0)
+                )
+            )
+        found, left = {body}, [body]
+        while left:
+            here = left.pop()
+            for pair in pairs:
+                fresh = {*pair} - found if here in pair else set()
+                found |= fresh
+                left += fresh
+        return found
 
     @cached_property
     def controlled(self) -> Controls:

@@ -268,6 +268,16 @@ class Scene(SceneFields):
         with found:
             if contact.radius is not None and self._on_a_surface(name):
                 check_rim(self.surfaces[contact.surface], (*at, "radius"))
+        with found:
+            if self._on_a_surface(name) and (
+                self.surfaces[contact.surface].body == contact.point.body
+            ):
+                raise DeclarationProblem(
+                    f"its point and its surface are of one body, {contact.point.body!r}: nothing "
+                    "can bring them together",
+                    advice="name a point of another body, or a surface of another one",
+                    loc=(*at, "surface"),
+                )
         for key in ("friction", "restitution"):
             text = getattr(contact, key)
             with found:

@@ -55,3 +55,18 @@ def test_a_ball_in_a_corner_is_hit_by_both_walls_at_once(engine: str, e: float) 
     found = outputs("corner", engine, e=e)
     assert [found["dx"], found["dy"]] == pytest.approx([2.0 * e, 2.0 * e], abs=1e-12)
     assert [found["x"], found["y"]] == pytest.approx([2.0 * e * 1.5] * 2, abs=1e-12)
+
+
+def test_hinged_rods_that_a_motor_spins_up_keep_what_no_force_changes(engine: str) -> None:
+    g, length, mass, push, first, second, end = 9.81, 0.375, 2.0, 6.0, -0.9, -2.2, 2.5
+    found = outputs("tumble", engine)
+    # The middle of both falls; they start at rest, and the motor turns them against each other.
+    x = length / 4 * (3 * math.sin(first) + math.sin(second))
+    y = -length / 4 * (3 * math.cos(first) + math.cos(second))
+    assert found["x"] == pytest.approx(x, abs=1e-9)
+    assert found["y"] == pytest.approx(y - g / 2 * end**2, abs=1e-9)
+    assert found["spin"] == pytest.approx(0.0, abs=1e-9)
+    work = push * found["turned"]
+    assert work > 1000.0
+    # What the motor did is in the speeds; rates of some 300 rad/s are known to their rounding.
+    assert found["energy"] - work == pytest.approx(2 * mass * g * y, abs=1e-9 * work)
