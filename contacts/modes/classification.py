@@ -42,6 +42,8 @@ _ENUMERATED_LAST = 6
 # Of the tie band: what rounding alone makes of an equality, as between balls that touch without
 # load. A contact that has just been left is near the band's edge.
 _NEARLY = 0.1
+# Of a contact's normal: what joints leave of it below this is rounding.
+_IMPLIED = 1e-10
 _UNCHECKED = (
     f"where more than {_ENUMERATED} contacts touch, Lemke's algorithm finds the mode: "
     "uniqueness not checked"
@@ -142,6 +144,7 @@ def choose(
     notes: tuple[str, ...] = (_UNCHECKED,) if many else ()
     if taken.share is not None:
         notes += _indeterminate(laws, taken.share)
+    notes += _carried(snapshot, laws, closed, taken.states)
     considered = Deferred(partial(_verdicts, laws, tried, taken, tie))
     return Choice(taken, considered, warning, notes)
 
@@ -229,6 +232,30 @@ def _opens(taken: Candidate, other: Candidate | Undetermined, closed: Sequence[b
 def _indeterminate(laws: Sequence[ContactLaw], shared: Share) -> tuple[str, ...]:
     names = [law.name for law, zone in zip(laws, shared.zones, strict=True) if zone != OWN]
     return (undetermined(names),)
+
+
+def _carried(
+    snapshot: Snapshot,
+    laws: Sequence[ContactLaw],
+    closed: Sequence[bool],
+    states: tuple[str, ...],
+) -> tuple[str, ...]:
+    """Tell of contacts that joints hold closed: no motion opens them, and any force would do."""
+    if snapshot.held is None:
+        return ()
+    left = np.abs(snapshot.jacobians[:, 0]).max(axis=1, initial=0.0)
+    whole = np.abs(snapshot.whole.jacobians[:, 0]).max(axis=1, initial=0.0)
+    names = [
+        law.name
+        for law, shut, state, here, all_of_it in zip(laws, closed, states, left, whole, strict=True)
+        if shut and state in OPEN and here <= _IMPLIED * all_of_it
+    ]
+    if not names:
+        return ()
+    return (
+        f"joints hold {', '.join(names)} closed: they are taken to bear all of the load, and no "
+        "friction acts there",
+    )
 
 
 def _options(
