@@ -199,9 +199,13 @@ class Scene(SceneFields):
                 self._formulas(
                     found, getattr(coordinate, key), parameters, "coordinates", name, key
                 )
+        # Beside what moves, a body may stand at a place.
+        nothing_moves = not self.coordinates and all(
+            body.position is not None for body in self.bodies.values()
+        )
         for name, body in self.bodies.items():
             with found:
-                if body.position is not None and not self.coordinates:
+                if body.position is not None and nothing_moves:
                     raise DeclarationProblem(
                         "a position is a formula of coordinates, and the scene has none",
                         advice=FREE_START,
