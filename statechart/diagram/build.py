@@ -257,7 +257,7 @@ def _stepped(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[
             continue
         ends = path[-1], together[-1].target
         path.append(ends[1])
-        made.setdefault(ends, Counter()).update({jump.cause for jump in together})
+        made.setdefault(ends, Counter()).update(dict.fromkeys([jump.cause for jump in together], 1))
         for jump in together:
             whose.setdefault((*ends, jump.cause), {})[jump.region] = None
     single = len(_moving(automaton)) == 1

@@ -146,14 +146,9 @@ box is too narrow to look closer."""
 
 @part
 def _sure(
-    along: Along,
-    guard: Ints32,
-    tolerance: float,
-    step: int,
-    here: float,
-    end: float,
+    along: Along, guard: Ints32, tolerance: float, step: int, here: float, end: float,
     scratch: Scratch,
-) -> float:
+) -> float:  # fmt: skip
     """Where an output is sure to be below -tolerance that falls from `here` to `end`."""
     bounds, _, jets, aside = scratch
     # What rounding left over at the float root, the slope carries below 0.
@@ -173,15 +168,9 @@ def _sure(
 
 @part
 def _decided(
-    along: Along,
-    guard: Ints32,
-    tolerance: float,
-    step: int,
-    a: float,
-    b: float,
-    evidence: Array,
-    scratch: Scratch,
-) -> tuple[int, float, float]:
+    along: Along, guard: Ints32, tolerance: float, step: int, a: float, b: float,
+    evidence: Array, scratch: Scratch,
+) -> tuple[int, float, float]:  # fmt: skip
     """Tell from the evidence whether an output falls on [a, b]: where, and where it surely has."""
     bounds, regs, jets, aside = scratch
     output = guard[0]
