@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -91,12 +89,11 @@ def extremes_rows(
     variables: int,
     extremes: Array,
 ) -> None:
-    """Write the least and the greatest value (r, 2) of tapes along the arcs of runs.
+    """Bring the least and the greatest value (r, 2) of tapes up to date by those along arcs.
 
     See `integrate_rows`; tapes have one output.
     """
     for row in range(spans.shape[0]):
-        extremes[row, 0] = extremes[row, 1] = math.nan
         for arc in range(spans[row, 0], spans[row, 1]):
             tape = tapes[arcs[arc, 0]]
             steps, width = np.int64(arcs[arc, 2]), np.int64(arcs[arc, 3])

@@ -118,6 +118,17 @@ def beside(trace: Trace, jumps: Sequence[Jump], before: bool, width: int) -> Poi
     return Points(times, states, roles, range(1, len(jumps) + 1))
 
 
+def passed(trace: Trace) -> list[Jump]:
+    """Return the jumps after which nothing flowed: into modes of no duration, and the last.
+
+    None of steps, whose arcs hold all states that their jumps lead through.
+    """
+    if trace.step is not None:
+        return []
+    flowed = {arc.j for arc in trace.arcs}
+    return [trace.jumps[j] for j in range(len(trace.jumps)) if j + 1 not in flowed]
+
+
 class PassedModes:
     """Modes that the runs of a simulator were in, or passed through in no time.
 

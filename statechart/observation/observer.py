@@ -29,6 +29,7 @@ from statechart.observation.flows import (
     beside,
     end_of,
     instants,
+    passed,
     roles_at,
     seen,
     start_of,
@@ -36,6 +37,12 @@ from statechart.observation.flows import (
 )
 from statechart.observation.programs import FormulaLike, Programs
 from statechart.observation.sampling import Points, Samples, along, at_times, subdivided
+
+
+def include(found: Array, values: Array) -> None:
+    """Let an interval (2,), not numbers at first, hold values, too; what is none does not count."""
+    found[0] = np.fmin.reduce(values, axis=None, initial=found[0])
+    found[1] = np.fmax.reduce(values, axis=None, initial=found[1])
 
 
 class Observer:
@@ -280,18 +287,18 @@ class Observer:
             yield arc, active.places, tape, arc.coefficients, arc.coefficients
 
     def extremes(self, trace: Trace, formula: FormulaLike) -> tuple[float, float]:
-        """Return the least and the greatest value of a formula over all arcs.
+        """Return the least and the greatest value of a formula over a run.
 
-        Places where the formula is undefined do not count; both are not a number if it is
-        everywhere.
+        Modes of no duration belong to it, its start and its end. Places where the formula is
+        undefined do not count; both are not a number if it is everywhere.
         """
         check_kept(trace)
-        expressions = (self.programs.expression(formula),)
-        if not trace.arcs:
-            ends = self.initial(trace, expressions)[0], self.final(trace, expressions)[0]
-            return float(min(ends)), float(max(ends))
         found = np.full(2, np.nan)
+        include(found, self.initial(trace, (formula,)))
         self.widened(trace, formula, found)
+        if jumps := passed(trace):
+            include(found, self.at(trace, (formula,), jumps))
+        include(found, self.final(trace, (formula,)))
         return found.item(0), found.item(1)
 
     def widened(self, trace: Trace, formula: FormulaLike, found: Array) -> None:

@@ -13,6 +13,7 @@ from statechart.arrays import Array
 from statechart.automaton.events import happened
 from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.documents.outputs import Moment, Value
+from statechart.observation.observer import include
 from statechart.observation.outputs import Outputs, OutputValue
 
 
@@ -60,6 +61,8 @@ class OnTheWay:
         if self._start is None and self._outputs.start:
             self._start = self._at_start(piece)
         for formula, found in self._extremes.items():
+            if not self._last:
+                include(found, self._observer.initial(piece, (formula,)))
             self._observer.widened(piece, formula, found)
         if self._outputs.integrals:
             self._integrals = self._outputs.integrated(piece, self._integrals)
@@ -72,9 +75,12 @@ class OnTheWay:
         for (name, *_), moment in zip(outputs.at, self._moments, strict=True):
             found[name] = moment.end(last)
         found |= {name: n for (name, _), n in zip(outputs.counts, self._counted, strict=True)}
+        for formula, extremes in self._extremes.items():
+            if not self._last:
+                include(extremes, self._observer.initial(piece, (formula,)))
+            include(extremes, self._observer.final(last, (formula,)))
         for name, formula, which in outputs.extremes:
-            values = self._extremes[formula].tolist()
-            found[name] = (values if self._last else self._observer.extremes(piece, formula))[which]
+            found[name] = self._extremes[formula].item(which)
         if outputs.start:
             found |= zip(outputs.start, self._start or self._at_start(last), strict=True)
         if outputs.end:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,16 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Ints, Ints32
 from statechart.automaton.recording import Block
 from statechart.execution.ahead import N_MODE, T_HIGH
-from statechart.execution.rows import EVENTS, EVENTS_END, FIRST_MODE, HOW, STOPPED, Found
+from statechart.execution.rows import (
+    ARCS,
+    ARCS_END,
+    EVENTS,
+    EVENTS_END,
+    FIRST_MODE,
+    HOW,
+    STOPPED,
+    Found,
+)
 from statechart.kernels.jit import kernel, part
 from statechart.kernels.rows import extremes_rows, integrate_rows
 from statechart.kernels.tapes import tape_values
@@ -202,26 +212,44 @@ def _at_events(wanted: Wanted, block: Block, found: Found, output: int, values: 
 
 
 @part
+def _include(extremes: Array, value: Array) -> None:
+    """Let an interval (2,), not numbers at first, hold a value (1,), too."""
+    if not value[0] >= extremes[0] and value[0] == value[0]:
+        extremes[0] = value[0]
+    if not value[0] <= extremes[1] and value[0] == value[0]:
+        extremes[1] = value[0]
+    value[0] = math.nan
+
+
+@part
 def _extremes(
     wanted: Wanted, block: Block, found: Found, formula: int, spans: Ints, result: Array
 ) -> None:
     """Write the least and the greatest value (m, 2) of a formula."""
-    tapes, ends = wanted.extremes[formula], np.empty((2, 1))
+    tapes, value = wanted.extremes[formula], np.full(1, math.nan)
+    for row in range(spans.shape[0]):
+        parameters, first = found.values[row], found.ends[row, FIRST_MODE]
+        result[row] = math.nan
+        _evaluate(wanted, tapes[first], found.initial[row], parameters, 0.0, value)
+        _include(result[row], value)
     extremes_rows(
         wanted.ints, wanted.floats, tapes, block.arcs, block.places, block.starts, block.times,
         block.coefficients, spans, found.values, found.final.shape[1], result,
     )  # fmt: skip
     for row in range(spans.shape[0]):
-        if spans[row, 0] < spans[row, 1]:
-            continue
-        # Nothing flowed.
-        ends[:] = np.nan
-        parameters, first = found.values[row], found.ends[row, FIRST_MODE]
-        _evaluate(wanted, tapes[first], found.initial[row], parameters, 0.0, ends[0])
-        last, time = found.place[row, N_MODE], found.now[row, T_HIGH]
-        _evaluate(wanted, tapes[last], found.final[row], parameters, time, ends[1])
-        result[row, 0] = ends[1, 0] if ends[1, 0] < ends[0, 0] else ends[0, 0]
-        result[row, 1] = ends[1, 0] if ends[1, 0] > ends[0, 0] else ends[0, 0]
+        parameters, last, time = found.values[row], found.place[row, N_MODE], found.now[row, T_HIGH]
+        arc, begin = spans[row, ARCS], spans[row, EVENTS]
+        for event in range(begin, spans[row, EVENTS_END]):
+            while arc < spans[row, ARCS_END] and block.arcs[arc, 1] <= event - begin:
+                arc += 1
+            if arc < spans[row, ARCS_END] and block.arcs[arc, 1] == event - begin + 1:
+                continue
+            # Nothing flowed after it.
+            target, at = np.int64(block.events[event, TARGET]), block.numbers[event, TIME]
+            _evaluate(wanted, tapes[target], block.states[event, 1], parameters, at, value)
+            _include(result[row], value)
+        _evaluate(wanted, tapes[last], found.final[row], parameters, time, value)
+        _include(result[row], value)
 
 
 @kernel

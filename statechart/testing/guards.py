@@ -10,7 +10,9 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.regions import Margin
-from statechart.automaton.trace import Arc, Role, Trace
+from statechart.automaton.trace import Arc, Jump, Role, Trace
+from statechart.observation.flows import passed
+from statechart.observation.observer import Observer
 from statechart.tabular import shortest
 from statechart.testing.agreement import NUDGE
 from statechart.testing.hybrid_time import ROUNDING
@@ -94,13 +96,36 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
         allowed = _assert_margins(subject, trace, arc, tau, margins)
         alone = replace(trace, arcs=(arc,))
         for margin, less in zip(margins, allowed, strict=True):
-            least, _ = observer.extremes(alone, margin.expression)
-            if least < -less:
+            found = np.full(2, np.nan)
+            observer.widened(alone, margin.expression, found)
+            if (least := found[0]) < -less:
                 begins, ends = arc.start.high, arc.start.high + arc.duration
                 raise AssertionError(
                     f"{margin.name} falls to {least:.6g} between t = {shortest(begins)} and "
                     f"{shortest(ends)} in {subject.automaton.label(arc.mode)}"
                 )
+    for margin in subject.automaton.invariants:
+        for jump in {jump.j: jump for jump in (*trace.jumps[:1], *passed(trace))}.values():
+            for before in (True, False):
+                _assert_at(observer, trace, jump, margin, before=before)
+
+
+def _assert_at(
+    observer: Observer, trace: Trace, jump: Jump, margin: Margin, *, before: bool
+) -> None:
+    """Check an invariant of the run beside a jump, where it may be in a mode of no duration."""
+    expression = margin.expression
+    value = observer.at(trace, (expression,), [jump], before=before).item()
+    allowed = trace.tolerances.get(margin.kind, 0.0)
+    state = jump.before if before else jump.after
+    for i, size in enumerate(np.maximum(np.abs(jump.before), np.abs(jump.after)).tolist()):
+        changed = state.copy()
+        changed[i] += max(trace.tolerance, ROUNDING) * size
+        moved = replace(jump, before=changed, after=changed)
+        allowed += abs(observer.at(trace, (expression,), [moved], before=before).item() - value)
+    if value < -allowed:
+        mode = observer.automaton.label(jump.source if before else jump.target)
+        raise AssertionError(f"{margin.name} is {value:.6g} at t = {shortest(jump.t)} in {mode}")
 
 
 def _assert_margins(

@@ -53,6 +53,8 @@ outputs:
   slid: {integral: B.slip, during: {B: closed}}
   low: {minimum: stick.y}
   strong: {maximum: A.V + B.V}
+  rise: {maximum: stick.dy}
+  turn: {minimum: stick.dangle}
 """
 
 

@@ -238,6 +238,33 @@ def test_an_invariant_that_is_broken_for_a_moment_is_caught(where):
     assert "falls to -0.1 between t = 0 and 5" in found.message
 
 
+@pytest.mark.parametrize("broken", ["k <= 2", "x >= -1", "x <= 19"])
+def test_an_invariant_that_is_broken_where_nothing_flows_is_caught(broken):
+    # In a mode of no duration, and after the jump that the run ends with.
+    text = """
+kind: chart
+name: passing
+variables: {x: 0, k: 0}
+regions:
+  it:
+    initial: a
+    states: {a: {flows: {x: 1}}, b: {flows: {x: 1}}, c: {flows: {x: 1}}, d: {}}
+    transitions:
+      - {name: down, from: a, to: b, guard: x >= 1, updates: {x: -7, k: 3}}
+      - {name: back, from: b, to: c, guard: x <= -6, updates: {x: 0.5, k: 1}}
+      - {name: up, from: c, to: d, guard: x >= 1, updates: {x: 20}}
+stop: {time: 3, conditions: {far: x >= 19.5}}
+"""
+    sound = "invariants: {at most: x <= 20, few: k <= 3, at least: x >= -7}\n"
+    assert check(model(text + sound), examples=1).passed
+    found = failure(
+        Subject(model(f"{text}invariants: {{it: {broken}}}\n")),
+        "declared invariants hold",
+        examples=1,
+    )
+    assert "it is -" in found.message
+
+
 def test_what_fails_in_a_corner_of_the_ranges_is_caught():
     # In 5e-5 of the square that is varied, by the largest of both.
     faulty = GROWING.replace("IN_STATE", "x >= -1").replace("IN_RUN", "x <= 99.5")
