@@ -14,7 +14,7 @@ from contacts.dynamics.projection import landed
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.event_driven.decision import check_listed, decide, explained
-from contacts.impacts.bounces import rests_of_bounces, stands_for_bounces
+from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, closed_state, listed, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.scene.parts import Resolution, Simultaneous
@@ -209,7 +209,20 @@ def _struck(rules: Rules, here: Landing, jam: Jam | None) -> _Struck:
         law._replace(restitution=0.0) if i in rests else law for i, law in enumerate(made.laws)
     )
     captured = under(plastic, rests)
-    return captured if stands_for_bounces(rests, made.snapshot, captured.snapshot, closed) else made
+    if not stands_for_bounces(rests, made.snapshot, captured.snapshot, closed):
+        return made
+    lasting = corrected(
+        rests,
+        setup,
+        lambda state, later: hidden(
+            rules.tape.at(setup.values, state, clock.high + later), flow.mode
+        ),
+        made.snapshot,
+        captured.snapshot,
+        captured.state,
+        closed,
+    )
+    return made if lasting is None else captured._replace(rests=lasting)
 
 
 def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool]) -> _Entered:

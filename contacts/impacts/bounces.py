@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -50,16 +51,73 @@ def rests_of_bounces(
         if not closed[i] or not 0.0 < e < 1.0 or not slow < rebound <= fast:
             continue
         if falling is None:
-            falling = _falling(setup, snapshot, closed)
+            falling = _falling(setup, snapshot, _lying(setup, snapshot, closed))
         if not falling[i] > 0.0:
             continue
-        # How high it bounces, against what rounding of the coordinates does to the gap.
-        height = rebound**2 / (2.0 * falling[i])
-        coordinates = np.abs(state[: len(state) // 2])
-        rounding = _EPS * float(np.abs(snapshot.whole.jacobians[i, 0]) @ coordinates)
-        if rebound <= setup.capture or height <= _DIGITS * rounding:
+        blur = _blur(snapshot, state, i, float(falling[i]))
+        if rebound <= setup.capture or _DIGITS * blur >= 1.0:
             rests[i] = 2.0 * rebound / (float(falling[i]) * (1.0 - e))
     return rests
+
+
+def corrected(
+    rests: Mapping[int, float],
+    setup: SceneSetup,
+    at: Callable[[Array, float], Snapshot],
+    resolved: Snapshot,
+    plastic: Snapshot,
+    state: Array,
+    closed: Sequence[bool],
+) -> dict[int, float] | None:
+    """Return how long bounces take whose acceleration changes; None where they are to be resolved.
+
+    While a contact bounces the gap falls by ``a - j t + c v``, where v is its rate: j is what the
+    motion on the surface changes it by, c what drag does, or friction that turns the body. To
+    first order in both the sum of equation 5, with the acceleration a at rest, is longer by
+    ``1 + j R / (3 a) - c R / 6``: so that a flight lasts ``2 v / a + 4 j v^2 / (3 a^3)
+    - 2 c v^2 / (3 a^2)``, and ends at ``v - 2 (j / a^2 + c / a) v^2 / 3``.
+
+    Parameters
+    ----------
+    rests : mapping
+        Contact -> the sum without that.
+    setup : SceneSetup
+        The numbers of the run.
+    at : callable
+        State and how much later -> its numbers.
+    resolved, plastic : Snapshot
+        After the impact by the declared laws, and with these contacts plastic.
+    state : (2 n,) array
+        Where they are plastic.
+    closed : sequence of bool
+        Which contacts took part in it.
+    """
+    lying = _lying(setup, resolved, closed)
+    try:
+        accelerations = _chosen(setup, plastic, _lying(setup, plastic, closed))
+    except SimulationError:
+        return dict(rests)
+    if plastic.held is not None:
+        accelerations = plastic.held.basis @ accelerations + plastic.held.drift
+    n = len(state) // 2
+    fast, still = (_falling(setup, snapshot, lying) for snapshot in (resolved, plastic))
+    found: dict[int, float] = {}
+    for i in rests:
+        if not still[i] > 0.0:
+            return None
+        flying = 1.0 - setup.contacts[i].restitution
+        rest = 2.0 * resolved.contacts[i].gap_rate / (float(still[i]) * flying)
+        later = state.copy()
+        later[:n] += rest * (state[n:] + 0.5 * rest * accelerations)
+        later[n:] += rest * accelerations
+        last = _falling(setup, at(later, rest), lying)
+        change = (still[i] - last[i] - (fast[i] - still[i]) / flying) / (3.0 * still[i])
+        # What is left out of the series is of the square of this.
+        known = math.sqrt(_blur(resolved, state, i, float(still[i])))
+        if not abs(change) <= max(known, setup.capture / setup.scales.speed):
+            return None
+        found[i] = float(rest * (1.0 + change))
+    return found
 
 
 def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> bool:
@@ -77,24 +135,41 @@ def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool])
     opening = np.asarray(closed) & (rates > setup.tolerances["speed"])
     if not opening.any():
         return False
-    falling = _falling(setup, snapshot, closed)[opening]
+    falling = _falling(setup, snapshot, _lying(setup, snapshot, closed))[opening]
     heights = setup.tolerances["gap"] * 2.0 * falling
     return bool((falling > 0.0).all() and (rates[opening] ** 2 < heights).all())
 
 
-def _falling(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> Array:
-    """Return how fast the rates of gaps fall just after an impact; nan where no mode tells."""
+def _blur(snapshot: Snapshot, state: Array, contact: int, falling: float) -> float:
+    """Return what rounding of the coordinates does to the gap, against how high it bounces."""
+    height = snapshot.contacts[contact].gap_rate ** 2 / (2.0 * falling)
+    coordinates = np.abs(state[: len(state) // 2])
+    rounding = _EPS * float(np.abs(snapshot.whole.jacobians[contact, 0]) @ coordinates)
+    return rounding / height
+
+
+def _lying(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> list[bool]:
+    """Return which contacts stay on their surfaces, and carry their part of what bounces."""
     slow = setup.tolerances["speed"]
-    # What lies on its surface stays there: it carries its part of a body that bounces elsewhere.
-    lying = [
+    return [
         shut and contact.gap_rate <= slow
         for shut, contact in zip(closed, snapshot.contacts, strict=True)
     ]
+
+
+def _chosen(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
+    """Return the accelerations in the mode in which these contacts are closed."""
+    still = 2.0 * setup.tolerances["speed"]
+    chosen = choose(snapshot, setup.contacts, lying, setup.scales, setup.tie, still)
+    return chosen.taken.accelerations
+
+
+def _falling(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
+    """Return how fast the rates of gaps fall while these lie; nan where no mode tells."""
     try:
-        choice = choose(snapshot, setup.contacts, lying, setup.scales, setup.tie, 2.0 * slow)
+        accelerations = _chosen(setup, snapshot, lying)
     except SimulationError:
         return np.full(len(snapshot.contacts), np.nan)
-    accelerations = choice.taken.accelerations
     return np.array([-float(c.jacobian[0] @ accelerations) - c.bias_n for c in snapshot.contacts])
 
 
