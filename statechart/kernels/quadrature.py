@@ -8,11 +8,13 @@ from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import prepare
 from statechart.kernels.jit import seldom
 from statechart.kernels.polynomials import local_time
-from statechart.kernels.resolution import NARROW, PLACES, at, look, ready
+from statechart.kernels.resolution import NARROW, PLACES, at, look, ready, roughen_by_places
 from statechart.kernels.tapes import filled
 
 # An integral or an extreme may miss this part of the largest value that was met.
 _EXACT = 1e-15
+# Nobody resolves what is as small as so many roundings of a function's values.
+_ROUNDINGS = 8.0
 # Far above what enclosures are widened by against underflow.
 _NOTHING = 1e-280
 # Most pieces of a step: what has more is finer than anybody would integrate.
@@ -48,6 +50,7 @@ def integrate_outputs(
     jets, bounds = ready(along, regs), np.zeros(n)
     result, largest = np.zeros(outputs.shape[0]), np.zeros(outputs.shape[0])
     rough, noise = np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
+    rounded = np.empty(jets.shape[0])
     undefined = np.empty(outputs.shape[0], np.bool_)
     lefts, rights = np.empty(64), np.empty(64)
     ends, pieces = np.empty(2 * coeffs.shape[0] + 1), 0
@@ -76,16 +79,22 @@ def integrate_outputs(
                 missed = (b - a) * rough[i]
                 halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
             if halve:
-                # What is as rough at places as in the box is the rounding of a kink's zero.
+                # What is as rough at places as in the box, or not rougher than its values are
+                # rounded there, is the rounding of a kink's zero.
                 halve = False
                 for j in range(2):
                     s = a + PLACES[j + 1] * (b - a)
                     look(along, step, bounds, s, s, jets)
+                    for r in range(jets.shape[0]):
+                        rounded[r] = max(jets[r, 1] - jets[r, 0], rounded[r] if j == 1 else 0.0)
                     for i in range(outputs.shape[0]):
-                        here = jets[outputs[i], 2]
+                        here = jets[outputs[i], 2] + _ROUNDINGS * rounded[outputs[i]]
                         noise[i] = min(noise[i], here) if j == 1 else here
+                look(along, step, bounds, a, b, jets)
+                roughen_by_places(along, regs, count, rounded, jets)
                 for i in range(outputs.shape[0]):
-                    missed = (b - a) * (rough[i] - noise[i]) if rough[i] > noise[i] else 0.0
+                    more = min(rough[i], jets[outputs[i], 2]) - noise[i]
+                    missed = (b - a) * more if more > 0.0 else 0.0
                     halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
             if halve and b - a > NARROW and looked < _PIECES:
                 m = 0.5 * (a + b)

@@ -31,6 +31,7 @@ from statechart.kernels.tapes import (
     COSH,
     DIV,
     EXP,
+    HYPOT,
     MAX,
     MIN,
     MUL,
@@ -40,6 +41,7 @@ from statechart.kernels.tapes import (
     SIGN,
     SIN,
     SINH,
+    SQRT,
     SQUARE,
     SUB,
     TAN,
@@ -221,6 +223,54 @@ def look_closer(along: Along, step: int, bounds: Array, a: float, b: float, jets
         if high < jets[k, 1]:
             jets[k, 1] = high
     roughen(along, jets)
+
+
+@part
+def _by_places(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> None:
+    """Narrow the range of a resolved register to that of its values, and as far about it again."""
+    low, high = INF, -INF
+    for j in range(count):
+        value = regs[r, j]
+        if value != value:
+            return
+        low, high = min(low, value), max(high, value)
+    about = high - low + rounded[r]
+    jets[r, 0], jets[r, 1] = max(jets[r, 0], low - about), min(jets[r, 1], high + about)
+
+
+@part
+def roughen_by_places(along: Along, regs: Array, count: int, rounded: Array, jets: Array) -> None:
+    """Fill in roughness anew with what values at places tell of what is resolved.
+
+    Enclosures do not see that terms cancel (``cos(x)**2 + sin(x)**2 - 1``), however short a box
+    is: a kink of what is nothing but rounding was looked for to the end.
+
+    Parameters
+    ----------
+    along : Along
+    regs : (r, ..) array
+        Values at places of the box, `count` of them.
+    rounded : (r,) array
+        How wide ranges of single places are.
+    jets : (r, 8) array
+        The ranges over the box (see `look`).
+    """
+    code, base, first, last, reads = along[:5]
+    for v in reads:
+        _by_places(v, count, regs, rounded, jets)
+    for k in range(first, last):
+        _roughen(code, k, k + 1, base, jets)
+        op, i, r = code[k, 0], code[k, 1], base + k
+        if op == ABS and jets[i, 2] == 0.0:
+            jets[r, 2] = min(jets[r, 2], _size((jets[i, 0], jets[i, 1])))
+        elif op == SQRT and jets[i, 2] == 0.0:
+            jets[r, 2] = min(jets[r, 2], math.sqrt(max(jets[i, 1], 0.0)))
+        elif op == HYPOT and jets[i, 2] == 0.0 and jets[code[k, 2], 2] == 0.0:
+            j = code[k, 2]
+            size = math.hypot(_size((jets[i, 0], jets[i, 1])), _size((jets[j, 0], jets[j, 1])))
+            jets[r, 2] = min(jets[r, 2], size)
+        if jets[r, 2] == 0.0:
+            _by_places(r, count, regs, rounded, jets)
 
 
 @part

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart import Runner
+from statechart.automaton.dense_output import integrals
 from statechart.documents.yaml_reader import read_text
 
 FLIGHT = """\
@@ -51,3 +52,40 @@ def test_kinks_jumps_and_peaks_are_found(flight: Runner, a: float, power: float)
     }
     # The place of a jump is known to the rounding of the motion alone.
     assert found == pytest.approx(exact, rel=1e-9, abs=1e-11)
+
+
+NOISE = "abs(cos(b.angle)**2 + sin(b.angle)**2 - 1)"
+SPIN = """\
+kind: scene
+name: spin
+gravity: 0
+bodies: {b: {mass: 1, inertia: 1, start: {angle: 0.3, dangle: 31, x: 0.1}}}
+stop: {time: 20}
+outputs:
+  noise: {integral: "abs(cos(b.angle)**2 + sin(b.angle)**2 - 1)"}
+  turns: {integral: "abs(cos(b.angle))"}
+  most: {maximum: "abs(cos(b.angle)**2 + sin(b.angle)**2 - 1)"}
+  apart: {maximum: "hypot(b.x - 0.1, cos(b.angle)**2 + sin(b.angle)**2 - 1)"}
+  side: {maximum: "sqrt((sin(b.angle)**2 + cos(b.angle)**2 - 1)**2)"}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_what_is_nothing_but_rounding_takes_nothing_from_what_stands_beside_it(
+    engine: str,
+) -> None:
+    result = Runner(read_text(SPIN), engine=engine).run()
+
+    def upto(angle: float) -> float:
+        turns = math.floor(angle / math.pi + 0.5)
+        return 2.0 * turns + math.sin(angle - turns * math.pi)
+
+    rounding = dict.fromkeys(("noise", "most", "apart", "side"), 0.0)
+    exact = {**rounding, "turns": (upto(620.3) - upto(0.3)) / 31.0}
+    assert result.outputs == pytest.approx(exact, rel=1e-12, abs=1e-13)
+    # Halving ends at rounding, not where there are too many pieces.
+    observer, trace = result.observer, result.trace
+    tape = observer.programs.tape(observer.programs.expressions((NOISE,)), None)
+    for arc in trace.arcs:
+        _, ends = integrals(tape, arc.times, arc.coefficients, trace.values, 0.0, 0.0, 20.0)
+        assert len(ends) < 4000 * (len(arc.times) - 1)
