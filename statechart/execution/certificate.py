@@ -29,6 +29,8 @@ _STEP = 1e-6
 _FAR = 1e3 * _STEP
 # Where a step begins this close to where the last one ends, it goes on from there.
 _ROUNDED = 8.0 * float(np.finfo(float).eps)
+# Of the exponential of a matrix whose norm is up to 1/2: what follows is below 1e-18.
+_TERMS = 15
 # A law may change its equations so often before it jumps.
 _PATIENCE = 8
 
@@ -242,6 +244,18 @@ def _made(laws: Laws, instant: Instant, jump: Jump) -> Array | None:
 
 
 def _exponential(matrix: Array) -> Array:
-    from scipy.linalg import expm  # it takes a tenth of a second, and only certificates need it
+    """Return the exponential of a matrix: Taylor's series, by scaling and squaring.
 
-    return expm(matrix)
+    Method 3 of C. Moler and C. Van Loan, SIAM Review 45, 2003.
+    """
+    # SciPy's takes 0.15 s to import, and its BLAS wakes threads for matrices as small as these.
+    _, doublings = math.frexp(float(np.abs(matrix).sum(axis=1).max(initial=0.0)))
+    squarings = max(doublings + 1, 0)  # the sum of no row is above 1/2 then
+    scaled, term = matrix * 0.5**squarings, np.eye(len(matrix))
+    total = term
+    for order in range(1, _TERMS + 1):
+        term = term @ scaled / order
+        total = total + term
+    for _ in range(squarings):
+        total = total @ total
+    return total
