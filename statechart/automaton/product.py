@@ -86,6 +86,13 @@ def graph(
     return result
 
 
+def judged(automaton: Automaton, found: Feasibility, *, directions: bool) -> dict[Key, str]:
+    """Return all modes of `graph`, and why they are impossible; nothing where they are not."""
+    charts = [drawn_region(region, directions=directions) for region in automaton.regions]
+    reasons = found.modes if directions else found.declared
+    return {key: reasons.get(key, "") for key in _all(charts)}
+
+
 def visited(automaton: Automaton, trace: Trace, *, directions: bool = True) -> tuple[Key, ...]:
     """Return the modes of `graph` in the order a run took them, repeats merged."""
     shown = map(_naming(automaton, directions), trace.modes)

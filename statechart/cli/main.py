@@ -26,11 +26,22 @@ _ROOMS = {
 # Objects that are made between two looks for garbage; Python's 700 are too few for so many.
 _COLLECTED_AFTER = 200_000
 
+# Of libraries, as long as the user says nothing else. To start threads for matrices as small as
+# ours takes longer than their products, every installed package is looked through for plugins, and
+# whole numbers are too small to gain by a library of their own.
+_SETTINGS = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "PYDANTIC_DISABLE_PLUGINS": "__all__",
+    "SYMPY_GROUND_TYPES": "python",
+}
+
 
 def program() -> int:
     """Be the process `statechart`: `main` with its signals, streams and garbage looked after."""
     try:
         interrupts.listen()
+        for name, value in _SETTINGS.items():
+            os.environ.setdefault(name, value)
         from statechart.cli.streams import be_quiet, take_streams
 
         take_streams()

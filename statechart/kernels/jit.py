@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from dis import get_instructions
 from functools import cached_property, update_wrapper
 from time import thread_time
 from types import FunctionType, SimpleNamespace
@@ -75,23 +74,25 @@ class Kernel(Compiled):
 
     @cached_property
     def as_written(self) -> Callable[..., Any]:
-        """The function as Python runs it, with all that it calls, until `_Deadline.at`."""
-        names = self.py_func.__globals__
-        loaded = (i for i in get_instructions(self.py_func) if i.opname == "LOAD_GLOBAL")
-        called = {i.argval: names.get(i.argval) for i in loaded}
-        below = {name: v.as_written for name, v in called.items() if isinstance(v, Kernel | Native)}
-        function = FunctionType(
-            self.py_func.__code__,
-            {**names, **below, "math": _MATH},
-            argdefs=self.py_func.__defaults__,
-        )
+        """The function as Python runs it, with all that it calls.
+
+        From `_Deadline.at` on, those that call others are given up when they are called.
+        """
+        names, code = self.py_func.__globals__, self.py_func.__code__
+        # Names of attributes are among these: one that is a kernel's, too, is in nobody's way.
+        below = [name for name in code.co_names if isinstance(names.get(name), Kernel | Native)]
+        space = {**names, "math": _MATH}
+        function = FunctionType(code, space, argdefs=self.py_func.__defaults__)
 
         def run(*arguments: Any) -> Any:
             if thread_time() > _Deadline.at:
                 raise TimeoutError
             return function(*arguments)
 
-        return run
+        # Known before those below it are looked for, of which it may be one.
+        found = self.__dict__["as_written"] = run if below else function
+        space.update((name, names[name].as_written) for name in below)
+        return found
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the function, compiled, or as it is written where all are."""

@@ -9,7 +9,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import MOST_MODES, Feasibility
 from statechart.automaton.hierarchy import hierarchical_edges
 from statechart.automaton.nesting import HierarchicalEdge
-from statechart.automaton.product import graph
+from statechart.automaton.product import judged
 from statechart.automaton.regions import Region
 from statechart.errors import DeclarationError, close_matches
 from statechart.tabular import Block, Table, apart, ends, plain, whole
@@ -131,8 +131,8 @@ def _arrow(edge: HierarchicalEdge) -> dict[str, Any]:
 def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
     names = [region.name for region in automaton.regions]
 
-    def judged(directions: bool) -> dict[str, Any]:
-        modes = graph(automaton, found=found, directions=directions).nodes(data="reason")
+    def verdicts(directions: bool) -> dict[str, Any]:
+        modes = judged(automaton, found, directions=directions).items()
         named = [(dict(zip(names, key, strict=True)), reason) for key, reason in modes]
         return {
             "declared": len(named),
@@ -142,8 +142,8 @@ def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
 
     return {
         "remarks": list(found.remarks),
-        "with_direction": judged(True),
-        "without_direction": judged(False),
+        "with_direction": verdicts(True),
+        "without_direction": verdicts(False),
     }
 
 

@@ -150,13 +150,19 @@ def test_a_look_that_fails_or_takes_long_by_python_is_compiled(monkeypatch):
         ("run", "toppling_stick"),
         ("validate", "dice"),
         ("modes", "dice"),
+        ("modes", "toppling_stick"),
+        ("run --certify", "toppling_stick"),
     ],
 )
-def test_what_is_brief_imports_no_compiler(verb, model, tmp_path):
+def test_what_is_brief_imports_no_compiler_and_has_one_thread(verb, model, tmp_path, monkeypatch):
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     name, *options = verb.format(tmp_path).split()
     script = (
-        "import sys; from statechart.cli.main import main; code = main(sys.argv[1:]); "
-        "print([n for n in ('numba', 'scipy', 'heyoka') if n in sys.modules], file=sys.stderr); "
+        "import os, sys; from statechart.cli.main import program; code = program(); "
+        "print([n for n in ('numba', 'scipy', 'heyoka', 'networkx', 'scipy.linalg') "
+        "if n in sys.modules], file=sys.stderr); "
+        "tasks = '/proc/self/task'; "
+        "print(len(os.listdir(tasks)) if os.path.isdir(tasks) else 1, file=sys.stderr); "
         "sys.exit(code)"
     )
     done = subprocess.run(
@@ -165,5 +171,20 @@ def test_what_is_brief_imports_no_compiler(verb, model, tmp_path):
         text=True,
         check=True,
     )
-    expected = ["heyoka"] if name == "run" else []
-    assert done.stderr.splitlines()[-1] == str(expected)
+    # A run searches for events with heyoka, and a certificate is compiled.
+    expected = {"run": ["heyoka"], "draw": ["networkx"]}.get(name, [])
+    found, threads = done.stderr.splitlines()[-2:]
+    if options == ["--certify"]:
+        expected = ["numba", "scipy", "heyoka"]
+    assert found == str(expected)
+    assert threads == "1"
+
+
+@kernel
+def sqrt(x):
+    """Be called as an attribute that it uses."""
+    return math.sqrt(x) + _inner(x)
+
+
+def test_a_kernel_has_the_name_of_an_attribute_that_it_uses():
+    assert sqrt.as_written(9.0) == 6.0
