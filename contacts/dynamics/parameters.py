@@ -105,4 +105,5 @@ def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
         if point.body == name
     ]
     mass = parse(scene.bodies[name].mass).to_sympy(known)
-    return mass * (sp.Max(*arms) if arms else sp.S.Zero)
+    # Which arm is the longest is a matter of numbers: to prove it takes SymPy half a second.
+    return mass * (sp.Max(*arms, evaluate=False) if arms else sp.S.Zero)
