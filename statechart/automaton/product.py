@@ -1,10 +1,10 @@
-"""The product of the regions as one networkx graph, as much of it as is asked for."""
+"""The product of the regions, as much of it as is asked for; as a networkx graph where one is."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import groupby, islice, product
 from math import prod
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,58 @@ if TYPE_CHECKING:
 _Jump = tuple[Key, Key, str, str]  # source, target, region, event
 
 
-def graph(
+@dataclass(frozen=True)
+class Product:
+    """Modes of an automaton and the edges between them, which are found when they are asked for.
+
+    Attributes
+    ----------
+    name : str
+        Of the automaton.
+    modes : dict of Key to dict
+        What is told of every mode, as nodes of `graph` have it.
+    charts : tuple of Region
+        The regions as they are shown.
+    taken : Counter or None
+        How often a run took every edge.
+    """
+
+    name: str
+    modes: dict[Key, dict[str, Any]]
+    charts: tuple[Region, ...]
+    taken: Counter[_Jump] | None
+
+    def edges(self) -> Iterator[tuple[Key, Key, dict[str, Any]]]:
+        """Yield the ends of every edge, and what `graph` has of it: by source, then by target."""
+        found: dict[Key, dict[Key, list[dict[str, Any]]]] = {key: {} for key in self.modes}
+        for source, target, data in _edges(self.charts, self.modes, self.taken):
+            found[source].setdefault(target, []).append(data)
+        for source, targets in found.items():
+            for target, several in targets.items():
+                yield from ((source, target, data) for data in several)
+
+    def graph(self) -> nx.MultiDiGraph:
+        """Return it as a graph.
+
+        Returns
+        -------
+        MultiDiGraph
+            Nodes are keys, with `label`; `feasible` and `reason` where they were judged; `visits`,
+            how often a run entered the mode, where one is given. Edges have `region`, `event`,
+            `guard`, `reset` and `visits`. Their keys number them: by regions, in each as it
+            declares them.
+        """
+        import networkx as nx  # it takes a tenth of a start, and few ask for it
+
+        result = nx.MultiDiGraph(name=self.name)
+        result.add_nodes_from(self.modes.items())
+        edges = _edges(self.charts, self.modes, self.taken)
+        for number, (source, target, data) in enumerate(edges):
+            result.add_edge(source, target, number, **data)
+        return result
+
+
+def explored(
     automaton: Automaton,
     *,
     around: Iterable[Key] = (),
@@ -31,7 +82,7 @@ def graph(
     trace: Trace | None = None,
     found: Feasibility | None = None,
     directions: bool = True,
-) -> nx.MultiDiGraph:
+) -> Product:
     """Return the product automaton, or the part of it that is asked for; no other is built.
 
     Regions are orthogonal: an edge changes one of them. A jump of several at once, which no region
@@ -53,48 +104,30 @@ def graph(
     directions : bool
         Whether directions of sliding are told apart.
 
-    Returns
-    -------
-    MultiDiGraph
-        Nodes are keys, with `label`; `feasible` and `reason` where they were judged; `visits`, how
-        often a run entered the mode, where one is given. Edges have `region`, `event`, `guard`,
-        `reset` and `visits`. Their keys number them: by regions, in each as it declares them.
-
     Raises
     ------
     StatechartError
         If there are more modes than `MOST_MODES`, or those given are not of this automaton.
     """
-    import networkx as nx
-
-    charts = [drawn_region(region, directions=directions) for region in automaton.regions]
+    charts = tuple(drawn_region(region, directions=directions) for region in automaton.regions)
     path = () if trace is None else visited(automaton, trace, directions=directions)
     begin = list(map(_naming(automaton, directions), around)) or path
     keys = _all(charts) if within is None else _near(charts, begin, within)
-    judged = {} if found is None else found.modes if directions else found.declared
+    reasons = {} if found is None else found.modes if directions else found.declared
     entries = Counter(path)
-    result = nx.MultiDiGraph(name=automaton.name)
+    modes: dict[Key, dict[str, Any]] = {}
     for key in keys:
-        result.add_node(key, label=automaton.label(key))
-        if key in judged:
-            result.add_node(key, feasible=not judged[key], reason=judged[key])
+        modes[key] = {"label": automaton.label(key)}
+        if key in reasons:
+            modes[key] |= {"feasible": not reasons[key], "reason": reasons[key]}
         if trace is not None:
-            result.add_node(key, visits=entries[key])
+            modes[key]["visits"] = entries[key]
     taken = None if trace is None else Counter(_jumps(automaton, trace, directions=directions))
-    for number, (source, target, data) in enumerate(_edges(charts, dict.fromkeys(result), taken)):
-        result.add_edge(source, target, number, **data)
-    return result
-
-
-def judged(automaton: Automaton, found: Feasibility, *, directions: bool) -> dict[Key, str]:
-    """Return all modes of `graph`, and why they are impossible; nothing where they are not."""
-    charts = [drawn_region(region, directions=directions) for region in automaton.regions]
-    reasons = found.modes if directions else found.declared
-    return {key: reasons.get(key, "") for key in _all(charts)}
+    return Product(automaton.name, modes, charts, taken)
 
 
 def visited(automaton: Automaton, trace: Trace, *, directions: bool = True) -> tuple[Key, ...]:
-    """Return the modes of `graph` in the order a run took them, repeats merged."""
+    """Return the modes of a product in the order a run took them, repeats merged."""
     shown = map(_naming(automaton, directions), trace.modes)
     return tuple(key for key, _ in groupby(shown))
 
@@ -140,7 +173,7 @@ def feasibility(
 
 
 def _naming(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
-    """Return what names a mode as the graph does, and refuses what is none."""
+    """Return what names a mode as the product does, and refuses what is none."""
     names: list[dict[str, str]] = []
     for region in automaton.regions:
         declared = {state: region.declared(state) for state in region.states}
@@ -160,7 +193,7 @@ def _naming(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
 
 
 def drawn_region(region: Region, *, directions: bool) -> Region:
-    """Return a region as the graph shows it: edges that differ in their guards alone are one."""
+    """Return a region as the product shows it: edges that differ in their guards alone are one."""
     named = (lambda state: state) if directions else region.declared
     alike: dict[tuple[str, str, str], list[Edge]] = {}
     for edge in region.edges:

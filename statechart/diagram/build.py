@@ -6,20 +6,16 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.product import drawn_region, graph
+from statechart.automaton.product import Product, drawn_region, explored
 from statechart.automaton.product import visited as passed
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Key, Trace
 from statechart.diagram.layout.ring import MOST_STEPS
 from statechart.diagram.model import Chart, Diagram, Link, Node
 from statechart.diagram.region import alike, cut, mode_label, region_chart
-
-if TYPE_CHECKING:
-    import networkx as nx
 
 # Two contacts that may be off have so many modes as users count; more cells fit on no slide.
 _MOST_CELLS = 16
@@ -63,26 +59,26 @@ def build(
     """
     moving = _moving(automaton)
     if trace is not None:
-        modes = graph(automaton, within=0, trace=trace, found=found)
+        modes = explored(automaton, within=0, trace=trace, found=found)
         run, notes = _run(automaton, trace, modes)
         charts = _charts(automaton, None)
         shown = (run,) if visited else (run, *charts)
-        return Diagram(automaton.name, shown, notes, modes, explained=charts)
+        return Diagram(automaton.name, shown, notes, modes.graph, explained=charts)
     if needs_run(automaton):
         raise ValueError("a product of so many modes is drawn as a run visited it")
     notes = _notes(automaton)
     if len(moving) < 2:
-        modes = graph(automaton, found=found)
+        modes = explored(automaton, found=found)
         charts = _charts(automaton, start)
-        reasons = {key[0]: data.get("reason") for key, data in modes.nodes(data=True)}
+        reasons = {key[0]: data.get("reason") for key, data in modes.modes.items()}
         if len(automaton.regions) == 1:
             charts = tuple(_judged(chart, reasons) for chart in charts)
-        return Diagram(automaton.name, charts, notes, modes)
-    modes = graph(automaton, found=found, directions=False)
+        return Diagram(automaton.name, charts, notes, modes.graph)
+    modes = explored(automaton, found=found, directions=False)
     total = f"{automaton.modes_total} with the directions of sliding"
     if automaton.modes_total != automaton.modes_declared:
         notes = (*notes, f"{automaton.modes_declared} modes, {total}")
-    return Diagram(automaton.name, (_grid(automaton, start, modes),), notes, modes)
+    return Diagram(automaton.name, (_grid(automaton, start, modes),), notes, modes.graph)
 
 
 def _moving(automaton: Automaton) -> list[Region]:
@@ -137,7 +133,7 @@ def _judged(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
     return replace(chart, nodes=tuple(nodes))
 
 
-def _grid(automaton: Automaton, start: Key, modes: nx.MultiDiGraph) -> Chart:
+def _grid(automaton: Automaton, start: Key, modes: Product) -> Chart:
     """Return the product of the regions that have a choice of states, of which there are two."""
     regions = automaton.regions
     initial = tuple(r.declared(state) for r, state in zip(regions, start, strict=True))
@@ -153,7 +149,7 @@ def _grid(automaton: Automaton, start: Key, modes: nx.MultiDiGraph) -> Chart:
             infeasible=data.get("reason") or None,
             colours=tuple(colours[k][key[k]] for k in shown),
         )
-        for key, data in modes.nodes(data=True)
+        for key, data in modes.modes.items()
     )
     plain = [drawn_region(region, directions=False) for region in regions]
     first, second = (
@@ -188,19 +184,17 @@ def _of(region: Region, chart: Chart) -> Chart:
     return replace(chart, nodes=tuple(nodes), links=tuple(links))
 
 
-def _links(modes: nx.MultiDiGraph) -> tuple[Link, ...]:
+def _links(modes: Product) -> tuple[Link, ...]:
     return tuple(
         Link(
             _name(source), _name(target), data["event"], data["guard"], data["reset"],
             region=data["region"],
         )
-        for source, target, data in modes.edges(data=True)
+        for source, target, data in modes.edges()
     )  # fmt: skip
 
 
-def _run(
-    automaton: Automaton, trace: Trace, modes: nx.MultiDiGraph
-) -> tuple[Chart, tuple[str, ...]]:
+def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tuple[str, ...]]:
     """Return the modes that a run visited, named by what is not at its default; and notes."""
     if trace.step is None:
         path = passed(automaton, trace)
@@ -279,10 +273,10 @@ def _several(names: Sequence[str]) -> str:
     return f"{names[0]} and {len(names) - 1} more"
 
 
-def _taken(automaton: Automaton, modes: nx.MultiDiGraph) -> list[Link]:
+def _taken(automaton: Automaton, modes: Product) -> list[Link]:
     """Return the jumps of a run; those that differ in their regions alone are one link."""
     made: dict[tuple[Key, Key, str, str, str], Counter[str]] = {}
-    for source, target, data in modes.edges(data=True):
+    for source, target, data in modes.edges():
         if data["visits"]:
             alike = source, target, data["event"], data["guard"], data["reset"]
             made.setdefault(alike, Counter())[data["region"]] += data["visits"]

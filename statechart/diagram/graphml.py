@@ -23,10 +23,11 @@ def graphml(diagram: Diagram) -> str:
     """
     import networkx as nx
 
-    if diagram.graph is None:
+    shown = diagram.graph
+    if shown is None:
         raise StatechartError(f"diagram {diagram.title!r} shows no graph of an automaton")
-    labels = diagram.graph.nodes(data="label")
-    graph = nx.relabel_nodes(diagram.graph, {key: printable(label) for key, label in labels})
+    labels = shown.nodes(data="label")
+    graph = nx.relabel_nodes(shown, {key: printable(label) for key, label in labels})
     for data in (graph.graph, *graph.nodes.values(), *graph.edges.values()):
         data.update({k: printable(v) for k, v in data.items() if isinstance(v, str)})
     file = io.BytesIO()

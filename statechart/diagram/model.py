@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -175,8 +175,8 @@ class Diagram:
         Its pieces, beside and below each other.
     notes : tuple of str
         Lines shown below the title.
-    graph : MultiDiGraph or None
-        The part of the product automaton that is shown, where it was made of one.
+    shows : callable or None
+        Makes a graph of the part of the product automaton that is shown, where there is one.
     machine : Machine or None
         The regions that it was made of, for the format that runs.
     explained : tuple of Chart
@@ -192,7 +192,7 @@ class Diagram:
     title: str
     charts: tuple[Chart, ...]
     notes: tuple[str, ...] = ()
-    graph: nx.MultiDiGraph | None = field(default=None, compare=False)
+    shows: Callable[[], nx.MultiDiGraph] | None = field(default=None, compare=False)
     machine: Machine | None = field(default=None, compare=False)
     explained: tuple[Chart, ...] = ()
 
@@ -227,6 +227,11 @@ class Diagram:
                 outer, steps = inside[outer], steps + 1
                 if steps > len(inside):
                     raise StatechartError(f"in diagram {self.title!r} {name!r} encloses itself")
+
+    @property
+    def graph(self) -> nx.MultiDiGraph | None:
+        """The part of the product automaton that is shown, where there is one."""
+        return None if self.shows is None else self.shows()
 
     @property
     def nodes(self) -> tuple[Node, ...]:

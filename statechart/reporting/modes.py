@@ -9,7 +9,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import MOST_MODES, Feasibility
 from statechart.automaton.hierarchy import hierarchical_edges
 from statechart.automaton.nesting import HierarchicalEdge
-from statechart.automaton.product import judged
+from statechart.automaton.product import explored
 from statechart.automaton.regions import Region
 from statechart.errors import DeclarationError, close_matches
 from statechart.tabular import Block, Table, apart, ends, plain, whole
@@ -132,8 +132,8 @@ def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
     names = [region.name for region in automaton.regions]
 
     def verdicts(directions: bool) -> dict[str, Any]:
-        modes = judged(automaton, found, directions=directions).items()
-        named = [(dict(zip(names, key, strict=True)), reason) for key, reason in modes]
+        modes = explored(automaton, found=found, directions=directions).modes.items()
+        named = [(dict(zip(names, key, strict=True)), data.get("reason")) for key, data in modes]
         return {
             "declared": len(named),
             "feasible": [mode for mode, reason in named if not reason],

@@ -6,8 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from statechart.automaton.product import feasibility
-from statechart.automaton.product import graph as product
+from statechart.automaton.product import explored, feasibility
 from statechart.automaton.trace import Key, Trace
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.legend import GUARDS, Guards
@@ -158,7 +157,7 @@ def graph(
     values = {} if trace is None else trace.parameters
     setup = runner.setup({name: values[name] for name in runner.model.parameters if name in values})
     found = feasibility(runner.automaton, setup, setup.initial, 0.0)
-    return product(
+    part = explored(
         runner.automaton,
         around=start,
         within=within,
@@ -166,6 +165,7 @@ def graph(
         found=found,
         directions=directions,
     )
+    return part.graph()
 
 
 def drawn(runner: Runner, *, visited: bool = False) -> tuple[Diagram, Trace | None]:

@@ -9,7 +9,7 @@ import networkx as nx
 import pytest
 
 import statechart
-from statechart.automaton.product import graph
+from statechart.automaton.product import explored
 from statechart.running.runner import Runner
 
 BAR = "double_contact_bar"
@@ -71,7 +71,7 @@ def test_jumps_of_two_regions_alike_are_counted_apart() -> None:
     trace = runner.run().trace
     start = trace.start_mode
     one = next(jump for jump in trace.jumps if jump.region == "floor1" and jump.target == start)
-    modes = graph(runner.automaton, trace=replace(trace, jumps=(one,)))
+    modes = explored(runner.automaton, trace=replace(trace, jumps=(one,))).graph()
     touched = {d["region"]: d["visits"] for _, t, d in modes.edges(start, data=True) if t == start}
     assert touched == {"floor1": 1, "floor2": 0, "pair": 0}
 

@@ -361,7 +361,7 @@ def graphed(diagram: Diagram) -> Diagram:
         (link.source, link.target, number, {"guard": link.guard, "visits": number})
         for number, link in enumerate(diagram.links)
     )
-    return replace(diagram, graph=graph)
+    return replace(diagram, shows=lambda: graph)
 
 
 @pytest.mark.parametrize("suffix", [*SUFFIXES, ".SVG"])
