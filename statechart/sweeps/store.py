@@ -8,6 +8,7 @@ anew in the order of the cells, so that nothing in a store tells in what order i
 from __future__ import annotations
 
 import math
+import shutil
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -22,6 +23,7 @@ from statechart.arrays import Array, Ints32
 from statechart.documents.declaration import TIME
 from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps.block import WORDS, Block
+from statechart.sweeps.claim import Claim
 from statechart.sweeps.plan import Plan, Slices, Tile
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 _SEQUENCE, _UNFINISHED = "sequence", "unfinished"
 # Values of a list along its own dimension, and sequences, that one chunk holds.
 _LIST_CHUNK, _TABLE_CHUNK = 16, 256
+# What zarr writes before it has a name.
+_PARTIAL = "*.partial"
 
 
 class _Kind(NamedTuple):
@@ -65,6 +69,8 @@ class Store:
         Where on disk; in memory by default.
     resume : bool
         Go on with the sweep that is there, if one is.
+    claim : Claim, optional
+        That no other process writes there.
 
     Raises
     ------
@@ -74,8 +80,15 @@ class Store:
         If it cannot be written.
     """
 
-    def __init__(self, plan: Plan, path: Path | str | None = None, *, resume: bool = False) -> None:
-        self._plan = plan
+    def __init__(
+        self,
+        plan: Plan,
+        path: Path | str | None = None,
+        *,
+        resume: bool = False,
+        claim: Claim | None = None,
+    ) -> None:
+        self._plan, self._claim = plan, claim
         self._path = None if path is None else Path(path)
         self._codes: dict[str, int] = {}
         self._arrays: dict[str, zarr.Array[Any]] = {}
@@ -152,8 +165,10 @@ class Store:
         """Return the sweep, read from the store where and when it is looked at."""
         import xarray as xr
 
-        with self._explained():
+        try:
             return xr.open_zarr(self._group.store, chunks=None)
+        except OSError as error:
+            raise self._problem("read", error) from error
 
     def _opened(self, resume: bool) -> zarr.Group:
         import zarr
@@ -162,8 +177,8 @@ class Store:
         path = self._path
         if path is None:
             return self._created(MemoryStore())
-        if not (path.exists() or path.is_symlink()):
-            return self._created(path)
+        if path.is_dir() and all(part.match(_PARTIAL) for part in path.iterdir()):
+            return self._made_anew(path)
         if not resume:
             raise DeclarationError(
                 f"{path} exists already",
@@ -178,8 +193,10 @@ class Store:
                 f"{path} is no store of a sweep", advice="name another, or remove it"
             ) from None
         self._check(group)
+        for part in path.rglob(_PARTIAL):  # of a process that was killed while it wrote them
+            part.unlink()
         if "outcome" not in group:  # made by a process that was killed while it made it
-            return self._created(path)
+            return self._made_anew(path)
         self._group = group
         if _UNFINISHED in group:
             texts = self._read(f"{_UNFINISHED}/{_SEQUENCE}")
@@ -203,12 +220,21 @@ class Store:
             advice="repeat what made it, or name another store",
         )
 
+    def _made_anew(self, path: Path) -> zarr.Group:
+        """Return the group in a folder that holds nothing else from here on; its lock stays."""
+        for part in path.iterdir():
+            if part.is_dir():
+                shutil.rmtree(part)
+            else:
+                part.unlink()
+        return self._created(path)
+
     def _created(self, where: Any) -> zarr.Group:
         import zarr
 
         plan = self._plan
         self._group = group = zarr.create_group(
-            where, overwrite=True, attributes={**plan.attributes(), "complete": 0}
+            where, attributes={**plan.attributes(), "complete": 0}
         )
         for name, column in plan.columns.items():
             told = {**plan.named(name), "declared": str(plan.model.parameters[name])}
@@ -317,9 +343,16 @@ class Store:
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
+        self._check_claim()
         try:
             yield
         except OSError as error:
-            raise StatechartError(
-                f"cannot write {self._path}: {error.strerror or error}"
-            ) from error
+            self._check_claim()
+            raise self._problem("write", error) from error
+
+    def _check_claim(self) -> None:
+        if self._claim is not None:
+            self._claim.check()
+
+    def _problem(self, verb: str, error: OSError) -> StatechartError:
+        return StatechartError(f"cannot {verb} {self._path}: {error.strerror or error}")

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future
 from concurrent.futures import wait as wait_for
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -21,6 +22,7 @@ from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
 from statechart.sweeps.block import Block, run_block
+from statechart.sweeps.claim import claimed
 from statechart.sweeps.plan import Plan, Tile, of_table
 from statechart.sweeps.progress import told
 from statechart.sweeps.store import Store
@@ -127,8 +129,8 @@ def sweep(
     Raises
     ------
     DeclarationError
-        If the model, a parameter, a value or a setting is wrong, or the store holds something
-        else.
+        If the model, a parameter, a value or a setting is wrong, the store holds something else,
+        or another process writes it.
     StatechartError
         If workers died, or the store cannot be written.
 
@@ -192,31 +194,39 @@ def make(
     Raises
     ------
     DeclarationError
-        If the store holds something else, there is none to resume, or no worker has this package.
+        If the store holds something else, or another process writes it, there is none to resume, or
+        no worker has this package.
     StatechartError
         If the store cannot be written.
     """
     if resume and store is None:
         raise DeclarationError("there is no store to resume", advice="name the one that was begun")
-    kept = Store(plan, store, resume=resume)
-    before, ended = kept.left, ""
-    with interrupts.held(), told(plan.size, plan.size - before, shown=progress) as tell:
-        work = _Work(plan, kept, tell, shared=executor is not None)
-        try:
-            if executor is None:
-                _run_here(work)
-            else:
-                _hand_out(work, executor)
-        except KeyboardInterrupt:
-            ended = INTERRUPTED
-        except _Lost as lost:
-            ended = str(lost)
-        finally:
-            work.write()
-        kept.finish()
-    if ended not in ("", INTERRUPTED) and kept.left == before:
-        raise DeclarationError(ended)
-    return Made(plan, kept, ended)
+    with nullcontext() if store is None else claimed(Path(store)) as claim:
+        kept = Store(plan, store, resume=resume, claim=claim)
+        before = kept.left
+        with interrupts.held(), told(plan.size, plan.size - before, shown=progress) as tell:
+            work = _Work(plan, kept, tell, shared=executor is not None)
+            ended = _ended(work, executor)
+            kept.finish()
+        if ended not in ("", INTERRUPTED) and kept.left == before:
+            raise DeclarationError(ended)
+        return Made(plan, kept, ended)
+
+
+def _ended(work: _Work, executor: Executor | None) -> str:
+    """Do the work; return why not all of it is done, else an empty text."""
+    try:
+        if executor is None:
+            _run_here(work)
+        else:
+            _hand_out(work, executor)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except _Lost as lost:
+        return str(lost)
+    finally:
+        work.write()
+    return ""
 
 
 class _Lost(Exception):  # noqa: N818 - it is workers that are lost

@@ -157,6 +157,7 @@ def test_wrong_input_is_one_message(
     monkeypatch.setattr("statechart.sweeps.workers._ANSWER", 1.0)
     (tmp_path / "here.nc").write_text("")
     (tmp_path / "here.zarr").mkdir()
+    (tmp_path / "here.zarr" / "notes.txt").write_text("")
     assert main(["sweep", STICK, *arguments]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""

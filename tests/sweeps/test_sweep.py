@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
@@ -21,8 +20,6 @@ from statechart.errors import DeclarationError, StatechartError
 from statechart.loading.load import interpret
 from statechart.sweeps import plan as plans
 from statechart.sweeps import sweep as sweeps
-from statechart.sweeps.block import Block, run_block
-from statechart.sweeps.plan import Task
 
 STICK = "toppling_stick"
 GRID = {"mu": np.geomspace(0.05, 50.0, 7), "I_G": np.array([0.0, 0.01, 1 / 3, 1.0])}
@@ -267,56 +264,6 @@ def test_wrong_input_is_refused_before_anything_runs(changes: dict[str, Any], wo
         sweep(STICK, **asked)
 
 
-def interrupting(at: int) -> Callable[[Task, np.ndarray], Block]:
-    calls: list[int] = []
-
-    def run(task: Task, rows: np.ndarray) -> Block:
-        calls.append(1)
-        if len(calls) == at:
-            signal.raise_signal(signal.SIGINT)
-        return run_block(task, rows)
-
-    return run
-
-
-@pytest.mark.parametrize("tile", [4096, 5])
-def test_an_interrupted_sweep_resumes_to_the_same_bits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tile: int
-) -> None:
-    whole, store = sweep(STICK, GRID, store=tmp_path / "whole.zarr"), tmp_path / "a.zarr"
-    monkeypatch.setattr(plans, "_CHUNK", tile)
-    monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
-    monkeypatch.setattr(sweeps, "_WRITTEN", 0.0)
-    with monkeypatch.context() as patched:
-        patched.setattr(sweeps, "run_block", interrupting(9))
-        part = sweep(STICK, GRID, store=store)
-    done = part["outcome"].to_numpy() != ""
-    assert done.sum() == 8 or done.sum() == 9
-    assert (part.attrs["complete"], part.attrs["ended"]) == (0, "interrupted")
-    # What is done can be read, in the state it is in.
-    with xr.open_zarr(store, chunks=None) as read:
-        np.testing.assert_array_equal(
-            read["t_end"].to_numpy()[done], whole["t_end"].to_numpy()[done]
-        )
-    same(sweep(STICK, GRID, store=store, resume=True), whole)
-    same(xr.open_zarr(store, chunks=None), xr.open_zarr(tmp_path / "whole.zarr", chunks=None))
-    # All is done: nothing runs.
-    monkeypatch.setattr(sweeps, "run_block", None)
-    same(sweep(STICK, GRID, store=store, resume=True), whole)
-
-
-def test_lists_of_an_interrupted_sweep_resume(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model, store = "bouncing_ball_hills", tmp_path / "a.zarr"
-    whole = sweep(model, LISTS)
-    monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
-    with monkeypatch.context() as patched:
-        patched.setattr(sweeps, "run_block", interrupting(4))
-        sweep(model, LISTS, store=store)
-    same(sweep(model, LISTS, store=store, resume=True), whole)
-
-
 def test_what_dead_workers_did_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sweeps, "_FIRST", 1)
     monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
@@ -326,55 +273,6 @@ def test_what_dead_workers_did_is_kept(tmp_path: Path, monkeypatch: pytest.Monke
     with xr.open_zarr(store, chunks=None) as part:
         assert 0 < (part["outcome"].to_numpy() != "").sum() < 28
     same(sweep(STICK, GRID, store=store, resume=True), sweep(STICK, GRID))
-
-
-def test_a_signal_is_not_kept_from_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sweeps, "run_block", interrupting(1))
-    assert sweep(STICK, {"mu": [0.2]}).attrs["complete"] == 0
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({}, "exists already"),
-        ({"resume": True, "over": {"mu": [0.2, 0.4]}}, "another sweep; it differs in swept"),
-        ({"resume": True, "over": {"mu": [0.2, 0.25, 0.3]}}, "another sweep"),
-        ({"resume": True, "until": 1.0}, "differs in asked"),
-        ({"resume": True, "model": "bouncing_ball", "over": {"k": [0.5]}}, "differs in model"),
-        ({"resume": True, "outputs": []}, "differs in outputs"),
-    ],
-)
-def test_a_store_of_another_sweep_is_left_alone(
-    tmp_path: Path, changes: dict[str, Any], words: str
-) -> None:
-    store = tmp_path / "a.zarr"
-    asked: dict[str, Any] = {"model": STICK, "over": {"mu": [0.2, 0.21, 0.3]}}
-    sweep(**asked, store=store)
-    before = sorted((p, p.stat().st_mtime_ns) for p in store.rglob("*"))
-    with pytest.raises(DeclarationError, match=words):
-        sweep(**{**asked, **changes}, store=store)
-    assert sorted((p, p.stat().st_mtime_ns) for p in store.rglob("*")) == before
-
-
-@pytest.mark.parametrize("content", [None, "zarr.json", ".zgroup"])
-def test_what_is_no_store_is_left_alone(tmp_path: Path, content: str | None) -> None:
-    store = tmp_path / "a.zarr"
-    store.mkdir()
-    if content:
-        (store / content).write_text("{}")
-    with pytest.raises(DeclarationError, match="no store"):
-        sweep(STICK, {"mu": [0.2]}, store=store, resume=True)
-
-
-def test_a_store_begun_by_a_process_that_was_killed_at_once_is_begun_again(tmp_path: Path) -> None:
-    import shutil
-
-    store = tmp_path / "a.zarr"
-    whole = sweep(STICK, {"mu": [0.2]}, store=store).load()
-    shutil.rmtree(store / "outcome")
-    same(sweep(STICK, {"mu": [0.2]}, store=store, resume=True), whole)
 
 
 def test_many_modes_are_told_by_their_beginning_and_number() -> None:

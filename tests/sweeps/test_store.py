@@ -1,0 +1,216 @@
+"""Stores of sweeps: what is interrupted goes on, what others have is left alone."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from statechart import sweep
+from statechart.errors import DeclarationError, StatechartError
+from statechart.sweeps import plan as plans
+from statechart.sweeps import sweep as sweeps
+from statechart.sweeps.block import Block, run_block
+from statechart.sweeps.claim import claimed
+from statechart.sweeps.plan import Task
+
+STICK = "toppling_stick"
+GRID = {"mu": np.geomspace(0.05, 50.0, 7), "I_G": np.array([0.0, 0.01, 1 / 3, 1.0])}
+LISTS = {"e": [0.3, 0.7], "k": [0.0, 8.0, 12.0]}
+
+
+def same(one: xr.Dataset, other: xr.Dataset) -> None:
+    """All but the seconds are the same, to the last bit."""
+    one, other = one.drop_vars("seconds").load(), other.drop_vars("seconds").load()
+    xr.testing.assert_identical(one, other)
+
+
+def interrupting(at: int) -> Callable[[Task, np.ndarray], Block]:
+    calls: list[int] = []
+
+    def run(task: Task, rows: np.ndarray) -> Block:
+        calls.append(1)
+        if len(calls) == at:
+            signal.raise_signal(signal.SIGINT)
+        return run_block(task, rows)
+
+    return run
+
+
+@pytest.mark.parametrize("tile", [4096, 5])
+def test_an_interrupted_sweep_resumes_to_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tile: int
+) -> None:
+    whole, store = sweep(STICK, GRID, store=tmp_path / "whole.zarr"), tmp_path / "a.zarr"
+    monkeypatch.setattr(plans, "_CHUNK", tile)
+    monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
+    monkeypatch.setattr(sweeps, "_WRITTEN", 0.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(sweeps, "run_block", interrupting(9))
+        part = sweep(STICK, GRID, store=store)
+    done = part["outcome"].to_numpy() != ""
+    assert done.sum() == 8 or done.sum() == 9
+    assert (part.attrs["complete"], part.attrs["ended"]) == (0, "interrupted")
+    # What is done can be read, in the state it is in.
+    with xr.open_zarr(store, chunks=None) as read:
+        np.testing.assert_array_equal(
+            read["t_end"].to_numpy()[done], whole["t_end"].to_numpy()[done]
+        )
+    same(sweep(STICK, GRID, store=store, resume=True), whole)
+    same(xr.open_zarr(store, chunks=None), xr.open_zarr(tmp_path / "whole.zarr", chunks=None))
+    # All is done: nothing runs.
+    monkeypatch.setattr(sweeps, "run_block", None)
+    same(sweep(STICK, GRID, store=store, resume=True), whole)
+
+
+def test_lists_of_an_interrupted_sweep_resume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, store = "bouncing_ball_hills", tmp_path / "a.zarr"
+    whole = sweep(model, LISTS)
+    monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(sweeps, "run_block", interrupting(4))
+        sweep(model, LISTS, store=store)
+    same(sweep(model, LISTS, store=store, resume=True), whole)
+
+
+def test_a_signal_is_not_kept_from_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sweeps, "run_block", interrupting(1))
+    assert sweep(STICK, {"mu": [0.2]}).attrs["complete"] == 0
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "exists already"),
+        ({"resume": True, "over": {"mu": [0.2, 0.4]}}, "another sweep; it differs in swept"),
+        ({"resume": True, "over": {"mu": [0.2, 0.25, 0.3]}}, "another sweep"),
+        ({"resume": True, "until": 1.0}, "differs in asked"),
+        ({"resume": True, "model": "bouncing_ball", "over": {"k": [0.5]}}, "differs in model"),
+        ({"resume": True, "outputs": []}, "differs in outputs"),
+    ],
+)
+def test_a_store_of_another_sweep_is_left_alone(
+    tmp_path: Path, changes: dict[str, Any], words: str
+) -> None:
+    store = tmp_path / "a.zarr"
+    asked: dict[str, Any] = {"model": STICK, "over": {"mu": [0.2, 0.21, 0.3]}}
+    sweep(**asked, store=store)
+    before = sorted((p, p.stat().st_mtime_ns) for p in store.rglob("*"))
+    with pytest.raises(DeclarationError, match=words):
+        sweep(**{**asked, **changes}, store=store)
+    assert sorted((p, p.stat().st_mtime_ns) for p in store.rglob("*")) == before
+
+
+@pytest.mark.parametrize("content", ["notes.txt", "zarr.json", ".zgroup"])
+def test_what_is_no_store_is_left_alone(tmp_path: Path, content: str) -> None:
+    store = tmp_path / "a.zarr"
+    store.mkdir()
+    (store / content).write_text("{}")
+    with pytest.raises(DeclarationError, match="no store"):
+        sweep(STICK, {"mu": [0.2]}, store=store, resume=True)
+
+
+def test_a_store_begun_by_a_process_that_was_killed_at_once_is_begun_again(tmp_path: Path) -> None:
+    store = tmp_path / "a.zarr"
+    whole = sweep(STICK, {"mu": [0.2]}, store=store).load()
+    shutil.rmtree(store / "outcome")
+    same(sweep(STICK, {"mu": [0.2]}, store=store, resume=True), whole)
+    for part in store.iterdir():
+        shutil.rmtree(part) if part.is_dir() else part.unlink()
+    (store / "zarr.0a1b.partial").write_text('{"node')
+    same(sweep(STICK, {"mu": [0.2]}, store=store, resume=True), whole)
+
+
+def test_what_a_killed_process_was_writing_is_removed(tmp_path: Path) -> None:
+    store = tmp_path / "a.zarr"
+    sweep(STICK, {"mu": [0.2]}, store=store)
+    (store / "t_end" / "c" / "0.0a1b.partial").write_text("half")
+    sweep(STICK, {"mu": [0.2]}, store=store, resume=True)
+    assert not list(store.rglob("*.partial"))
+
+
+_RESUMING = """
+import sys
+from statechart import sweep
+from statechart.errors import StatechartError
+try:
+    sweep("toppling_stick", {"mu": [0.2, 0.4, 0.6]}, store=sys.argv[1], resume=True)
+except StatechartError as error:
+    print(type(error).__name__, error)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders are locked by POSIX systems")
+@pytest.mark.parametrize("begun", [True, False])
+def test_a_store_under_way_is_left_to_the_process_that_writes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool
+) -> None:
+    store, over, said = tmp_path / "a.zarr", {"mu": [0.2, 0.4, 0.6]}, []
+    if begun:
+        with monkeypatch.context() as patched:
+            patched.setattr(sweeps, "_BLOCK", 0.0)
+            patched.setattr(sweeps, "run_block", interrupting(2))
+            sweep(STICK, over, store=store)
+
+    def run(task: Task, rows: np.ndarray) -> Block:
+        if not said:
+            command = [sys.executable, "-c", _RESUMING, str(store)]
+            said.append(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+        return run_block(task, rows)
+
+    monkeypatch.setattr(sweeps, "run_block", run)
+    same(sweep(STICK, over, store=store, resume=True), sweep(STICK, over))
+    assert said[0].startswith(f"DeclarationError another process is writing {store}; ")
+    # With the sweep the claim ends.
+    same(sweep(STICK, over, store=store, resume=True), sweep(STICK, over))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes that are forked")
+def test_a_process_that_was_forked_does_not_hold_a_store(tmp_path: Path) -> None:
+    heard, said = os.pipe()
+    with claimed(tmp_path / "a.zarr"):
+        child = os.fork()
+        if child == 0:
+            os.write(said, b".")
+            time.sleep(30.0)
+            os._exit(0)
+        os.read(heard, 1)
+    try:
+        with claimed(tmp_path / "a.zarr"):
+            pass
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+
+
+@pytest.mark.parametrize("replaced", [True, False])
+def test_a_store_that_is_removed_under_way_is_told_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, replaced: bool
+) -> None:
+    store = tmp_path / "a.zarr"
+
+    def run(task: Task, rows: np.ndarray) -> Block:
+        if store.exists():
+            shutil.rmtree(store)
+            if replaced:
+                store.mkdir()
+        return run_block(task, rows)
+
+    monkeypatch.setattr(sweeps, "run_block", run)
+    with pytest.raises(StatechartError, match=r"a\.zarr was removed while it was written"):
+        sweep(STICK, {"mu": [0.2]}, store=store)
+    assert not list(store.rglob("*"))
