@@ -33,6 +33,11 @@ def announce(say: Callable[[str], None] | None) -> None:
     _now.say = say
 
 
+def announced() -> bool:
+    """Whether what is compiled is said."""
+    return _now.say is not None
+
+
 def working_time() -> float:
     """Return seconds of a clock that stands still while something is compiled."""
     now = time.perf_counter()

@@ -6,7 +6,6 @@ import hashlib
 import math
 import pickle
 import threading
-import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, lru_cache
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints32
 from statechart.automaton.trace import Key, Outcome
+from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.errors import (
     DeclarationError,
@@ -204,7 +204,7 @@ class _Cells:
         if structure is None or size == 1:
             return places[:size]
         places = places[:size]
-        began = time.perf_counter()
+        began = working_time()
         done: list[NDArray[np.intp]] = []
         table = rows[places]
         for batch, numbers, several in structure.together.run(table):
@@ -224,7 +224,7 @@ class _Cells:
             found.modes[here] = [codes.setdefault(text, len(codes)) for text in texts]
         if done:
             through = np.concatenate(done)
-            found.seconds[through] = (time.perf_counter() - began) / len(through)
+            found.seconds[through] = (working_time() - began) / len(through)
         return places[found.outcome[places] == ""]
 
     def _alone(
@@ -236,7 +236,7 @@ class _Cells:
         codes: dict[str, int],
     ) -> None:
         """Run one cell, whatever comes of it."""
-        began = time.perf_counter()
+        began = working_time()
         try:
             structure = self._structure(key)
             values = dict(zip(self._task.names, row, strict=True))
@@ -251,7 +251,7 @@ class _Cells:
         except Exception as error:
             interrupts.check()  # in compiled code a signal becomes another error
             found.end(k, FAULTY, f"{type(error).__name__}: {error}")
-        found.seconds[k] = time.perf_counter() - began
+        found.seconds[k] = working_time() - began
 
     def _structure(self, key: tuple[float, ...]) -> _Structure:
         """Return what runs the model as it is with these numbers of copies."""

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 
+from statechart.compiling import working_time
+
 # Seconds between lines, where stderr is no terminal.
 _EVERY = 10.0
 
@@ -61,20 +63,21 @@ def _bar(total: int, done: int) -> Iterator[Callable[[int], None]]:
 
 
 class _Lines:
-    """Writes a line every few seconds; the rate is that since the last one."""
+    """Writes a line every few seconds; the rate is that since the last one, but for compilation."""
 
     def __init__(self, total: int, done: int) -> None:
         self._total, self._done, self._told = total, done, done
-        self._shown = time.monotonic()
+        self._shown, self._worked = time.monotonic(), working_time()
 
     def __call__(self, count: int) -> None:
         self._done += count
         now = time.monotonic()
         if now - self._shown < _EVERY:
             return
-        rate = (self._done - self._told) / (now - self._shown)
+        worked = working_time()
+        rate = (self._done - self._told) / (worked - self._worked)
         left = timedelta(seconds=round((self._total - self._done) / rate))
-        self._shown, self._told = now, self._done
+        self._shown, self._worked, self._told = now, worked, self._done
         line = f"{self._done} of {self._total} cells, {rate:.3g} a second, {left} left\n"
         sys.stderr.write(line)
         sys.stderr.flush()

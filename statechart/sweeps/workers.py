@@ -6,6 +6,7 @@ import asyncio
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -13,10 +14,12 @@ from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
+from statechart import compiling
 from statechart.errors import DeclarationError
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
+    from multiprocessing.synchronize import Semaphore
 
 # Seconds in which a scheduler has to answer.
 _ANSWER = 10.0
@@ -67,7 +70,9 @@ def processes(count: int) -> Iterator[Executor]:
     # Not forked: threads of libraries do not survive that.
     context = multiprocessing.get_context("spawn")
     before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
+    # All of them compile the same: one says so, for all.
+    says = context.Semaphore(1) if compiling.announced() else None
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=(says,))
     try:
         with _blocked():
             started: list[Future[str]] = [pool.submit(version, _NAME) for _ in range(count)]
@@ -174,9 +179,17 @@ def _blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin() -> None:
-    """Begin a worker: it ends when the process that started it is gone."""
+def _begin(says: Semaphore | None) -> None:
+    """Begin a worker: it ends when the process that started it is gone.
+
+    Parameters
+    ----------
+    says : Semaphore, optional
+        Taken by the worker that says what is compiled.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if says is not None and says.acquire(block=False):
+        compiling.announce(lambda line: print(line, file=sys.stderr, flush=True))  # noqa: T201
     parent = multiprocessing.parent_process()
     assert parent is not None
 

@@ -20,11 +20,13 @@ def test_lines_tell_cells_rate_and_time_left(
 ) -> None:
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    # Of which five seconds are compilation.
+    monkeypatch.setattr(progress, "working_time", lambda: max(now[0] - 5.0, 0.0))
     with progress.told(1000, 100, shown=True) as tell:
         for now[0], count in ((1.0, 50), (10.0, 50), (12.0, 300), (30.0, 100)):
             tell(count)
     assert capsys.readouterr().err.splitlines() == [
-        "200 of 1000 cells, 10 a second, 0:01:20 left",
+        "200 of 1000 cells, 20 a second, 0:00:40 left",
         "600 of 1000 cells, 20 a second, 0:00:20 left",
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
@@ -13,7 +14,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from statechart import Runner, sweep
+from statechart import Runner, compiling, sweep
 from statechart.charts.chart import Chart
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
@@ -188,6 +189,23 @@ def test_a_defect_of_ours_ends_a_cell_and_not_the_sweep(monkeypatch: pytest.Monk
     found = sweep("bouncing_ball", {"k": [0.4, 0.5, 0.6]})
     assert found["outcome"].to_numpy().tolist() == ["HORIZON", "INTERNAL_ERROR", "HORIZON"]
     assert found["message"][1].item() == "ZeroDivisionError: by nothing"
+
+
+def test_what_is_compiled_in_a_cell_is_no_part_of_what_it_took(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    real = Runner.run
+
+    def run(self: Runner, values: dict[str, float], **options: Any) -> Any:
+        with compiling.whole("a kernel"):
+            time.sleep(1.0)
+        return real(self, values, **options)
+
+    sweep("bouncing_ball", {"k": [0.4]})
+    monkeypatch.setattr(Runner, "run", run)
+    found = sweep("bouncing_ball", {"k": [0.5]})
+    assert found["outcome"].item() == "HORIZON"
+    assert found["seconds"].item() < 1.0
 
 
 def test_numbers_of_copies_are_a_parameter_like_others() -> None:

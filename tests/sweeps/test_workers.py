@@ -158,6 +158,35 @@ def _gone(pid: int) -> None:
     raise AssertionError(f"{pid} is still there")
 
 
+_COMPILING = """
+import time
+
+from statechart import compiling
+from statechart.sweeps.workers import processes
+
+def work(number):
+    compiling._AFTER = 0.0
+    time.sleep(0.01)
+    with compiling.whole("a kernel"):
+        pass
+
+if __name__ == "__main__":
+    compiling.announce(print)
+    with processes(2) as executor:
+        for done in [executor.submit(work, k) for k in range(50)]:
+            done.result()
+        print("all", len(executor._processes))
+"""
+
+
+def test_one_of_several_processes_says_what_is_compiled(tmp_path: Path) -> None:
+    script = tmp_path / "compiling.py"
+    script.write_text(_COMPILING)
+    said = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert said.stdout == "all 2\n"
+    assert 0 < said.stderr.count("compiled a kernel in 0 s") < 50
+
+
 _ORPHANS = """
 import os, signal
 from statechart.sweeps.workers import processes
