@@ -8,9 +8,10 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from statechart.errors import DeclarationError
+from statechart.errors import DeclarationError, StatechartError
 
 if TYPE_CHECKING:
+    from statechart.documents.declaration import Declaration
     from statechart.running.runner import Runner
     from statechart.study.record import Study
 
@@ -57,6 +58,41 @@ def kept_study(arguments: argparse.Namespace) -> Study | None:
     from statechart.study.file import load
 
     return load(arguments.output)
+
+
+def shown_study(
+    model: Declaration, page: str | None, output: str | None = None
+) -> tuple[Study | None, tuple[str, ...]]:
+    """Return what `trade` has left of a model beside its page, and what is to be warned of.
+
+    Parameters
+    ----------
+    model : Declaration
+        The model that is run.
+    page : str or None
+        What is to be written; None where no page is.
+    output : str, optional
+        Where other results go, whose study is shown where none is beside the page.
+    """
+    if page is None:
+        return None, ()
+    from statechart.study.file import NAME, load
+
+    warnings = []
+    for folder in dict.fromkeys((Path(page).parent, *([] if output is None else [Path(output)]))):
+        try:
+            study = load(folder)
+        except StatechartError as error:
+            warnings.append(f"the page shows no study: {error}")
+            continue
+        if study is not None and study.of(model):
+            return study, tuple(warnings)
+        if study is not None:
+            warnings.append(
+                f"the page does not show {folder / NAME}: it is of another model, or of "
+                f"{study.model!r} as it was before it was changed or by another version"
+            )
+    return None, tuple(warnings)
 
 
 def check_file(option: str, output: str | None) -> None:

@@ -21,6 +21,7 @@ from statechart.cli.places import (
     check_page,
     is_store,
     kept_study,
+    shown_study,
 )
 from statechart.cli.terminal import print_json, show, warn
 from statechart.errors import DeclarationError, SimulationError, StatechartError
@@ -148,7 +149,10 @@ def _tell(
         draw = functools.partial(result.animate, arguments.animate, progress=shown)
         pieces.attempt(arguments.animate, draw, None)
     if arguments.report is not None:
-        pieces.attempt(arguments.report, lambda: result.report(arguments.report), None)
+        study, warnings = shown_study(runner.model, arguments.report, arguments.output)
+        warn(warnings)
+        page = functools.partial(result.report, arguments.report, study=study)
+        pieces.attempt(arguments.report, page, None)
     failure = failure or (f"left out: {pieces.text()}" if pieces.failed else "")
     if failure:
         print(failure, file=sys.stderr)
@@ -167,7 +171,9 @@ def view(arguments: argparse.Namespace) -> int:
     place = arguments.output or Path(
         tempfile.mkdtemp(prefix="statechart-"), f"{runner.model.name}.html"
     )
-    page = result.report(place).resolve()
+    study, warnings = shown_study(runner.model, arguments.output)
+    warn(warnings)
+    page = result.report(place, study=study).resolve()
     print(page)
     if not webbrowser.open(page.as_uri()):
         print("no browser could be opened; open the page with one", file=sys.stderr)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import Declaration
@@ -46,6 +47,10 @@ class Measured(Protocol):
 
     def of(self, model: Declaration) -> bool:
         """Whether a model is the one that was measured."""
+        ...
+
+    def shown(self, label: str) -> Mapping[str, Any]:
+        """Return what the page of a run shows of it; the run's own setting has this label."""
         ...
 
     def choose(self, asked: Setting, *, once: bool) -> Chosen | None:

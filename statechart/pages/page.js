@@ -174,6 +174,16 @@ byId("doc").textContent = data.doc;
 byId("outcome").textContent = data.outcome;
 for (const line of data.computed) made(byId("computed"), "li", {}, line);
 for (const warning of data.warnings) made(byId("warnings"), "p", {}, warning);
+// What speed costs in accuracy.
+byId("study").hidden = !data.study;
+if (data.study) {
+  byId("figure").src = `data:image/svg+xml;base64,${data.study.figure}`;
+  for (const part of ["above", "below"]) for (const line of data.study[part]) made(byId(part), "li", {}, line);
+  data.study.rows.forEach((cells, k) => {
+    const row = made(byId("settings"), "tr", data.study.own.includes(k) ? { class: "own", title: "the setting of this run" } : {});
+    for (const cell of cells) made(row, k ? "td" : "th", {}, cell);
+  });
+}
 for (const name of ["outputs", "parameters"])
   for (const [key, value] of Object.entries(data[name])) {
     const row = made(byId(name), "tr");

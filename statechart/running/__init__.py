@@ -5,5 +5,5 @@
 accuracy or keeps to a budget, `halving` delivers one by shorter time steps, `confirmed` by the run
 that was measured to. `alternatives` compares runs under other choices, `streaming` is what is asked
 of one that is watched. `asked` is what a model answers without a run, `drawing` draws its
-statechart.
+statechart, `paged` is what the page of a run shows.
 """

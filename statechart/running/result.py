@@ -10,7 +10,6 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from statechart.automaton.keeping import check_kept
 from statechart.automaton.trace import Trace
 from statechart.documents.setting import Record, Setting
 from statechart.errors import StatechartError
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from statechart.diagram.model import Diagram
+    from statechart.engines.request import Measured
     from statechart.running.runner import Runner
 
 
@@ -270,7 +270,7 @@ class Result:
         from statechart.diagram.build import build
         from statechart.diagram.write import write
 
-        setup = self.runner.setup(self._overrides)
+        setup = self.runner.setup(self.overrides)
         found = feasibility(self.runner.automaton, setup, setup.initial, 0.0)
         diagram = build(
             self.runner.automaton, self.trace.start_mode, self.trace, found, visited=True
@@ -308,7 +308,7 @@ class Result:
         showing = Showing(speed, size, trail)
         return animate(self.observer, self.trace, path, showing, progress=progress)
 
-    def report(self, path: Path | str) -> Path:
+    def report(self, path: Path | str, *, study: Measured | None = None) -> Path:
         """Write the run as one HTML file that needs nothing else.
 
         The moving scene with the forces, curves, the statechart with its active mode, the events
@@ -318,25 +318,25 @@ class Result:
         ----------
         path : Path or str
             What to write; .html.
+        study : Study, optional
+            What speed costs in accuracy, to be shown, too: of the same model, from `trade`. By
+            default the one that the run was given.
 
         Raises
         ------
         StatechartError
-            If the suffix is another, or the file cannot be written.
+            If the suffix is another, the study is of another model, or the file cannot be written.
         """
-        from statechart.pages.content import MOST_EVENTS, content
         from statechart.pages.page import write
+        from statechart.running.paged import paged
 
         path = Path(path)
-        check_kept(self.trace)
-        held = replace(self, trace=self.trace.at_hand())
-        told = held.to_dict(explain=True, most=MOST_EVENTS)
-        diagram = held.diagram() if self.trace.record is Record.MODES else None
-        write(content(self.observer, held.trace, told, diagram), path)
+        write(paged(self, study), path)
         return path
 
     @property
-    def _overrides(self) -> dict[str, float]:
+    def overrides(self) -> dict[str, float]:
+        """The values of the model's parameters in this run."""
         values = self.trace.parameters
         return {name: values[name] for name in self.runner.model.parameters if name in values}
 

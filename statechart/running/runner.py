@@ -120,7 +120,7 @@ class Runner:
             engine, method, tolerance, accuracy, step, budget, max_step, impulse_tolerance,
             impulse_bound, record,
         )  # fmt: skip
-        self._study, self._alone = study, once
+        self.study, self._alone = study, once
         self._turn = threading.RLock()  # what is compiled has memory that serves one run at a time
         # The last one with other copies of bodies, and what makes it: composing takes its time.
         self._varied: tuple[dict[str, float], Runner] | None = None
@@ -140,7 +140,7 @@ class Runner:
         """Travel as the model and what is asked for: what is compiled is compiled anew there."""
         asked = {
             **asdict(self._asked),
-            "study": self._study,
+            "study": self.study,
             "once": self._alone,
             "progress": self._progress,
         }
@@ -183,7 +183,7 @@ class Runner:
             if variant is not self.model:
                 varied = self._varied
                 if varied is None or varied[0] != overrides:
-                    self._varied = varied = overrides, self._other(variant, self._study)
+                    self._varied = varied = overrides, self._other(variant, self.study)
                 return varied[1].run(overrides, until=end, certify=certify, throw=throw)
         measured = self._plan.measured
         if measured is not None and (overrides or end != measured):

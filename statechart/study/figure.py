@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import math
+from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +19,9 @@ from statechart.palette import GRID, INK, LINES
 from statechart.reporting.figure import STYLE, render
 from statechart.study.point import Point
 from statechart.study.record import Study
+from statechart.study.report import told
 from statechart.study.slopes import Slope, fitted, slopes
+from statechart.tabular import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -121,6 +124,34 @@ def write(folder: Path | str, study: Study) -> None:
         write_atomic(folder / "trade.csv", _csv(study).encode())
     except OSError as error:
         raise StatechartError(f"cannot write to {folder}: {error.strerror or error}") from error
+
+
+def shown(study: Study, label: str) -> dict[str, Any]:
+    """Return a study as the page of a run shows it.
+
+    Its figure is a picture of its own, base64: its style would be that of the whole page.
+
+    Parameters
+    ----------
+    study : Study
+        Of the model that was run.
+    label : str
+        Of the run's own setting, which is marked where it was measured.
+    """
+    from matplotlib import rc_context
+
+    with rc_context({"svg.fonttype": "none"}):
+        drawn = render(figure(study), "svg")
+    above, table, below = told(study)
+    assert isinstance(table, Table)
+    own = [place for place, point in enumerate(study.points, 1) if point.setting.label == label]
+    return {
+        "figure": b64encode(drawn).decode(),
+        "above": str(above).strip().splitlines(),
+        "rows": [list(row) for row in table.rows],
+        "own": own,
+        "below": str(below).strip().splitlines(),
+    }
 
 
 def _csv(study: Study) -> str:

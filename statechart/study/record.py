@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -81,6 +81,12 @@ class Study(Record):
         from statechart.study.report import text
 
         return text(self)
+
+    def shown(self, label: str) -> dict[str, Any]:
+        """Return what the page of a run shows of it; the run's own setting has this label."""
+        from statechart.study.figure import shown
+
+        return shown(self, label)
 
     def of(self, model: Declaration) -> bool:
         """Whether a model is the one that was measured, by this version."""
