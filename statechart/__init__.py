@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from statechart.automaton.sampling import Sample
-    from statechart.automaton.trace import Arc, Jump, Outcome, Trace
+    from statechart.automaton.trace import Arc, Jump, Motion, Outcome, Trace
     from statechart.charts.chart import Chart, Region, State
     from statechart.charts.transitions import Transition
     from statechart.diagram.model import Diagram
+    from statechart.documents.declaration import Declaration
     from statechart.documents.outputs import Count, Integral, Maximum, Minimum, Value
+    from statechart.documents.setting import Setting
     from statechart.documents.settings import Settings, Stop
     from statechart.errors import (
         AmbiguousMode,
@@ -39,20 +41,23 @@ if TYPE_CHECKING:
     from statechart.loading.load import load
     from statechart.running.asked import Modes, equations, modes
     from statechart.running.drawing import draw, graph
-    from statechart.running.result import Result
+    from statechart.running.result import Asked, Reading, Result
     from statechart.running.runner import Runner, run
+    from statechart.study.record import Study
     from statechart.study.trade import trade
     from statechart.sweeps.sweep import sweep
-    from statechart.testing.checking import CheckReport, check
+    from statechart.testing.checking import CheckReport, PropertyReport, check
 
     __version__: str
 
 __all__ = [
     "AmbiguousMode",
     "Arc",
+    "Asked",
     "Chart",
     "CheckReport",
     "Count",
+    "Declaration",
     "DeclarationError",
     "Diagram",
     "EventLoop",
@@ -62,14 +67,18 @@ __all__ = [
     "Maximum",
     "Minimum",
     "Modes",
+    "Motion",
     "NoConsistentMode",
     "NonFinite",
     "OutOfBudget",
     "Outcome",
+    "PropertyReport",
+    "Reading",
     "Region",
     "Result",
     "Runner",
     "Sample",
+    "Setting",
     "Settings",
     "SimulationError",
     "SingularMode",
@@ -78,6 +87,7 @@ __all__ = [
     "StepFailure",
     "StepTooLarge",
     "Stop",
+    "Study",
     "TooLong",
     "Trace",
     "Transition",
@@ -100,20 +110,23 @@ __all__ = [
 # Nothing is imported before it is used: the command line starts as fast as without this page.
 _HOMES = {
     "automaton.sampling": ("Sample",),
-    "automaton.trace": ("Arc", "Jump", "Outcome", "Trace"),
+    "automaton.trace": ("Arc", "Jump", "Motion", "Outcome", "Trace"),
     "charts.chart": ("Chart", "Region", "State"),
     "charts.transitions": ("Transition",),
     "diagram.model": ("Diagram",),
+    "documents.declaration": ("Declaration",),
+    "documents.setting": ("Setting",),
     "documents.settings": ("Settings", "Stop"),
     "documents.outputs": ("Count", "Integral", "Maximum", "Minimum", "Value"),
     "loading.load": ("load",),
     "running.asked": ("Modes", "equations", "modes"),
     "running.drawing": ("draw", "graph"),
-    "running.result": ("Result",),
+    "running.result": ("Asked", "Reading", "Result"),
     "running.runner": ("Runner", "run"),
+    "study.record": ("Study",),
     "study.trade": ("trade",),
     "sweeps.sweep": ("sweep",),
-    "testing.checking": ("CheckReport", "check"),
+    "testing.checking": ("CheckReport", "PropertyReport", "check"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

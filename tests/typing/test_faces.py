@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -99,6 +101,25 @@ def test_every_public_name_is_there_and_listed(face: object) -> None:
         assert name in dir(face)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = face.nothing  # type: ignore[attr-defined]
+
+
+def test_what_public_functions_return_has_a_public_name() -> None:
+    public = {getattr(face, name) for face in (statechart, contacts) for name in face.__all__}
+    functions = [value for value in public if inspect.isfunction(value)]
+    functions += [
+        value
+        for owner in (statechart.Result, statechart.Runner)
+        for name, value in inspect.getmembers(owner, inspect.isfunction)
+        if not name.startswith("_") and name not in ("rows", "setup")  # of the machinery
+    ]
+    returned = set()
+    for function in functions:
+        home = vars(sys.modules[function.__module__])
+        for word in re.findall(r"\w+", function.__annotations__["return"]):
+            if getattr(home.get(word), "__module__", "").startswith("statechart"):
+                returned.add(home[word])
+    assert {statechart.Study, statechart.Reading, statechart.Declaration} <= returned
+    assert returned <= public
 
 
 def test_the_version_is_that_of_the_distribution() -> None:
