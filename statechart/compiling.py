@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from statechart.tabular import several
+
 _AFTER = 1.0  # seconds before it is said that something is compiled, and between one and the next
 
 
@@ -84,8 +86,8 @@ def end(counts: bool = True) -> None:
     elif now - _now.said >= _AFTER:
         _now.said, _now.told = now, True
         _say(
-            f"compiling {_now.name}: {min(_now.done, _now.total)} of {_now.total} functions, "
-            f"{now - _now.began:.0f} s"
+            f"compiling {_now.name}: {min(_now.done, _now.total)} of "
+            f"{several(_now.total, 'function')}, {now - _now.began:.0f} s"
         )
 
 

@@ -66,6 +66,11 @@ def whole(number: int) -> str:
     return str(number) if number < _COUNTED else f"about {Decimal(number):.1e}".replace("e+", "e")
 
 
+def several(count: int, noun: str) -> str:
+    """Return how many of something there are: ``1 step``, ``2 steps``."""
+    return f"{whole(count)} {noun}{'' if count == 1 else 's'}"
+
+
 def ends(items: Sequence[T], half: int = FEW) -> list[T | int]:
     """Return the items that people are shown, in the place of many the number left out.
 

@@ -14,6 +14,7 @@ from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array
 from statechart.errors import NonFinite
+from statechart.tabular import several
 
 # Radians that a body turns in a step in which it is hit: worth a word, and followed.
 _TURNED, _FOLLOWED = 0.5, 0.1
@@ -116,11 +117,10 @@ class SteppedHeap:
         found += ratio_remarks(self._room.worst, self._names, self._allowed)
         if self._parted:
             found += (
-                f"in {self._parted} steps of {self._length:g} bodies would pass through each "
-                f"other or sink into each other, or turn by more than half a turn: they were taken "
-                f"in up to "
-                f"{self._most_parts} parts; with a step of {self._length / self._most_parts:.1g} "
-                "none needs that",
+                f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass "
+                "through each other or sink into each other, or turn by more than half a turn: "
+                f"they were taken in up to {self._most_parts} parts; with a step of "
+                f"{self._length / self._most_parts:.1g} none needs that",
             )
         return found
 

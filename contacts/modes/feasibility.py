@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from contacts.solvers.dependence import GIVEN, null_space
 from contacts.states import declared_state
 from statechart.arrays import Array
+from statechart.tabular import several
 
 Condition = tuple[int, int, int]
 """Contact, row (0: normal, 1: tangential), sign of the velocity."""
@@ -193,8 +194,8 @@ def _reason(directions: Iterable[ModeVerdict]) -> str:
 def _conditions(states: Sequence[str], count: int) -> list[Condition]:
     if len(states) != count or not _CONDITIONS.keys() >= set(states):
         raise ValueError(
-            f"mode {' '.join(states)!r}: expected one state for each of {count} contacts, "
-            f"of {', '.join(_CONDITIONS)}"
+            f"mode {' '.join(states)!r}: expected one state for each of "
+            f"{several(count, 'contact')}, of {', '.join(_CONDITIONS)}"
         )
     return [(c, row, sign) for c, state in enumerate(states) for row, sign in _CONDITIONS[state]]
 

@@ -7,6 +7,7 @@ import numpy as np
 from contacts.time_stepping.chunk import Chunk
 from statechart.automaton.time_stepper import Impulses
 from statechart.errors import SimulationError, UnsolvedImpulses
+from statechart.tabular import several
 
 
 class Effort:
@@ -67,13 +68,13 @@ class Effort:
         found: tuple[str, ...] = ()
         if self._softened:
             found += (
-                f"in {self._softened} steps no impulses were found that make all contacts part as "
-                "Moreau's law of impact asks: what was hit then did not rebound",
+                f"in {several(self._softened, 'step')} no impulses were found that make all "
+                "contacts part as Moreau's law of impact asks: what was hit then did not rebound",
             )
         if self._missed:
             found += (
-                f"in {self._missed} steps impulses miss the contact laws by more than the "
-                f"tolerance of {self._tolerance:g}: by up to {self.residual:.2g} of the fastest "
-                f"approach, at t = {self._when:.6g}",
+                f"in {several(self._missed, 'step')} impulses miss the contact laws by more "
+                f"than the tolerance of {self._tolerance:g}: by up to {self.residual:.2g} of "
+                f"the fastest approach, at t = {self._when:.6g}",
             )
         return found

@@ -49,7 +49,7 @@ from statechart.automaton.trace import (
 )
 from statechart.documents.setting import Record
 from statechart.errors import NonFinite, SimulationError, StepTooLarge, TooLong
-from statechart.tabular import shortest
+from statechart.tabular import several, shortest
 
 # Steps at once, in which no signal is seen, and iterations times contacts in them, some tenths of
 # a second: after more, half as many steps are taken, after less than a quarter of it twice as many.
@@ -227,7 +227,7 @@ class SteppedRun:
         modes = self.span.keeping.record is Record.MODES
         jumps = self.recorder.count if modes else len(self.recorder.told)
         if jumps >= self.span.max_jumps:
-            self.end(Outcome.TOO_MANY_JUMPS, f"{self.span.max_jumps} jumps")
+            self.end(Outcome.TOO_MANY_JUMPS, several(self.span.max_jumps, "jump"))
             return True
         self.size += (TERMS if modes else 1) * chunk.states[1:].nbytes + chunk.solved.nbytes
         if modes:  # of poses there is as much as the disk takes

@@ -43,7 +43,7 @@ _SAMPLES = (
 def validate(arguments: argparse.Namespace) -> int:
     """Read a model and check its initial state; print one line."""
     from statechart.reporting.modes import counted
-    from statechart.tabular import ends
+    from statechart.tabular import ends, several
 
     runner = runner_of(arguments.file)
     mode, warnings = runner.start()
@@ -57,7 +57,7 @@ def validate(arguments: argparse.Namespace) -> int:
     starts = f", starts in {start}" if start else ""
     print(
         f"{arguments.file}: {kind} {automaton.name!r} is correct: "
-        f"{len(automaton.names)} variables, {count}{starts}{remarks}"
+        f"{several(len(automaton.names), 'variable')}, {count}{starts}{remarks}"
     )
     return 0
 

@@ -16,6 +16,7 @@ from statechart.automaton.trace import Key, Trace
 from statechart.diagram.layout.ring import MOST_STEPS
 from statechart.diagram.model import Chart, Diagram, Link, Node
 from statechart.diagram.region import alike, cut, mode_label, region_chart
+from statechart.tabular import several
 
 # Two contacts that may be off have so many modes as users count; more cells fit on no slide.
 _MOST_CELLS = 16
@@ -77,7 +78,7 @@ def build(
     modes = explored(automaton, found=found, directions=False)
     total = f"{automaton.modes_total} with the directions of sliding"
     if automaton.modes_total != automaton.modes_declared:
-        notes = (*notes, f"{automaton.modes_declared} modes, {total}")
+        notes = (*notes, f"{several(automaton.modes_declared, 'mode')}, {total}")
     return Diagram(automaton.name, (_grid(automaton, start, modes),), notes, modes.graph)
 
 
@@ -225,7 +226,8 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
     notes = list(_notes(automaton))
     if len(told) < len(path):
         notes.append(
-            f"{len(visits)} modes in {len(path)} steps, of which the first {len(told)} are drawn"
+            f"{several(len(visits), 'mode')} in {several(len(path), 'step')}, of which the first "
+            f"{len(told)} are drawn"
         )
     resting: dict[str, list[str]] = {}
     for k, (region, states) in enumerate(regions):

@@ -15,6 +15,7 @@ from statechart.documents.yaml_text import flow
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
 from statechart.formulas.syntax import NAME
 from statechart.formulas.words import no_name
+from statechart.tabular import several
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -261,10 +262,13 @@ def _words(details: ErrorDetails, known: Sequence[str], *, built: bool) -> tuple
         )
     if kind == "missing":
         if isinstance(last[0], int):
-            return f"must have {last[0] + 1} items, not {len(given)}", ""
+            return f"must have {several(last[0] + 1, 'item')}, not {len(given)}", ""
         return f"{last[0]!r} is missing", ""
     if kind == "too_long":
-        return f"must have {context['max_length']} items, not {context['actual_length']}", ""
+        return (
+            f"must have {several(context['max_length'], 'item')}, not {context['actual_length']}",
+            "",
+        )
     if "error" in context:
         return str(context["error"]), ""
     shown = repr(given) if isinstance(given, str | int | float | None) else type(given).__name__

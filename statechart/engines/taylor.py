@@ -35,7 +35,7 @@ from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, t
 from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
-from statechart.tabular import shortest
+from statechart.tabular import several, shortest
 
 # Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB; unless
 # they are so few on tape, where each is there once.
@@ -127,7 +127,7 @@ class Taylor(Engine):
         system = [
             (variable, convert(rate)) for variable, rate in zip(states, mode.rates, strict=True)
         ]
-        with whole(f"the equations of a mode ({len(states)} variables)"):
+        with whole(f"the equations of a mode ({several(len(states), 'variable')})"):
             integrator = hy.taylor_adaptive(
                 system,
                 [self._number(0)] * len(states),

@@ -26,7 +26,7 @@ from statechart.execution.outcome import Progress
 from statechart.execution.record import trace_of
 from statechart.execution.zeno import Accumulation
 from statechart.kernels.polynomials import summands
-from statechart.tabular import shortest
+from statechart.tabular import several, shortest
 
 # At such a rate a variable would have changed by this many times its size.
 _STEEP = 1e6
@@ -349,7 +349,7 @@ class Execution:
             check_pace(self.record.jumps, self.clock, self.until, self.max_jumps)
         many = len(self.record.jumps) >= self.max_jumps
         if many:
-            self._end(Outcome.TOO_MANY_JUMPS, f"{self.max_jumps} jumps")
+            self._end(Outcome.TOO_MANY_JUMPS, several(self.max_jumps, "jump"))
         return many
 
     def _skip(self, jump: Jump) -> None:

@@ -8,7 +8,7 @@ from itertools import pairwise
 from statechart.automaton.clock import Clock
 from statechart.automaton.trace import FAR_TOO_MANY, Jump, Key
 from statechart.errors import EventLoop, TooLong
-from statechart.tabular import shortest
+from statechart.tabular import several, shortest
 
 JUMPS_AT_ONCE = 64
 """More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
@@ -66,7 +66,7 @@ def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int
     if max(paces) <= 2.0 * min(paces) and left > FAR_TOO_MANY * max_jumps * max(paces):
         raise TooLong(
             f"{count} jumps took {clock.high:.3g}, and {left:.3g} is left, too much for "
-            f"{max_jumps} jumps; end the run earlier"
+            f"{several(max_jumps, 'jump')}; end the run earlier"
         )
 
 

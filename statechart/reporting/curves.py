@@ -20,6 +20,8 @@ MOST = 5
 """Curves of a panel."""
 
 _MOST_FORCES = 3
+# Sizes of one order of magnitude are alike.
+_ALIKE = 0.1
 # What is not drawn is named up to so many.
 _NAMED = 2
 _MOST_PANELS = 4
@@ -171,18 +173,34 @@ def without_rounding(automaton: Automaton, trace: Trace, samples: Samples) -> Sa
 
 
 def _chosen(title: str, names: Sequence[str], unit: str, samples: Samples) -> Panel:
-    """Return a panel of the curves that move most, in their order."""
+    """Return a panel of the curves that move most, in their order; of many alike a handful."""
     columns = {name: np.nan_to_num(samples.columns[name]) for name in names}
     nothing = _NOTHING * max(map(largest, columns.values()))
-
-    def order(name: str) -> tuple[float, float]:
-        """Order by how far a curve moves, of those that stand by how far off zero."""
-        moves = float(np.ptp(columns[name]))
-        return -moves if moves > nothing else 0.0, -largest(columns[name])
-
-    kept = sorted(names, key=order)[:MOST]
+    moves = {name: float(np.ptp(column)) for name, column in columns.items()}
+    most = max(moves, key=moves.__getitem__)
+    # What bodies have in common, such as their heights.
+    kept = _spread({n: m for n, m in moves.items() if _part(n) == _part(most)}, nothing)
+    if not kept:
+        # Of those that stand still the ones that are far off zero.
+        order = {n: (-m if m > nothing else 0.0, -largest(columns[n])) for n, m in moves.items()}
+        kept = sorted(names, key=order.__getitem__)[:MOST]
     drawn = tuple(name for name in names if name in kept)
     return Panel(title, drawn, unit, tuple(name for name in names if name not in kept))
+
+
+def _part(name: str) -> str:
+    """Return what a column is of its owner: the ``y`` of ``disc7.y``."""
+    owner, _, part = name.rpartition(".")
+    return part if owner else name
+
+
+def _spread(sizes: Mapping[str, float], nothing: float = 0.0) -> list[str]:
+    """Return a handful of many that are alike, from the first to the last; else none."""
+    most = max(sizes.values())
+    alike = [name for name, size in sizes.items() if size >= _ALIKE * most > nothing]
+    if len(alike) <= MOST:
+        return []
+    return [alike[round(k * (len(alike) - 1) / (MOST - 1))] for k in range(MOST)]
 
 
 def _states(automaton: Automaton, samples: Samples) -> list[Panel]:
@@ -278,7 +296,8 @@ def _impulses(automaton: Automaton, trace: Trace, forces: Sequence[Panel]) -> li
                 most[region] = max(most.get(region, 0.0), abs(normal))
     if not any(most.values()):
         return []
-    kept = sorted(most, key=lambda region: -most[region])[:MOST]
+    ordered = {region: most[region] for region in trace.regions if region in most}
+    kept = _spread(ordered) or sorted(most, key=lambda region: -most[region])[:MOST]
     marked = tuple(region for region in trace.regions if region in kept)
     left_out = tuple(region for region in trace.regions if region in most and region not in kept)
     unit = unit_of("impulse", automaton.declaration.units)

@@ -10,7 +10,7 @@ from statechart.automaton.trace import Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
-from statechart.tabular import whole
+from statechart.tabular import several, whole
 
 
 def built(observer: Observer, trace: Trace) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     if trace.step is not None:
         found.append(
             {
-                "what": f"the equations of all {whole(total)} modes",
+                "what": f"the equations of {'all ' * (total > 1)}{several(total, 'mode')}",
                 "why": "a step solves for all contacts at once, and modes are told from it",
             }
         )
@@ -87,7 +87,7 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     elif made < total:
         found.append(
             {
-                "what": f"the equations of {whole(total - made)} of {whole(total)} modes",
+                "what": f"the equations of {whole(total - made)} of {several(total, 'mode')}",
                 "why": "the run did not enter them",
             }
         )

@@ -12,7 +12,7 @@ from statechart.automaton.nesting import HierarchicalEdge
 from statechart.automaton.product import explored
 from statechart.automaton.regions import Region
 from statechart.errors import DeclarationError, close_matches
-from statechart.tabular import Block, Table, apart, ends, plain, whole
+from statechart.tabular import Block, Table, apart, ends, plain, several, whole
 
 
 def listing(
@@ -92,7 +92,7 @@ def told(listed: Mapping[str, Any]) -> list[Block]:
 
 def counted(declared: int, total: int) -> str:
     """Return numbers of modes in words, without and with directions of sliding."""
-    words = f"{whole(declared)} mode{'s' if declared != 1 else ''}"
+    words = several(declared, "mode")
     return words if declared == total else f"{words} ({whole(total)} with directions of sliding)"
 
 

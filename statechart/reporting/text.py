@@ -8,7 +8,7 @@ from typing import Any
 
 from statechart.automaton.trace import Outcome
 from statechart.documents.quantities import beside
-from statechart.tabular import FEW, Block, Table, apart, ends, plain, table, whole
+from statechart.tabular import FEW, Block, Table, apart, ends, plain, several, table
 
 # Of more events than twice this only the first and the last are listed.
 _SHOWN = 20
@@ -63,16 +63,16 @@ def computed(report: Mapping[str, Any]) -> list[str]:
     certified = _CERTIFIED[report["certified"]]
     lines = [
         f"engine {report['engine']}, {_how(report)}; {certified}",
-        f"{counts['steps']} steps, {counts['jumps']} jumps, "
-        f"{report['modes_built']} of {whole(report['modes_total'])} modes built",
+        f"{several(counts['steps'], 'step')}, {several(counts['jumps'], 'jump')}, "
+        f"{report['modes_built']} of {several(report['modes_total'], 'mode')} built",
     ]
     if report["error_estimate"] is not None:
         lines.append(f"estimated relative error {float(report['error_estimate']):.2g}")
     if report["asked"] is not None:
         cost = report["asked"]["cost"]
-        runs = f"{cost['runs']} run{'s' if cost['runs'] != 1 else ''}"
         lines.append(
-            f"it took {runs}, {cost['steps']} steps, {cost['seconds']:.2g} s; first "
+            f"it took {several(cost['runs'], 'run')}, {several(cost['steps'], 'step')}, "
+            f"{cost['seconds']:.2g} s; first "
             f"{'tolerance' if report['step'] is None else 'step'} {report['asked']['basis']}"
         )
         if report["asked"]["not_judged"]:

@@ -18,7 +18,7 @@ from statechart.compiling import working_time
 from statechart.observation.difference import compare, distance, modes_apart
 from statechart.observation.observer import Observer
 from statechart.running.answer import Answer, Cost, Made
-from statechart.tabular import shortest
+from statechart.tabular import several, shortest
 
 SHORTER = math.sqrt(0.5)
 """The step from one run to the next."""
@@ -161,7 +161,7 @@ def halve(once: Once, accuracy: float, *, first: float, end: float) -> Answer:
         if steps.stuck:
             return _missed(last, steps, accuracy, "shorter steps bring runs no nearer")
         if taken > _MOST * SHORTER:
-            return _missed(last, steps, accuracy, f"it took {taken} steps")
+            return _missed(last, steps, accuracy, f"it took {several(taken, 'step')}")
         step *= SHORTER
 
 

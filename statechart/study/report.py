@@ -11,7 +11,7 @@ from statechart.study.notes import Note, beyond, notes, reasons
 from statechart.study.point import Point, Third
 from statechart.study.record import Study
 from statechart.study.slopes import slopes, unfitted
-from statechart.tabular import Block, Table, plain
+from statechart.tabular import Block, Table, plain, several
 
 # Of what an odd run is off in, the parts that are so much of the largest are told.
 _MUCH = 0.5
@@ -57,7 +57,8 @@ def told(study: Study) -> list[Block]:
 
 def _head(study: Study) -> list[str]:
     lines = [
-        f"{study.model} to t = {study.until:g}: {len(study.points)} of {study.planned} settings",
+        f"{study.model} to t = {study.until:g}: {len(study.points)} of "
+        f"{several(study.planned, 'setting')}",
         f"reference: {study.reference}, checked by {study.check}",
     ]
     if study.parted is not None:
@@ -162,7 +163,9 @@ def _foot(study: Study) -> str:
     ]
     more = len(notes(study)) - len(told)
     if more:
-        lines.append(f"{more} further warnings are in trade.json")
+        lines.append(
+            f"{several(more, 'further warning')} {'is' if more == 1 else 'are'} in trade.json"
+        )
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
 
 

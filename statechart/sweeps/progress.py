@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from datetime import timedelta
 
 from statechart.compiling import working_time
+from statechart.tabular import several
 
 # Seconds between lines, where stderr is no terminal.
 _EVERY = 10.0
@@ -78,6 +79,7 @@ class _Lines:
         rate = (self._done - self._told) / (worked - self._worked)
         left = timedelta(seconds=round((self._total - self._done) / rate))
         self._shown, self._worked, self._told = now, worked, self._done
-        line = f"{self._done} of {self._total} cells, {rate:.3g} a second, {left} left\n"
+        cells = f"{self._done} of {several(self._total, 'cell')}"
+        line = f"{cells}, {rate:.3g} a second, {left} left\n"
         sys.stderr.write(line)
         sys.stderr.flush()

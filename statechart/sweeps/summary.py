@@ -11,7 +11,7 @@ import numpy as np
 
 from statechart.automaton.trace import Outcome
 from statechart.documents.quantities import beside
-from statechart.tabular import Block, Table, apart
+from statechart.tabular import Block, Table, apart, several
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -105,7 +105,9 @@ def text(report: dict[str, Any]) -> list[Block]:
         for name, told in report["over"].items()
     )
     done = report["done"]
-    counted = f"{done} cells" if done == report["cells"] else f"{done} of {report['cells']} cells"
+    counted = several(report["cells"], "cell")
+    if done < report["cells"]:
+        counted = f"{done} of {counted}"
     each = report["seconds"] / done if done else 0.0
     head = (
         f"{report['model']} over {over}\n"

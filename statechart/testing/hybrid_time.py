@@ -7,7 +7,7 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
-from statechart.tabular import shortest
+from statechart.tabular import several, shortest
 
 ROUNDING = 1e-13
 """What is added up from terms is off by some units in the last place of them."""
@@ -40,7 +40,7 @@ def assert_ordered(trace: Trace) -> None:
         off = abs(start - t)
         assert off <= allowed, f"{place} does not begin where the run was, t = {shortest(t)}"
         assert end >= start, f"{place} ends before it begins, at t = {shortest(end)}"
-        assert of == j, f"{place} comes after {j} jumps"
+        assert of == j, f"{place} comes after {several(j, 'jump')}"
         t, j = end, of + (what == 2)
     assert abs(t - trace.t_end) <= allowed, (
         f"the run ends at t = {shortest(trace.t_end)}, its parts at {shortest(t)}"

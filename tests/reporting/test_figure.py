@@ -158,6 +158,40 @@ stop: {time: 0.5}
 """
 
 
+FALLING = """\
+kind: scene
+name: falling
+gravity: 9.81
+bodies:
+  big: {mass: 1, inertia: 1, shape: {disc: 0.4}, start: {x: -2, y: HEIGHT}}
+  disc: {copies: 22, mass: 1, inertia: 1, shape: {disc: 0.4}, start: {x: index, y: 1}}
+surfaces: {ground: {height: 0}}
+collisions: {all: {bodies: [big, disc], surfaces: [ground], friction: 0.4, restitution: 0.2}}
+stop: {time: 0.5}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+@pytest.mark.parametrize("height", [1, 100])
+def test_of_many_curves_alike_some_from_one_end_to_the_other_are_drawn(height: int) -> None:
+    runner = Runner(read_text(FALLING.replace("HEIGHT", str(height))))
+    result = runner.run()
+    _, panels = curves(result.observer, result.trace)
+    # Where the big one falls on for longer it is still of their order.
+    every = [n.rpartition(".")[0] for n in runner.automaton.names if n.endswith(".y")]
+    spread = [every[k] for k in (0, 6, 11, 16, 22)]  # quarters of 22, half to even
+    for panel in panels:
+        if panel.title in ("position", "velocity"):
+            assert [n.rpartition(".")[0] for n in panel.names] == spread
+            assert len({n.rpartition(".")[2] for n in panel.names}) == 1
+            assert not set(panel.names) & set(panel.left_out)
+            assert len({*panel.names, *panel.left_out}) == 2 * len(every)
+    (struck,) = (panel for panel in panels if panel.title == "impulse")
+    hit = every if height == 1 else every[1:]
+    last = len(hit) - 1
+    assert list(struck.impulses) == [hit[round(k * last / 4)] for k in range(5)]
+
+
 def test_impulses_are_marked_on_the_axis_of_forces() -> None:
     trace, axes = drawn(DROP.replace("E}", "0}"))
     force = axes[-2]

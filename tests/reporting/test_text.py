@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,7 +13,7 @@ from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.reporting.text import change, summary
 from statechart.running.runner import Runner
-from statechart.tabular import ends, shortest, whole
+from statechart.tabular import ends, several, shortest, whole
 
 GRAINS = """\
 kind: scene
@@ -131,3 +133,51 @@ def test_numbers_in_sentences_are_as_short_as_they_read() -> None:
     told = [shortest(number) for number in numbers]
     assert told[:3] == ["0.2", "10", "-0"]
     assert [float(text) for text in told] == list(numbers)
+
+
+def test_one_is_not_many():
+    assert [several(count, "step") for count in (0, 1, 2)] == ["0 steps", "1 step", "2 steps"]
+    assert several(10**143, "mode") == "about 1.0e143 modes"
+
+
+ONE = """\
+kind: chart
+name: one
+parameters: {a: 1}
+ranges: {a: [1, 2]}
+variables: {x: 0}
+regions:
+  r:
+    initial: s
+    states: {s: {flows: {x: a}}}
+    transitions: [{name: once, from: s, to: s, guard: x >= 1, updates: {x: -10}}]
+stop: {time: 2}
+invariants: {low: x <= 5}
+settings: {max_jumps: LIMIT}
+"""
+OF_ONE = re.compile(r"(?<![\d.])1 (?!is\b|was\b|has\b)[a-z]+s\b")
+
+
+@pytest.mark.parametrize(
+    ("verb", "limit"),
+    [
+        (["validate"], 100),
+        (["run", "--engine", "scipy"], 100),
+        (["run", "--engine", "scipy"], 1),
+        (["run", "--accuracy", "1e-3", "-o", "out"], 100),
+        (["modes"], 100),
+        (["check", "--examples", "1"], 100),
+        (["sweep", "--over", "a=1"], 100),
+    ],
+)
+def test_whatever_counts_one_says_so(
+    verb: list[str], limit: int, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("one.yaml").write_text(ONE.replace("LIMIT", str(limit)))
+    main([verb[0], "one.yaml", *verb[1:]])
+    said = capsys.readouterr()
+    assert re.search(r"(?<![\d.])1 [a-z]+\b", said.out + said.err)
+    assert not OF_ONE.search(said.out + said.err), said.out + said.err
+    for file in Path("out").glob("run.json"):
+        assert not OF_ONE.search(file.read_text())

@@ -19,6 +19,7 @@ from statechart.diagram.layout.start import begun
 from statechart.diagram.legend import drawn_once
 from statechart.diagram.model import Chart
 from statechart.palette import RUN
+from statechart.tabular import several
 
 # Points: what a row may take, and in a picture that were higher than that; a line on each side of
 # its words; between words and a line's end.
@@ -174,7 +175,7 @@ def _edge(centre: Point, toward: Point, size: Point, off: float) -> Point:
 
 def _count(name: str, found: Round, spots: Sequence[Point]) -> Box:
     """Return how often a ring was gone through, in the middle of it."""
-    said = "1 round" if found.count == 1 else f"{found.count} rounds"
+    said = several(found.count, "round")
     look = {
         "shape": "plain",
         "label": table([words(said, size=STATE, bold=True, colour=RUN)]),
