@@ -6,25 +6,18 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
-import sympy as sp
 
 import contacts.scene.shapes as declared
 from contacts.dynamics.mechanics import Mechanics
-from contacts.scene.joints import Force, Path
+from contacts.pictures.links import SAME, Links
+from contacts.scene.joints import Path
 from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
-from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
-from statechart.pictures.film import WORLD, Shape, ShapeKind
-
-# Points this close, relative to the farthest one, are one; what is so flat is a line.
-_SAME = 1e-9
-# Configurations at which it is tried whether something moves with something else.
-_TRIED = 5
+from statechart.pictures.film import Shape, ShapeKind
 
 
 class BodyShapes:
@@ -53,6 +46,7 @@ class BodyShapes:
         self._mechanics, self._automaton, self._known = mechanics, automaton, known
         self._scene = mechanics.scene
         self._frames = {name: 1 + place for place, name in enumerate(self._scene.bodies)}
+        self._links = Links(mechanics, automaton, known, self._frames)
         self._declared = any(body.shape for body in self._scene.bodies.values())
 
     def shapes(self, idle: frozenset[str]) -> tuple[Shape, ...]:
@@ -68,7 +62,7 @@ class BodyShapes:
                 points = [*self._points(name, idle), *fixed.get(name, ())]
                 rims = self._rims(name)
                 found += [*rims, *self._told(name, body, points, rims)]
-        return (*self._pendulums(), *self._springs(), *found, *self._joints())
+        return (*self._links.shapes(), *found, *self._joints())
 
     def _shape(self, name: str, part: declared.Shape, region: int) -> Shape:
         frame = self._frames[name]
@@ -116,7 +110,7 @@ class BodyShapes:
             return Shape(kind, np.array(corners, float), frame, frame, name=name)
 
         reach = max((np.hypot(*point) for point in points), default=0.0)
-        away = [p for p in _distinct(points) if np.hypot(*p) > _SAME * reach]
+        away = [p for p in _distinct(points) if np.hypot(*p) > SAME * reach]
         if not away:
             return [] if rims else [shape("mass", [[0.0, 0.0]])]
         inertia = self._number(body.inertia or 0)
@@ -155,68 +149,15 @@ class BodyShapes:
                     np.cos(angle) * dx + np.sin(angle) * dy,
                     np.cos(angle) * dy - np.sin(angle) * dx,
                 )
-                if k != i and max(np.ptp(own[0]), np.ptp(own[1])) <= _SAME * size:
+                if k != i and max(np.ptp(own[0]), np.ptp(own[1])) <= SAME * size:
                     found.setdefault(name, []).append((float(own[0][0]), float(own[1][0])))
         return found
 
     def _somewhere(self) -> Array:
         """Return the poses (m, b, 3) of all bodies at some configurations."""
         frames = [self._mechanics.body_frame(name) for name in self._scene.bodies]
-        return self._tried([e for (x, y), angle in frames for e in (x, y, angle)]).reshape(
-            _TRIED, -1, 3
-        )
-
-    def _tried(self, expressions: Sequence[sp.Expr]) -> Array:
-        # No two alike, as no angle in whole radians is a whole turn: what holds at all holds.
-        count = len(self._automaton.variables)
-        states = np.sin(np.outer(1.0 + np.arange(_TRIED), 1.0 + np.arange(count)))
-        values = np.fromiter(self._known.values(), float, len(self._known))
-        times = np.linspace(0.1, 1.0, _TRIED)
-        return compiled(self._automaton, expressions).table(states, values, times)
-
-    def _pendulums(self) -> list[Shape]:
-        """Return links from bodies on circular paths to the centres of these."""
-        found = []
-        mechanics = self._mechanics
-        for name, body in self._scene.bodies.items():
-            if body.position is None:
-                continue
-            (x, y), _ = mechanics.body_frame(name)
-            used = (x.free_symbols | y.free_symbols) & {*mechanics.q, mechanics.time}
-            if len(used) != 1 or mechanics.time in used:
-                continue
-            (q,) = used
-            terms = [x, y, x.diff(q), y.diff(q), x.diff(q, 2), y.diff(q, 2)]
-            place, first, second = np.split(self._tried(terms), 3, axis=1)
-            speed, bend = (first**2).sum(axis=1), (second**2).sum(axis=1)
-            if not (bend > 0.0).all() or np.ptp(speed) > _SAME * speed.max():
-                continue
-            centre = place + second * (speed / bend)[:, None]
-            if np.ptp(centre, axis=0).max() > _SAME * np.abs(place).max():
-                continue
-            pivot, frame = centre[0], self._frames[name]
-            found.append(Shape("link", np.array([[0.0, 0.0], pivot]), frame, WORLD, name=name))
-            found.append(Shape("pivot", pivot[None, :], WORLD, WORLD, name=name))
-        return found
-
-    def _springs(self) -> list[Shape]:
-        """Return a spring for every two forces that are each other's reaction."""
-        forces = [f for f in self._scene.forces.values() if f.force != (0, 0)]
-        found = []
-        for place, one in enumerate(forces):
-            for other in forces[place + 1 :]:
-                if one.body != other.body and self._opposite(one, other):
-                    ends = np.array([self._pair(one.at), self._pair(other.at)])
-                    pair = self._frames[one.body], self._frames[other.body]
-                    found.append(Shape("spring", ends, *pair, name=one.body))
-        return found
-
-    def _opposite(self, one: Force, other: Force) -> bool:
-        known = self._mechanics.known
-        return all(
-            sp.expand(parse(a).to_sympy(known) + parse(b).to_sympy(known)) == 0
-            for a, b in zip(one.force, other.force, strict=True)
-        )
+        tried = self._links.tried([e for (x, y), angle in frames for e in (x, y, angle)])
+        return tried.reshape(len(tried), -1, 3)
 
     def _joints(self) -> list[Shape]:
         found = []
@@ -237,16 +178,6 @@ class BodyShapes:
         return self._number(pair[0]), self._number(pair[1])
 
 
-def compiled(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
-    """Return expressions as a program over the variables and parameters of an automaton."""
-    return compile_tape(
-        expressions,
-        variables=automaton.variables,
-        parameters=automaton.parameters,
-        time=automaton.time,
-    )
-
-
 def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float], float]) -> float:
     """Return the radius of a disc that is drawn to touch with its rim where its centre is said to.
 
@@ -265,7 +196,7 @@ def _distinct(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]
     reach = max((np.hypot(*point) for point in points), default=0.0)
     found: list[tuple[float, float]] = []
     for x, y in points:
-        if all(np.hypot(x - u, y - v) > _SAME * reach for u, v in found):
+        if all(np.hypot(x - u, y - v) > SAME * reach for u, v in found):
             found.append((x, y))
     return found
 
@@ -276,7 +207,7 @@ def _line(points: Array) -> tuple[tuple[Array, Array], bool]:
     direction = direction / np.hypot(*direction)
     across = points @ np.array([-direction[1], direction[0]])
     places: Array = points @ direction
-    return (direction, places), bool(np.abs(across).max() <= _SAME * np.abs(places).max())
+    return (direction, places), bool(np.abs(across).max() <= SAME * np.abs(places).max())
 
 
 def _hull(points: Array) -> Array:
@@ -303,5 +234,5 @@ def _encloses(hull: Array) -> bool:
     closed = [*hull, hull[0]]
     size = float(np.abs(hull).max())
     return len(hull) > 2 and all(
-        _turn(a, b, (0.0, 0.0)) > _SAME * size**2 for a, b in pairwise(closed)
+        _turn(a, b, (0.0, 0.0)) > SAME * size**2 for a, b in pairwise(closed)
     )

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.rims import Vector
-from contacts.pictures.bodies import BodyShapes, compiled, disc_of
+from contacts.pictures.bodies import BodyShapes, disc_of
 from contacts.pictures.grounds import grounds
+from contacts.pictures.links import compiled
 from contacts.pictures.window import beside, cloud_of, window
 from contacts.scene.scene import Scene
 from contacts.states import OFF, OPEN

@@ -68,11 +68,13 @@ def build(
     if needs_run(automaton):
         raise ValueError("a product of so many modes is drawn as a run visited it")
     notes = _notes(automaton)
+    if not moving:
+        notes = (*notes, "one mode: no contacts, no regions")
     if len(moving) < 2:
         modes = explored(automaton, found=found)
         charts = _charts(automaton, start)
-        reasons = {key[0]: data.get("reason") for key, data in modes.modes.items()}
         if len(automaton.regions) == 1:
+            reasons = {key[0]: data.get("reason") for key, data in modes.modes.items()}
             charts = tuple(_judged(chart, reasons) for chart in charts)
         return Diagram(automaton.name, charts, notes, modes.graph)
     modes = explored(automaton, found=found, directions=False)

@@ -273,7 +273,7 @@ def _chart(automaton: Automaton, diagram: Diagram | None, samples: Samples) -> d
     if diagram is None:
         return _no_chart(samples)
     diagram, active = _followed(automaton, diagram, samples.modes)
-    if len(diagram.nodes) > _NODES:
+    if not 0 < len(diagram.nodes) <= _NODES:
         return _no_chart(samples)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "chart.svg"

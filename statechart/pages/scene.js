@@ -34,11 +34,11 @@ const path = (points, closed = false) =>
 function shaped(scene, shape) {
   const group = made(scene, "g", { "data-name": shape.name, "data-kind": shape.kind });
   const unit = film.unit;
-  if (shape.kind === "link" || shape.kind === "spring") {
-    const line = made(group, "path", { class: "link" });
+  if (["link", "spring", "damper", "reaction"].includes(shape.kind)) {
+    const line = made(group, "path", { class: `link ${shape.kind}` });
     moving.push((k) => {
       const [a, b] = [placed(shape.points[0], shape.frame, k), placed(shape.points.at(-1), shape.other, k)];
-      line.setAttribute("d", path(shape.kind === "link" ? [a, b] : wound(a, b)));
+      line.setAttribute("d", shape.kind === "spring" ? path(wound(a, b)) : shape.kind === "damper" ? dashpot(a, b) : path([a, b]));
     });
     return;
   }
@@ -85,6 +85,13 @@ function wound(a, b) {
     points.push([a[0] + s * dx - (side * dy) / length, a[1] + s * dy + (side * dx) / length]);
   }
   return [...points, b];
+}
+function dashpot(a, b) {
+  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+  const side = (0.018 * film.unit) / (Math.hypot(dx, dy) || 1);
+  const at = ([s, w]) => [a[0] + s * dx - w * side * dy, a[1] + s * dy + w * side * dx];
+  const parts = [[[0, 0], [0.55, 0], [0.55, 0.5], [0.55, -0.5]], [[0.4, 0.7], [0.7, 0.7], [0.7, -0.7], [0.4, -0.7]], [[0.7, 0], [1, 0]]];
+  return parts.map((part) => path(part.map(at))).join("");
 }
 function touching(scene, touch) {
   const region = data.regions[touch.region];

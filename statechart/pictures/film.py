@@ -10,13 +10,28 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array
 
-ShapeKind = Literal["outline", "disc", "bar", "mass", "joint", "pivot", "link", "spring", "ground"]
+ShapeKind = Literal[
+    "outline",
+    "disc",
+    "bar",
+    "mass",
+    "joint",
+    "pivot",
+    "link",
+    "spring",
+    "damper",
+    "reaction",
+    "ground",
+]
 """How a shape is drawn; of all but the ground what is seen is inside its points.
 
 outline: a filled polygon. disc: a filled circle. bar: a thick line with round ends. mass, joint,
-pivot: marks of a fixed size on the paper, at one point. link, spring: from a point of one frame to
-a point of another. ground: a line, the solid on its right, which is hatched.
+pivot: marks of a fixed size on the paper, at one point. link, spring, damper, reaction: from a
+point of one frame to a point of another. ground: a line, the solid on its right, which is hatched.
 """
+
+BETWEEN: frozenset[ShapeKind] = frozenset(("link", "spring", "damper", "reaction"))
+"""Those that join two frames."""
 
 WORLD = 0
 """The number of the frame that does not move."""
@@ -35,7 +50,7 @@ class Shape:
     frame : int
         Which of the film's; `WORLD` does not move.
     other : int
-        The frame of the last point, of a link or a spring; else as `frame`.
+        The frame of the last point, of what joins two frames; else as `frame`.
     radius : float
         Of a disc.
     region : int

@@ -10,7 +10,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.palette import INK, LINES
-from statechart.pictures.film import Film, Shape, arrows, placed, strokes
+from statechart.pictures.film import BETWEEN, Film, Shape, arrows, placed, strokes
 from statechart.pictures.scenery import bar_width, points_of
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
         yield _Name(touch.name, {"color": LINES[0]}, size, _around(place, size, radius, scale))
     for shape in film.shapes:
         # What is one of many is coloured by what it does, and has no name.
-        if shape.name in told or shape.kind in ("link", "spring", "joint", "pivot"):
+        if shape.name in told or shape.kind in (*BETWEEN, "joint", "pivot"):
             continue
         if shape.region >= 0:
             continue
@@ -200,7 +200,7 @@ def _lines(film: Film) -> Array:
             points = points + shape.radius * rim
         elif shape.kind == "outline":
             points = np.concatenate([points, points[:1]])
-        elif shape.kind in ("link", "spring"):
+        elif shape.kind in BETWEEN:
             points[-1:] = placed(shape.points[-1:], poses[shape.other])
         elif shape.kind == "ground":
             found.append(strokes(points, film.spacing))

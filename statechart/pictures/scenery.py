@@ -9,7 +9,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.palette import FRAME, INK, state_colours
-from statechart.pictures.film import WORLD, Film, Shape, placed, strokes
+from statechart.pictures.film import BETWEEN, WORLD, Film, Shape, placed, strokes
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -22,6 +22,11 @@ BODY, SOLID = "#C5D3E2", "#EEF1F4"
 # Sizes on the paper, in parts of the width of a picture.
 _BAR, _MASS, _MARK = 0.012, 0.02, 0.011
 _WINDINGS = 7
+# A damper: how far along and, in parts of a spring's half width, across; the rod with its piston,
+# then the cylinder with what holds it.
+_PISTON = [(0.0, 0.0), (0.55, 0.0), (0.55, 0.5), (0.55, -0.5), (np.nan, np.nan)]
+_CYLINDER = [(0.4, 0.7), (0.7, 0.7), (0.7, -0.7), (0.4, -0.7)]
+_DASHPOT = np.array([*_PISTON, *_CYLINDER, (np.nan, np.nan), (0.7, 0.0), (1.0, 0.0)])
 # Shapes beyond which edges are thinner; so are they in a picture narrower than so many points.
 _MANY, _NARROW, _THINNEST = 24, 260.0, 0.4
 _FILLED = ("outline", "disc")
@@ -75,7 +80,7 @@ class Scenery:
         for bodies in self._bodies:
             bodies.show(instant)
         for shape, artists in self._made:
-            if shape.kind in ("link", "spring"):
+            if shape.kind in BETWEEN:
                 ends = _ends(shape, self._film.poses[instant])
                 artists[0].set_data(*_wound(ends, shape.kind, self._film.unit).T)
                 continue
@@ -133,7 +138,12 @@ class Scenery:
 
         return [Line2D([], [], color=FRAME, lw=1.1 * self._thin, zorder=1.8)]
 
-    _spring = _link
+    _spring = _damper = _link
+
+    def _reaction(self, shape: Shape) -> list[Artist]:
+        (line,) = self._link(shape)
+        line.set(linestyle=(0, (4, 3)))
+        return [line]
 
     def _ground(self, shape: Shape) -> list[Artist]:
         from matplotlib.collections import LineCollection
@@ -227,14 +237,18 @@ def _ends(shape: Shape, poses: Array) -> Array:
 
 
 def _wound(ends: Array, kind: str, unit: float) -> Array:
-    """Return the line between two ends; of a spring, a zigzag whose ends are straight."""
-    if kind == "link":
-        return ends
+    """Return the line between two ends.
+
+    Of a spring a zigzag whose ends are straight, of a damper a piston in an open cylinder, which
+    parts that are not numbers lie between.
+    """
     along = ends[1] - ends[0]
     length = float(np.hypot(*along))
-    if length == 0.0:
+    if kind not in ("spring", "damper") or length == 0.0:
         return ends
     across = np.array([-along[1], along[0]]) / length * 0.018 * unit
+    if kind == "damper":
+        return ends[0] + _DASHPOT[:, :1] * along + _DASHPOT[:, 1:] * across
     inner = np.linspace(0.2, 0.8, 2 * _WINDINGS + 1)
     side = np.where(np.arange(len(inner)) % 2 == 0, 1.0, -1.0)
     side[[0, -1]] = 0.0

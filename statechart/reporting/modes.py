@@ -157,12 +157,14 @@ def _possible(listed: Mapping[str, Any]) -> list[Block]:
     lines = [f"kinematically possible at t = {listed['time']:.6g}: {counts}\n", f"  {where}\n"]
     lines += [f"  {remark}\n" for remark in found["remarks"]]
     names = [region["name"] for region in listed["regions"]]
-    rows = [(f"  {names[0]}", *names[1:], "")] if names else []
+    if not names:
+        return ["".join(lines)]
+    rows = [(f"  {names[0]}", *names[1:], "")]
     for mode in plain["feasible"]:
         rows.append(_row(mode, "possible"))
     for refused in plain["infeasible"]:
         rows.append(_row(refused["mode"], f"not: {refused['reason']}"))
-    return ["".join(lines), *([Table(rows, headed=True)] if rows else [])]
+    return ["".join(lines), Table(rows, headed=True)]
 
 
 def _row(mode: Mapping[str, str], verdict: str) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import statechart
 from contacts.pictures.grounds import grounds
 from contacts.scene.scene import Scene
 from statechart.cli.main import main
+from statechart.documents.yaml_reader import read_text
 from statechart.pictures.drawing import arrow_of, cone_of
 from statechart.pictures.film import Film, placed, strokes
 from statechart.pictures.names import crossing
@@ -108,8 +109,65 @@ def test_legs_reach_from_feet_to_hip():
 
 
 def test_reactions_of_two_bodies_are_a_spring():
+    # Of the hopper where its leg acts: in the air a constant force holds it at its full length.
     (spring,) = shapes(film_of("hopper", [0.0], until=0.0), "spring")
     assert spring.frame != spring.other
+    assert not shapes(film_of("hopper", [0.0], until=0.0), "damper")
+    # Raibert's leg has both, one on the other.
+    film = film_of("raibert_hopper", [0.0], until=0.0)
+    (spring,), (damper,) = shapes(film, "spring"), shapes(film, "damper")
+    assert (spring.frame, spring.other) == (damper.frame, damper.other)
+
+
+PAIR = """\
+kind: scene
+name: pair
+parameters: {k: 3, c: 2, G: 1}
+bodies:
+  a: {mass: 1, start: {x: 0, y: 0}}
+  b: {mass: 1, start: {x: 1, y: 0.5}}
+forces:
+  on_a: {body: a, force: ["TENSION*(b.x - a.x)/LENGTH", "TENSION*(b.y - a.y)/LENGTH"]}
+  on_b: {body: b, force: ["-TENSION*(b.x - a.x)/LENGTH", "-TENSION*(b.y - a.y)/LENGTH"]}
+stop: {time: 0}
+"""
+CLOSING = "((b.x - a.x)*(b.dx - a.dx) + (b.y - a.y)*(b.dy - a.dy))/LENGTH"
+
+
+def pair_of(tension: str, scene: str = PAIR) -> Film:
+    scene = scene.replace("TENSION", f"({tension})")
+    length = "sqrt((b.x - a.x)**2 + (b.y - a.y)**2)"
+    return film_of(read_text(scene.replace("LENGTH", length)), [0.0])
+
+
+@pytest.mark.parametrize(
+    ("tension", "kinds"),
+    [
+        ("k*(LENGTH - 1)", {"spring"}),
+        (f"c*{CLOSING}", {"damper"}),
+        (f"k*(LENGTH - 1) + c*{CLOSING}", {"spring", "damper"}),
+        ("G/LENGTH**2", {"reaction"}),  # falls with the distance, as gravity does
+        ("k", {"reaction"}),
+        ("k*sin(time)", {"reaction"}),
+    ],
+)
+def test_reactions_along_a_line_are_drawn_as_what_they_are(tension, kinds):
+    links = ("link", "spring", "damper", "reaction")
+    assert {shape.kind for shape in pair_of(tension).shapes if shape.kind in links} == kinds
+
+
+def test_what_is_written_by_components_is_damped_too():
+    parts = {"a.x)/LENGTH": "a.x) + c*(b.dx - a.dx)", "a.y)/LENGTH": "a.y) + c*(b.dy - a.dy)"}
+    scene = PAIR
+    for old, new in parts.items():
+        scene = scene.replace(f"TENSION*(b.{new[2]} - {old}", f"(k*(b.{new[2]} - {new})")
+    kinds = {shape.kind for shape in pair_of("k", scene).shapes}
+    assert kinds == {"mass", "spring", "damper"}
+
+
+def test_reactions_that_are_a_couple_are_no_link():
+    film = pair_of("k", PAIR.replace("TENSION*(b.y - a.y)/LENGTH", "0"))
+    assert {shape.kind for shape in film.shapes} == {"mass"}
 
 
 def test_strokes_are_on_the_right_at_even_distances():

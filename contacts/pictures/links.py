@@ -1,0 +1,207 @@
+"""What holds bodies together without touching: pendulum rods, springs, dampers, other reactions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+import sympy as sp
+
+from contacts.dynamics.mechanics import Mechanics
+from contacts.scene.joints import Force
+from contacts.scene.parts import Point
+from statechart.arrays import Array
+from statechart.automaton.automaton import Automaton
+from statechart.formulas.formula import parse
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
+from statechart.pictures.film import WORLD, Shape, ShapeKind
+
+SAME = 1e-9
+"""What is so small beside what it belongs to is rounding."""
+# Configurations at which it is tried what holds at all.
+_TRIED = 5
+# By how much variables are moved, to see what forces follow, and of what share they do.
+_MOVED, _FOLLOWS = 1e-4, 1e-6
+
+
+class Links:
+    """The links between the bodies of a scene, for values of its parameters.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        Of the scene.
+    automaton : Automaton
+        Made of it, whose variables and parameters may be more.
+    known : mapping of str to float
+        Values of the automaton's parameters, in order.
+    frames : mapping of str to int
+        Body -> its frame.
+    """
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        automaton: Automaton,
+        known: Mapping[str, float],
+        frames: Mapping[str, int],
+    ) -> None:
+        self._mechanics, self._automaton, self._known = mechanics, automaton, known
+        self._scene, self._frames = mechanics.scene, frames
+
+    def shapes(self) -> list[Shape]:
+        """Return the links as shapes."""
+        return [*self._pendulums(), *self._reactions()]
+
+    def tried(self, expressions: Sequence[sp.Expr], states: Array | None = None) -> Array:
+        """Return expressions in some states, by default in some that have nothing in common."""
+        values = np.fromiter(self._known.values(), float, len(self._known))
+        times = np.linspace(0.1, 1.0, _TRIED)
+        tape = compiled(self._automaton, expressions)
+        return tape.table(self._states() if states is None else states, values, times)
+
+    def _states(self) -> Array:
+        # No two alike, as no angle in whole radians is a whole turn: what holds at all holds.
+        count = len(self._automaton.variables)
+        return np.sin(np.outer(1.0 + np.arange(_TRIED), 1.0 + np.arange(count)))
+
+    def _pendulums(self) -> list[Shape]:
+        """Return links from bodies on circular paths to the centres of these."""
+        found = []
+        mechanics = self._mechanics
+        for name, body in self._scene.bodies.items():
+            if body.position is None:
+                continue
+            (x, y), _ = mechanics.body_frame(name)
+            used = (x.free_symbols | y.free_symbols) & {*mechanics.q, mechanics.time}
+            if len(used) != 1 or mechanics.time in used:
+                continue
+            (q,) = used
+            terms = [x, y, x.diff(q), y.diff(q), x.diff(q, 2), y.diff(q, 2)]
+            place, first, second = np.split(self.tried(terms), 3, axis=1)
+            speed, bend = (first**2).sum(axis=1), (second**2).sum(axis=1)
+            if not (bend > 0.0).all() or np.ptp(speed) > SAME * speed.max():
+                continue
+            centre = place + second * (speed / bend)[:, None]
+            if np.ptp(centre, axis=0).max() > SAME * np.abs(place).max():
+                continue
+            pivot, frame = centre[0], self._frames[name]
+            found.append(Shape("link", np.array([[0.0, 0.0], pivot]), frame, WORLD, name=name))
+            found.append(Shape("pivot", pivot[None, :], WORLD, WORLD, name=name))
+        return found
+
+    def _reactions(self) -> list[Shape]:
+        """Return what two forces are that are each other's reaction."""
+        forces = [f for f in self._scene.forces.values() if f.force != (0, 0)]
+        found = []
+        for one, other in combinations(forces, 2):
+            if one.body == other.body or not self._opposite(one, other):
+                continue
+            ends = np.array([self._pair(one.at), self._pair(other.at)])
+            pair = self._frames[one.body], self._frames[other.body]
+            kinds = self._kinds(one, other)
+            found += [Shape(kind, ends, *pair, name=one.body) for kind in kinds]
+        return found
+
+    def _kinds(self, one: Force, other: Force) -> list[ShapeKind]:
+        """Return what two reactions are: none where they do not act along the line between."""
+        stiff = damped = False
+        for force in self._alternatives(one):
+            terms = [*force, *self._between(one, other)]
+            if _off(self.tried(terms, self._at_rest())):
+                return []
+            stiff |= self._stiff(terms)
+            damped |= self._damped(terms)
+        kinds: list[ShapeKind] = ["spring"] if stiff else []
+        if damped:
+            kinds.append("damper")
+        return kinds or ["reaction"]
+
+    def _at_rest(self) -> Array:
+        states, count = self._states(), len(self._mechanics.q)
+        states[:, count : 2 * count] = 0.0
+        return states
+
+    def _stiff(self, terms: Sequence[sp.Expr]) -> bool:
+        """Whether what is at rest is pulled the more the longer the line is."""
+        pull, length = _along(self.tried(terms, self._at_rest()))
+        rise, square = np.zeros(_TRIED), np.zeros(_TRIED)
+        for k in range(len(self._mechanics.q)):
+            states = self._at_rest()
+            states[:, k] += _MOVED
+            there, longer = _along(self.tried(terms, states))
+            rise += (there - pull) * (longer - length)
+            square += (longer - length) ** 2
+        return bool((rise > _FOLLOWS * np.abs(pull).max() * square).any())
+
+    def _damped(self, terms: Sequence[sp.Expr]) -> bool:
+        """Whether motion alone makes forces that take its energy."""
+        states, count = self._states(), len(self._mechanics.q)
+        still, moving = self.tried(terms, self._at_rest()), self.tried(terms, states)
+        states[:, :count] += _MOVED * states[:, count : 2 * count]
+        apart = self.tried(terms, states)[:, 2:] - moving[:, 2:]
+        taken = ((moving - still)[:, :2] * apart).sum(axis=1)
+        size = np.hypot(*moving[:, :2].T) * np.hypot(*apart.T)
+        return bool((taken > _FOLLOWS * size).any() and (taken > -_FOLLOWS * size).all())
+
+    def _alternatives(self, force: Force) -> Iterator[tuple[sp.Expr, sp.Expr]]:
+        """Yield the components of a force as each state of a controller makes them."""
+        mechanics = self._mechanics
+        usual = dict(mechanics.controlled())
+        regions = self._scene.controlled.flat.items()
+        states = [(name, state) for name, region in regions for state in region.states]
+        for sets in [mechanics.sets(*state) for state in states] or [{}]:
+            x, y = (parse(text).to_sympy(mechanics.known) for text in force.force)
+            for symbol in reversed(mechanics.controls):
+                value = {**usual, **sets}[symbol]
+                x, y = x.subs(symbol, value), y.subs(symbol, value)
+            yield x, y
+
+    def _between(self, one: Force, other: Force) -> tuple[sp.Expr, sp.Expr]:
+        """Return the way from where one force acts to where another does."""
+        here, there = (self._mechanics.point(Point(body=f.body, at=f.at)) for f in (one, other))
+        return there[0] - here[0], there[1] - here[1]
+
+    def _opposite(self, one: Force, other: Force) -> bool:
+        known = self._mechanics.known
+        return all(
+            sp.expand(parse(a).to_sympy(known) + parse(b).to_sympy(known)) == 0
+            for a, b in zip(one.force, other.force, strict=True)
+        )
+
+    def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
+        along, across = (parse(text).value(self._known) for text in pair)
+        return along, across
+
+
+def compiled(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
+    """Return expressions as a program over the variables and parameters of an automaton."""
+    return compile_tape(
+        expressions,
+        variables=automaton.variables,
+        parameters=automaton.parameters,
+        time=automaton.time,
+    )
+
+
+def _along(values: Array) -> tuple[Array, Array]:
+    """Return the pull along a line, and its length.
+
+    Parameters
+    ----------
+    values : (m, 4) array
+        The force on one end, and the way to the other.
+    """
+    force, way = values[:, :2], values[:, 2:]
+    length = np.hypot(*way.T)
+    with np.errstate(invalid="ignore"):
+        return (force * way).sum(axis=1) / length, length
+
+
+def _off(values: Array) -> bool:
+    """Whether a force is not along its line; `values` as for `_along`."""
+    force, way = values[:, :2], values[:, 2:]
+    across = force[:, 0] * way[:, 1] - force[:, 1] * way[:, 0]
+    return bool((np.abs(across) > SAME * np.hypot(*force.T) * np.hypot(*way.T)).any())
