@@ -19,7 +19,6 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.formulas.tape import Tape
-from statechart.tabular import shortest
 
 # A state is brought onto the constraints of the mode entered from this part of their tolerance on.
 DRIFT = 0.05
@@ -191,7 +190,7 @@ class Projection:
         apart = f"comes apart by {gap:.3g}" if gap * near >= rate * slow else f"parts at {rate:.3g}"
         return NoConsistentMode(
             f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all be kept at "
-            f"t = {shortest(time)}: {self._joints[k]!r} {apart}"
+            f"t = {time:.6g}: {self._joints[k]!r} {apart}"
         )
 
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from statechart.automaton.trace import Arc, Trace
-from statechart.tabular import shortest
 
 _ROUNDING, _EPSILON = 1e-13, 2.0**-52
 
@@ -92,7 +91,7 @@ def no_growth(points: Sequence[tuple[float, float, str]], allowed: float, rate: 
         grown = value - rate * t - least
         if grown > allowed:
             raise AssertionError(
-                f"energy grows by {grown:.6g} up to t = {shortest(t)} {where}, more than it may; "
+                f"energy grows by {grown:.6g} up to t = {t:.6g} {where}, more than it may; "
                 f"errors explain {allowed:.1e}"
             )
         least = min(least, value - rate * t)

@@ -19,7 +19,6 @@ from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, s
 from statechart.arrays import Array
 from statechart.automaton.trace import Trace
 from statechart.kernels.tapes import tape_table
-from statechart.tabular import shortest
 from statechart.testing.properties import Property, each
 from statechart.testing.subject import Case, Subject
 
@@ -76,7 +75,7 @@ def assert_depths(
         k = int(np.argmin(gaps))
         if gaps[k] < -allowed:
             raise AssertionError(
-                f"{trace.regions[b]} is {-gaps[k]:.6g} deep in {what} at t = {shortest(times[k])}; "
+                f"{trace.regions[b]} is {-gaps[k]:.6g} deep in {what} at t = {times[k]:.6g}; "
                 f"a step at the fastest approach is {allowed:.3g}"
             )
 
@@ -176,7 +175,7 @@ def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
         if (off > allowed).any():
             b = np.flatnonzero(free)[int(np.argmax((off > allowed).any(axis=(0, 2))))]
             raise AssertionError(
-                f"{trace.regions[b]} is free from t = {shortest(arc.start.high)} and does not fall"
+                f"{trace.regions[b]} is free from t = {arc.start.high:.6g} and does not fall"
             )
 
 
@@ -191,7 +190,7 @@ def assert_impulses_of_bodies(numbers: BodyNumbers, trace: Trace) -> None:
             laws = np.append(numbers.laws[numbers.kinds[b]], numbers.laws[:, kinds + carried])
             edges = numbers.materials[np.unique(laws[laws >= 0])]
             n, t, _ = min(edges, key=lambda edge: float(edge[0]))
-            assert_in_cone(impulse, (n, t), largest, f"on {name} at t = {shortest(jump.t)}")
+            assert_in_cone(impulse, (n, t), largest, f"on {name} at t = {jump.t:.6g}")
 
 
 def assert_energy_of_steps(numbers: BodyNumbers, subject: Subject, trace: Trace) -> None:

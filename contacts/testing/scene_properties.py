@@ -23,7 +23,6 @@ from statechart.arrays import Array
 from statechart.automaton.laws import moving_mode
 from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.errors import DeclarationError
-from statechart.tabular import shortest
 from statechart.testing.agreement import assert_same, identical
 from statechart.testing.guards import dense
 from statechart.testing.properties import Property, each
@@ -74,7 +73,7 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
                 m, k = np.unravel_index(int(np.argmin(values)), values.shape)
                 raise AssertionError(
                     f"{list(scene.contacts)[k]} is {-values[m, k]:.6g} deep in its surface "
-                    f"at t = {shortest(times[m])} in {subject.automaton.label(arc.mode)}"
+                    f"at t = {times[m]:.6g} in {subject.automaton.label(arc.mode)}"
                 )
 
 
@@ -129,9 +128,7 @@ def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> N
     for arc, times, forces in _forces(scene, subject, trace):
         for k, (name, state) in enumerate(_states(scene, arc)):
             if state in OPEN and (forces[:, 2 * k : 2 * k + 2] != 0.0).any():
-                raise AssertionError(
-                    f"{name} is {state} at t = {shortest(times[0])} and has a force"
-                )
+                raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")
 
 
 def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
@@ -155,7 +152,7 @@ def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
     for jump in trace.jumps:
         edges = cone_edges(scene, trace, jump.source)
         for name, impulse in jump.impulse.items():
-            assert_in_cone(impulse, edges[name], largest, f"of {name} at t = {shortest(jump.t)}")
+            assert_in_cone(impulse, edges[name], largest, f"of {name} at t = {jump.t:.6g}")
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
@@ -389,4 +386,4 @@ def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:
 def _no_less(values: Array, least: Array, what: str, times: Array, state: str) -> None:
     if not (values >= least).all():
         m = int(np.argmin(values - least))
-        raise AssertionError(f"{what} is {values[m]:.6g} at t = {shortest(times[m])} in {state}")
+        raise AssertionError(f"{what} is {values[m]:.6g} at t = {times[m]:.6g} in {state}")

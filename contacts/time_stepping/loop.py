@@ -49,7 +49,7 @@ from statechart.automaton.trace import (
 )
 from statechart.documents.setting import Record
 from statechart.errors import NonFinite, SimulationError, StepTooLarge, TooLong
-from statechart.tabular import several, shortest
+from statechart.tabular import several
 
 # Steps at once, in which no signal is seen, and iterations times contacts in them, some tenths of
 # a second: after more, half as many steps are taken, after less than a quarter of it twice as many.
@@ -126,7 +126,7 @@ class SteppedRun:
         except KeyboardInterrupt:
             self.end(Outcome.INTERRUPTED, "interrupted by the user")
         except SimulationError as error:
-            self.end(Outcome[error.outcome], f"t = {shortest(self.time)}: {error}")
+            self.end(Outcome[error.outcome], f"t = {self.time:.6g}: {error}")
 
     def _steps(self) -> Iterator[bool]:
         step, until = self.span.step, self.span.until
@@ -180,7 +180,7 @@ class SteppedRun:
                 if self.span.every == math.inf or done % each == 0.0:
                     yield True
         self.time = until
-        self.message = f"reached t = {shortest(until)}"
+        self.message = f"reached t = {until:.6g}"
 
     def _accept(self, chunk: Chunk, start: float) -> bool:
         """Record steps; True where the run ends in them."""
@@ -299,7 +299,7 @@ class SteppedRun:
         name = self.stepping.stop_names[condition]
         self.time = self.recorder.clock.high
         self.recorder.stop(name, self.state)
-        self.end(Outcome.STOPPED, f"{name} at t = {shortest(self.time)}")
+        self.end(Outcome.STOPPED, f"{name} at t = {self.time:.6g}")
 
     def whole(self) -> Trace:
         """Make all of the run."""

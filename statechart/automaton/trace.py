@@ -14,7 +14,6 @@ from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.documents.setting import Record
 from statechart.errors import TooLong
-from statechart.tabular import shortest
 
 LARGEST = 2**28
 """A trace may take so many bytes: with what is made of it, well below a gigabyte."""
@@ -70,7 +69,7 @@ def check_size(size: int, jumps: int, time: float) -> None:
     """
     if size + _JUMP * jumps > LARGEST:
         raise TooLong(
-            f"the trace up to t = {shortest(time)} takes {LARGEST >> 20} MB, as much as it may; "
+            f"the trace up to t = {time:.6g} takes {LARGEST >> 20} MB, as much as it may; "
             "end the run there, or look for what makes its steps so short or its jumps so many; "
             "time steps are kept on disk with record: poses"
         )

@@ -43,7 +43,6 @@ from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
-from statechart.tabular import shortest
 
 # A value summed from terms is off by a few units in the last place of the largest of them.
 _ROUNDING = 64.0 * float(np.finfo(float).eps)
@@ -259,7 +258,7 @@ class ChartLaws:
                 return None  # its jumps accumulate as well, and are recognised there
             raise Zeno(
                 f"{jump.region}: '{jump.cause}' accumulates at "
-                f"t = {shortest(clock.later(rest).high)}; declare a transition 'on: zeno' "
+                f"t = {clock.later(rest).high:.6g}; declare a transition 'on: zeno' "
                 f"from '{jump.target[place]}'"
             )
         return replace(jump, skipped=rest), flow._replace(

@@ -102,6 +102,17 @@ def parser() -> argparse.ArgumentParser:
         "--animate", metavar="FILM", help="draw the bodies in motion: .gif, or .mp4 with ffmpeg"
     )
     run.add_argument(
+        "--speed", metavar="V", type=_number,
+        help="of the film: units of the run's time that pass in a second",
+    )  # fmt: skip
+    run.add_argument(
+        "--size", metavar="PIXELS", type=_count, help="of the film: its longer side; 720"
+    )
+    run.add_argument(
+        "--trail", metavar="T", type=_number,
+        help="of the film: how far back in time trails reach; 0 for none",
+    )  # fmt: skip
+    run.add_argument(
         "--report", metavar="PAGE", help="write the run as one page to look at and to send: .html"
     )
     run.add_argument("--json", action="store_true", help="print one JSON object")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from statechart.errors import DeclarationError, StatechartError
 
@@ -143,21 +143,34 @@ def check_page(option: str, output: str | None) -> None:
         raise DeclarationError(f"{option} {output}: a page is .html", advice="name it so")
 
 
-def check_animation(runner: Runner, output: str | None) -> None:
+def showing(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return how an animation is to be shown, as far as that is said."""
+    said = {name: getattr(arguments, name) for name in ("speed", "size", "trail")}
+    return {name: value for name, value in said.items() if value is not None}
+
+
+def check_animation(runner: Runner, output: str | None, said: Mapping[str, Any]) -> None:
     """Check that an animation of a model can be written, before the run that it shows.
 
     Raises
     ------
     DeclarationError
-        If it is no animation, or its place is not writable.
+        If it is no animation, its place is not writable, or how it is to be shown is wrong.
     StatechartError
         If the model has no bodies, or a program is missing.
     """
     if output is None:
+        if said:
+            names = [f"--{name}" for name in said]
+            raise DeclarationError(
+                f"{' and '.join(names)} say{'s' * (len(names) == 1)} how a film is shown",
+                advice="say --animate FILM, too, or leave it out",
+            )
         return
     from statechart.pictures.animation import check
     from statechart.reporting.film import Showing, stage_of
 
     check_file("--animate", output)
-    check(Path(output), Showing.size)
+    shown = Showing(**said)
+    check(Path(output), shown.size, shown.speed, shown.trail)
     stage_of(runner.automaton)

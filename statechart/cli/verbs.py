@@ -21,6 +21,7 @@ from statechart.cli.places import (
     check_page,
     is_store,
     kept_study,
+    showing,
     shown_study,
 )
 from statechart.cli.terminal import print_json, show, warn
@@ -80,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
             "--samples and --no-samples are about the tables of --output",
             advice="say --output DIR, too, or leave them out",
         )
-    check_animation(runner, arguments.animate)
+    check_animation(runner, arguments.animate, showing(arguments))
     check_page("--report", arguments.report)
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
@@ -146,7 +147,9 @@ def _tell(
     sys.stdout.flush()
     if arguments.animate is not None:
         shown = not arguments.quiet
-        draw = functools.partial(result.animate, arguments.animate, progress=shown)
+        draw = functools.partial(
+            result.animate, arguments.animate, progress=shown, **showing(arguments)
+        )
         pieces.attempt(arguments.animate, draw, None)
     if arguments.report is not None:
         study, warnings = shown_study(runner.model, arguments.report, arguments.output)

@@ -13,7 +13,6 @@ from statechart.engines.engine import Begin, Engine, FlowWatch, Steps
 from statechart.engines.path import Path
 from statechart.errors import OutOfBudget
 from statechart.formulas.tape import Tape
-from statechart.tabular import shortest
 
 
 class Allowance:
@@ -61,7 +60,7 @@ class Allowance:
         """
         if self.clock() > self._until:
             raise OutOfBudget(
-                f"the {self.seconds:g} s allowed were over at t = {shortest(now)}; "
+                f"the {self.seconds:g} s allowed were over at t = {now:.6g}; "
                 "allow more time, shorten the run, or take a looser tolerance"
             )
 

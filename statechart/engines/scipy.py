@@ -16,7 +16,6 @@ from statechart.engines.engine import Begin, Engine, FlowWatch, Steps
 from statechart.engines.path import Path
 from statechart.errors import NonFinite, StepFailure
 from statechart.formulas.tape import Tape
-from statechart.tabular import shortest
 
 METHODS = ("RK45", "DOP853", "Radau", "LSODA")
 
@@ -83,9 +82,9 @@ class SciPy(Engine):
         with np.errstate(over="ignore", invalid="ignore"):
             message, solver = self._step(stepper, watch, start, state, until - reached, begin)
         if solver.status == "failed":
-            raise StepFailure(f"{self.method} at t = {shortest(start)}: {message}")
+            raise StepFailure(f"{self.method} at t = {start:.6g}: {message}")
         if not np.all(np.isfinite(solver.y)):
-            raise NonFinite(f"the state is not finite after t = {shortest(start)}")
+            raise NonFinite(f"the state is not finite after t = {start:.6g}")
         stepper.suggested = getattr(solver, "h_abs", None)
         h = float(solver.t - solver.t_old)
         polynomial = _polynomial(solver.dense_output(), h, solver.n)

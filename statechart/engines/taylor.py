@@ -35,7 +35,7 @@ from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, t
 from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
-from statechart.tabular import several, shortest
+from statechart.tabular import several
 
 # Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB; unless
 # they are so few on tape, where each is there once.
@@ -183,7 +183,7 @@ class Taylor(Engine):
         for power, base in zip(stepper.powers, bases.tolist(), strict=True):
             if not base > _LEAST_BASE:
                 raise Unsupported(
-                    f"{power} has no Taylor series at t = {shortest(time)}, where its base is "
+                    f"{power} has no Taylor series at t = {time:.6g}, where its base is "
                     f"{base:.3g}; use engine: scipy"
                 )
 
@@ -223,17 +223,17 @@ class Taylor(Engine):
             self.check(stepper, state, watch.parameters, start)
             if np.isfinite(stepper.rates.values(state, watch.parameters, start)).all():
                 raise Unsupported(
-                    f"the Taylor series of the rates overflows at t = {shortest(start)}, though "
+                    f"the Taylor series of the rates overflows at t = {start:.6g}, though "
                     "they do not; use engine: scipy"
                 )
-            raise NonFinite(f"the state or its rate is not finite near t = {shortest(start)}")
+            raise NonFinite(f"the state or its rate is not finite near t = {start:.6g}")
         if h == 0.0 and left > 0.0 and (made.found is None or made.found.verdict is Verdict.NONE):
             # What came before the step that underflowed stands, and may hold an event.
             if path.times.item(last) == path.times.item(last - 1):
                 last -= 1
             if last == first:
                 self.check(stepper, state, watch.parameters, start)
-                raise StepFailure(f"the step near t = {shortest(start)} underflowed")
+                raise StepFailure(f"the step near t = {start:.6g} underflowed")
         path.count = last
         return made
 

@@ -26,7 +26,7 @@ from statechart.execution.outcome import Progress
 from statechart.execution.record import trace_of
 from statechart.execution.zeno import Accumulation
 from statechart.kernels.polynomials import summands
-from statechart.tabular import several, shortest
+from statechart.tabular import several
 
 # At such a rate a variable would have changed by this many times its size.
 _STEEP = 1e6
@@ -149,7 +149,7 @@ class Execution:
         if fired:
             return self.settle(fired)
         if not self._ending() or not self.settle():
-            self.message = f"reached t = {shortest(self.clock.high)}"
+            self.message = f"reached t = {self.clock.high:.6g}"
         return True
 
     def _flow(self) -> tuple[str, ...]:
@@ -211,7 +211,7 @@ class Execution:
         path = self.path
         if reached.unfollowed is not None:
             self.evidence["motion"] = UNFOLLOWED
-            self.warnings[f"from t = {shortest(reached.unfollowed)} on {UNFOLLOWED}"] = None
+            self.warnings[f"from t = {reached.unfollowed:.6g} on {UNFOLLOWED}"] = None
         self.boxes += reached.boxes
         self.steps += path.count
         self.show()  # flows that end in their first steps say nothing themselves
@@ -242,7 +242,7 @@ class Execution:
             return (UNBOUNDED,)
         if graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
-            self.warnings[f"{margin.name} grazes zero at t = {shortest(self.clock.high)}"] = None
+            self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.6g}"] = None
         if stops:
             self._stop(margin.name)
         return (margin.name,)
@@ -278,7 +278,7 @@ class Execution:
     def _warn(self) -> None:
         self.warnings |= dict.fromkeys(self.flow.notes)
         if self.flow.warning:
-            self.warnings[f"t = {shortest(self.clock.high)}: {self.flow.warning}"] = None
+            self.warnings[f"t = {self.clock.high:.6g}: {self.flow.warning}"] = None
 
     def settle(self, fired: tuple[str, ...] = ()) -> bool:
         """Jump until the mode holds; True when the run ends here."""
@@ -318,8 +318,7 @@ class Execution:
                 raise self.failure
             if self._livelock.stalled(self.clock, fired) and not self._widen(*fired):
                 self.failure = EventLoop(
-                    f"{', '.join(fired)} falls at t = {shortest(self.clock.high)}, but no jump "
-                    "follows"
+                    f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
                 )
                 return self.settle((UNBOUNDED,))
         self.failure = None
@@ -335,7 +334,7 @@ class Execution:
 
     def _stop(self, condition: str) -> None:
         self.record.add_jump(self._instant(condition).jump("", "stop", self.flow.mode))
-        self._end(Outcome.STOPPED, f"{condition} at t = {shortest(self.clock.high)}")
+        self._end(Outcome.STOPPED, f"{condition} at t = {self.clock.high:.6g}")
 
     def counted(self) -> bool:
         """Whether the run ends here, as there were as many jumps as may be.
@@ -388,7 +387,7 @@ class Execution:
             return False
         self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: wide})
         self.warnings[
-            f"t = {shortest(self.clock.high)}: {margin} is zero to within rounding; "
+            f"t = {self.clock.high:.6g}: {margin} is zero to within rounding; "
             f"it is watched with the tolerance {wide:.3g}"
         ] = None
         return True

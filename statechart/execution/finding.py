@@ -13,7 +13,6 @@ from statechart.errors import NonFinite, Undecided
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import sample_states
-from statechart.tabular import shortest
 
 # Errors of dense output, in tolerances of the engine.
 _NOISE = 100.0
@@ -86,7 +85,7 @@ def decided(
         if compiled.kind(guard) == "plain" and abs(value) <= tolerance:
             return where._replace(guard=guard, crossed=where.time)
     name = names[where.guard] if where.guard >= 0 else "one of " + ", ".join(names)
-    raise NonFinite(f"the guard {name} cannot be evaluated near t = {shortest(time)}")
+    raise NonFinite(f"the guard {name} cannot be evaluated near t = {time:.6g}")
 
 
 def closing(

@@ -27,7 +27,6 @@ from statechart.execution.compiled_modes import CompiledMode
 from statechart.execution.finding import decided, noise
 from statechart.kernels.defect import unseen
 from statechart.kernels.polynomials import cut_steps, local_time
-from statechart.tabular import shortest
 
 FOLLOWED = "the slopes of all steps were held against the rates"
 UNFOLLOWED = "steps are not known to follow the rates: what is narrow may have been missed"
@@ -205,7 +204,7 @@ class Advance:
         self._end = self._reached + self.horizon
         if not self._end > self._reached:
             raise StepFailure(
-                f"at t = {shortest(self.watch.start + self._reached)} no step is short enough to "
+                f"at t = {self.watch.start + self._reached:.6g} no step is short enough to "
                 "stay on the constraints"
             )
         left = cut_steps(path.times, path.coefficients, path.count, self._reached, ended)

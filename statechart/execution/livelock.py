@@ -8,7 +8,7 @@ from itertools import pairwise
 from statechart.automaton.clock import Clock
 from statechart.automaton.trace import FAR_TOO_MANY, Jump, Key
 from statechart.errors import EventLoop, TooLong
-from statechart.tabular import several, shortest
+from statechart.tabular import several
 
 JUMPS_AT_ONCE = 64
 """More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
@@ -48,7 +48,7 @@ class Livelock:
         self._rearranged = (now, self._rearranged[1] + 1 if self._rearranged[0] == now else 1)
         if self._rearranged[1] > JUMPS_AT_ONCE:
             raise EventLoop(
-                f"{', '.join(fired)} falls at t = {shortest(now[0])}, and equations of the mode "
+                f"{', '.join(fired)} falls at t = {now[0]:.6g}, and equations of the mode "
                 "follow one another for ever"
             )
 
@@ -73,4 +73,4 @@ def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int
 def looping(last: Sequence[Jump], clock: Clock, label: Callable[[Key], str]) -> EventLoop:
     """Return the error of too many jumps at one instant, with the last ones."""
     recent = ", ".join(f"{jump.cause} -> {label(jump.target)}" for jump in last)
-    return EventLoop(f"{JUMPS_AT_ONCE} jumps at t = {shortest(clock.high)}: {recent}")
+    return EventLoop(f"{JUMPS_AT_ONCE} jumps at t = {clock.high:.6g}: {recent}")

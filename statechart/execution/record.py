@@ -13,7 +13,6 @@ from statechart.automaton.trace import Jump, Outcome, Trace
 from statechart.execution.ahead import N_BOXES, N_JUMPS, N_MODE, N_STEPS, T_HIGH
 from statechart.execution.flow import FOLLOWED
 from statechart.execution.rows import FIRST_MODE, MARGIN, Batch
-from statechart.tabular import shortest
 
 if TYPE_CHECKING:
     from statechart.automaton.laws import Setup
@@ -41,12 +40,12 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
     outcome = batch.outcome(0)
     if outcome is Outcome.STOPPED:
         margin = modes.compiled(last).names[found.ends.item(MARGIN)]
-        message = f"{margin} at t = {shortest(t_end)}"
+        message = f"{margin} at t = {t_end:.6g}"
         record.add_jump(
             Jump(t_end, place[N_JUMPS], "", "stop", last[0], last[0], final, final, (margin,))
         )
     else:
-        message = f"reached t = {shortest(t_end)}"
+        message = f"reached t = {t_end:.6g}"
     arcs, jumps = record.close()
     block = record.only
     if block is not None:

@@ -64,12 +64,16 @@ def pace(end: float, speed: float | None) -> tuple[float, Array]:
     """
     if speed is None:
         speed = 1.0 if _SHORT <= end <= _LONG or end == 0.0 else _round(end)
+    _check_speed(speed)
+    count = min(max(2, round(_RATE * end / speed) + 1), _MOST)
+    return speed, np.linspace(0.0, end, count)
+
+
+def _check_speed(speed: float) -> None:
     if not 0.0 < speed < math.inf:
         raise DeclarationError(
             f"a speed is a positive number, not {speed:g}", advice="1 is as in the run's own time"
         )
-    count = min(max(2, round(_RATE * end / speed) + 1), _MOST)
-    return speed, np.linspace(0.0, end, count)
 
 
 def _round(end: float) -> float:
@@ -79,13 +83,13 @@ def _round(end: float) -> float:
     return next(s * power for s in (1.0, 2.0, 5.0, 10.0) if s * power >= least * (1.0 - 1e-9))
 
 
-def check(path: Path, size: int) -> None:
+def check(path: Path, size: int, speed: float | None = None, trail: float | None = None) -> None:
     """Check that an animation can be written, before the work that leads to it.
 
     Raises
     ------
     DeclarationError
-        If its suffix or its size is none.
+        If its suffix, its size, its speed or its trail is none.
     StatechartError
         If the program that it needs is not there.
     """
@@ -97,6 +101,12 @@ def check(path: Path, size: int) -> None:
     if not _NARROWEST <= size <= _WIDEST:
         raise DeclarationError(
             f"the size must be {_NARROWEST} to {_WIDEST} pixels, not {size}", advice="say 720"
+        )
+    if speed is not None:
+        _check_speed(speed)
+    if trail is not None and not trail >= 0.0:
+        raise DeclarationError(
+            f"a trail reaches back a time from 0 on, not {trail:g}", advice="0 is for none"
         )
     if path.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
         raise StatechartError("an mp4 needs the program ffmpeg, which is not here; write a .gif")

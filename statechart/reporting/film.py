@@ -136,11 +136,11 @@ def animate(
     Raises
     ------
     StatechartError
-        If there is nothing to see, the suffix, the speed or the size is none, or the file cannot
-        be written.
+        If there is nothing to see, the suffix, the speed, the size or the trail is none, or the
+        file cannot be written.
     """
     path = Path(path)
-    animation.check(path, showing.size)
+    animation.check(path, showing.size, showing.speed, showing.trail)
     stage = stage_of(observer.automaton)
     speed, times = animation.pace(until_rest(stage, observer, trace), showing.speed)
     film = filmed(stage, observer, trace, times)

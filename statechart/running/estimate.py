@@ -15,7 +15,6 @@ from statechart.errors import DeclarationError
 from statechart.observation.difference import compare, paired
 from statechart.observation.observer import Observer
 from statechart.running.answer import UNTOLD, Answer, Cost, Made
-from statechart.tabular import shortest
 
 _BELOW = 1.0 / 10.0
 """Errors of a run exceed its tolerance by about so much: where an accuracy is asked for and nothing
@@ -166,7 +165,7 @@ class _Runs:
         if found.diverged is not None:
             self.diverged = (
                 f"{runs} take different modes: accuracy is undefined from "
-                f"t = {shortest(found.diverged)} on"
+                f"t = {found.diverged:.6g} on"
             )
         elif found.outputs == math.inf:
             names = [name for name, off in found.named.items() if off == math.inf]
@@ -186,7 +185,7 @@ class _Runs:
             return ()
         return (
             f"modes that last less than {self._brief:g} of the run are not told apart: from "
-            f"t = {shortest(self.merged)} on one of the runs has some that another has not",
+            f"t = {self.merged:.6g} on one of the runs has some that another has not",
         )
 
     @property

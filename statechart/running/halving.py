@@ -18,7 +18,7 @@ from statechart.compiling import working_time
 from statechart.observation.difference import compare, distance, modes_apart
 from statechart.observation.observer import Observer
 from statechart.running.answer import Answer, Cost, Made
-from statechart.tabular import several, shortest
+from statechart.tabular import several
 
 SHORTER = math.sqrt(0.5)
 """The step from one run to the next."""
@@ -186,5 +186,5 @@ def _said(apart: _Apart) -> str:
     """Say in what the last two runs differ most, and when they took different modes."""
     said = f"; runs at two steps differ most in {apart.what}"
     if apart.diverged is not None:
-        said += f", and take different modes from t = {shortest(apart.diverged)} on"
+        said += f", and take different modes from t = {apart.diverged:.6g} on"
     return said

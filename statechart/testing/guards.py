@@ -13,7 +13,6 @@ from statechart.automaton.regions import Margin
 from statechart.automaton.trace import Arc, Jump, Role, Trace
 from statechart.observation.flows import passed
 from statechart.observation.observer import Observer
-from statechart.tabular import shortest
 from statechart.testing.agreement import NUDGE
 from statechart.testing.hybrid_time import ROUNDING
 from statechart.testing.subject import Subject
@@ -101,8 +100,8 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
             if (least := found[0]) < -less:
                 begins, ends = arc.start.high, arc.start.high + arc.duration
                 raise AssertionError(
-                    f"{margin.name} falls to {least:.6g} between t = {shortest(begins)} and "
-                    f"{shortest(ends)} in {subject.automaton.label(arc.mode)}"
+                    f"{margin.name} falls to {least:.6g} between t = {begins:.6g} and "
+                    f"{ends:.6g} in {subject.automaton.label(arc.mode)}"
                 )
     for margin in subject.automaton.invariants:
         for jump in {jump.j: jump for jump in (*trace.jumps[:1], *passed(trace))}.values():
@@ -125,7 +124,7 @@ def _assert_at(
         allowed += abs(observer.at(trace, (expression,), [moved], before=before).item() - value)
     if value < -allowed:
         mode = observer.automaton.label(jump.source if before else jump.target)
-        raise AssertionError(f"{margin.name} is {value:.6g} at t = {shortest(jump.t)} in {mode}")
+        raise AssertionError(f"{margin.name} is {value:.6g} at t = {jump.t:.6g} in {mode}")
 
 
 def _assert_margins(
@@ -157,7 +156,7 @@ def _assert_margins(
         m, k = np.unravel_index(int(np.argmin(short)), values.shape)
         raise AssertionError(
             f"{margins[int(k)].name} is {values[m, k]:.6g} at "
-            f"t = {shortest(arc.start.high + (arc.start.low + tau[m]))} in "
+            f"t = {arc.start.high + (arc.start.low + tau[m]):.6g} in "
             f"{subject.automaton.label(arc.mode)}"
         )
     found: Array = allowed.max(axis=0, initial=0.0)

@@ -53,6 +53,36 @@ def test_a_gif_moves_as_long_as_the_run(tmp_path):
     assert (pixels[0][0, -1] == 255).all()  # paper is white
 
 
+def test_the_command_line_takes_the_same_words(tmp_path):
+    words = {"speed": 0.5, "size": 160, "trail": 0.5}
+    statechart.run("sliding_ladder").animate(tmp_path / "one.gif", **words)
+    said = [part for name, value in words.items() for part in (f"--{name}", str(value))]
+    animate = ["run", "sliding_ladder", "-q", "--animate", str(tmp_path / "two.gif")]
+    assert main([*animate, *said]) == 0
+    assert (tmp_path / "two.gif").read_bytes() == (tmp_path / "one.gif").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--animate", "a.gif", "--speed", "0"], "a speed is a positive number"),
+        (["--animate", "a.gif", "--speed", "inf"], "a speed is a positive number"),
+        (["--animate", "a.gif", "--size", "20"], "120 to 1920 pixels"),
+        (["--animate", "a.gif", "--trail", "-1"], "a trail reaches back"),
+        (["--speed", "2", "--trail", "0"], "--speed and --trail say how a film is shown"),
+    ],
+    ids=lambda part: " ".join(part) if isinstance(part, list) else None,
+)
+def test_how_a_film_is_shown_is_checked_before_the_run(words, why, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "toppling_stick", *words]) == 2
+    said = capsys.readouterr()
+    assert why in said.err
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_same_run_gives_the_same_file(tmp_path):
     result = statechart.run("sliding_ladder")
     one = result.animate(tmp_path / "one.gif", speed=1.0, size=160).read_bytes()

@@ -181,3 +181,14 @@ def test_whatever_counts_one_says_so(
     assert not OF_ONE.search(said.out + said.err), said.out + said.err
     for file in Path("out").glob("run.json"):
         assert not OF_ONE.search(file.read_text())
+
+
+@pytest.mark.parametrize("engine", ["taylor", "impulse"])
+@pytest.mark.parametrize(
+    ("end", "told"), [("pi", "3.14159"), ("0.67*3", "2.01"), ("1e-7", "1e-07")]
+)
+def test_times_in_messages_are_told_as_other_numbers(engine: str, end: str, told: str) -> None:
+    scene = f"{{kind: scene, name: b, bodies: {{ball: {{mass: 1}}}}, stop: {{time: {end}}}}}"
+    step = 1e-8 if end == "1e-7" else 0.01
+    runner = Runner(read_text(scene), engine=engine, step=step if engine == "impulse" else None)
+    assert runner.run().trace.message == f"reached t = {told}"
