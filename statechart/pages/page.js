@@ -22,6 +22,13 @@ moving.push((k) => {
   lit = mode[k];
   const active = new Set(data.chart.nodes[lit]);
   for (const [name, those] of nodes) for (const node of those) node.classList.toggle("lit", active.has(name));
+  // Of a diagram wider than the screen what is lit is seen.
+  const box = byId("diagram");
+  const node = box.querySelector("g.lit");
+  if (!node) return;
+  const [there, here] = [node.getBoundingClientRect(), box.getBoundingClientRect()];
+  box.scrollLeft += there.x + there.width / 2 - here.x - here.width / 2;
+  box.scrollTop += there.y + there.height / 2 - here.y - here.height / 2;
 });
 
 // Curves with a cursor. Names have room on both sides, on narrow screens above.

@@ -56,6 +56,21 @@ def test_a_telephone_shows_curves_legibly(tmp_path):
         assert opened.said == []
 
 
+@in_browser
+def test_the_active_mode_is_in_view_on_a_telephone(tmp_path):
+    result = statechart.run("rimless_wheel")
+    within = """(() => {
+        const box = byId("diagram").getBoundingClientRect();
+        const node = document.querySelector("#diagram g.lit").getBoundingClientRect();
+        return node.x >= box.x - 1 && node.right <= box.right + 1; })()"""
+    with Browser(tmp_path / "browser", width=390) as opened:
+        opened.open(result.report(tmp_path / "page.html"))
+        assert opened.value("byId('diagram').scrollWidth > byId('diagram').clientWidth + 100")
+        for part in range(11):
+            opened.value(f"go(Math.round({part / 10} * last))")
+            assert opened.value(within)
+
+
 ROD = """\
 kind: scene
 name: a_rod_whose_name_has_as_many_as_42_letters
