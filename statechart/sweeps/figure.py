@@ -36,10 +36,11 @@ _COLOURS = (
 _OTHERS, _NOTHING, _BLANK = "#BBBBBB", "#FFFFFF", "#E6E6E6"
 # A second axis of so few values is lines beside each other, where the first has so many times more.
 _FEW, _DENSER = 7, 3
+_WIDTH = 7.6  # of a picture of lines, in inches
 # An axis may be logarithmic where the largest value is so many times the least.
 _WIDE = 5.0
-# Letters of a sequence of modes in a legend.
-_LONGEST = 64
+# Letters of a sequence of modes in a legend; of one in inches, and what stands beside it.
+_LONGEST, _LETTER, _HANDLE = 96, 0.058, 0.6
 _SUCCEEDED = [outcome.name for outcome in Outcome if outcome.succeeded]
 
 
@@ -170,6 +171,12 @@ def _short(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 24]} ... {text[-19:]}"
 
 
+def _beside(cells: _Cells, width: float, most: int) -> int:
+    """Return how many columns of a legend there is room for, in inches."""
+    longest = _HANDLE + _LETTER * max(map(len, cells.labels), default=0)
+    return int(np.clip(width / longest, 1, most))
+
+
 @dataclass(frozen=True, eq=False)
 class _Axis:
     """A parameter along an axis of a picture.
@@ -236,8 +243,9 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     other = np.zeros(len(x.at)) if alone else cells.columns[1 - axis]
     count = len(plan.task.outputs)
     heights = [2.4 if count == 1 else 1.5] * count + ([0.3] if alone else [])
-    legend = 0.18 * math.ceil(len(cells.labels) / 2) if alone else 0.0
-    size = (7.6, 1.0 + 1.25 * sum(heights) + legend)
+    columns = _beside(cells, _WIDTH, 2)
+    legend = 0.18 * math.ceil(len(cells.labels) / columns) if alone else 0.0
+    size = (_WIDTH, 1.0 + 1.25 * sum(heights) + legend)
     drawing = Figure(figsize=size, layout="constrained")
     axes = drawing.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
     for ax, name in zip(axes[:, 0], plan.task.outputs, strict=False):
@@ -258,7 +266,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     x.put(axes[-1, 0], "x")
     if alone:
         _band(axes[-1, 0], x, cells)
-        drawing.legend(handles=cells.handles(), loc="outside lower left", ncols=2)
+        drawing.legend(handles=cells.handles(), loc="outside lower left", ncols=columns)
     else:
         from matplotlib.lines import Line2D
 
@@ -354,7 +362,7 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     drawing.legend(
         handles=cells.handles(blank=blank),
         loc="outside lower center",
-        ncols=3 if columns > 2 else 2,
+        ncols=_beside(cells, drawing.get_figwidth(), 3 if columns > 2 else 2),
     )
     return _titled(drawing, plan)
 

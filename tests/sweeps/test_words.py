@@ -101,6 +101,30 @@ def test_a_dozen_sequences_have_colours_and_the_rest_are_others() -> None:
     assert legend[-1] == "others (19)"
 
 
+@pytest.mark.parametrize("second", [{}, {"I_G": np.linspace(0.1, 1.0, 10)}])
+@pytest.mark.parametrize("length", [1, 4, 8, 40])
+def test_sequences_of_any_length_are_told_apart_inside_the_picture(
+    length: int, second: dict[str, np.ndarray]
+) -> None:
+    columns = {"mu": np.linspace(0.1, 1.0, 6), **second}
+    plan = Plan(Runner(STICK).model, Setting(), columns, outputs=[])
+    data = sweep(STICK, columns, outputs=[]).load()
+    kinds = np.arange(data["modes"].size, dtype=np.int32).reshape(data["modes"].shape) % 6
+    texts = [f"{'heel:slide+ > ' * length}toe:pin x {k}" for k in range(6)]
+    data = data.drop_vars(["modes", "sequence"]).assign(
+        modes=(tuple(columns), kinds), sequence=texts
+    )
+    picture = figure(plan, data)
+    picture.draw_without_rendering()
+    box = picture.legends[0].get_window_extent()
+    assert box.x0 >= 0.0
+    assert box.x1 <= picture.bbox.x1
+    told = [text.get_text() for text in picture.legends[0].get_texts()]
+    assert len(set(told)) == 6
+    if length < 6:
+        assert set(told) == set(texts)
+
+
 def test_the_page_has_the_pictures_that_it_names() -> None:
     docs = Path(__file__).parents[2] / "docs"
     page = (docs / "sweeps.md").read_text(encoding="utf-8")
