@@ -90,7 +90,7 @@ function dashpot(a, b) {
   const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
   const side = (0.018 * film.unit) / (Math.hypot(dx, dy) || 1);
   const at = ([s, w]) => [a[0] + s * dx - w * side * dy, a[1] + s * dy + w * side * dx];
-  const parts = [[[0, 0], [0.55, 0], [0.55, 0.5], [0.55, -0.5]], [[0.4, 0.7], [0.7, 0.7], [0.7, -0.7], [0.4, -0.7]], [[0.7, 0], [1, 0]]];
+  const parts = [[[0, 0], [0.55, 0], [0.55, 0.3], [0.55, -0.3]], [[0.4, 0.45], [0.7, 0.45], [0.7, -0.45], [0.4, -0.45]], [[0.7, 0], [1, 0]]];
   return parts.map((part) => path(part.map(at))).join("");
 }
 function touching(scene, touch) {

@@ -24,8 +24,8 @@ _BAR, _MASS, _MARK = 0.012, 0.02, 0.011
 _WINDINGS = 7
 # A damper: how far along and, in parts of a spring's half width, across; the rod with its piston,
 # then the cylinder with what holds it.
-_PISTON = [(0.0, 0.0), (0.55, 0.0), (0.55, 0.5), (0.55, -0.5), (np.nan, np.nan)]
-_CYLINDER = [(0.4, 0.7), (0.7, 0.7), (0.7, -0.7), (0.4, -0.7)]
+_PISTON = [(0.0, 0.0), (0.55, 0.0), (0.55, 0.3), (0.55, -0.3), (np.nan, np.nan)]
+_CYLINDER = [(0.4, 0.45), (0.7, 0.45), (0.7, -0.45), (0.4, -0.45)]
 _DASHPOT = np.array([*_PISTON, *_CYLINDER, (np.nan, np.nan), (0.7, 0.0), (1.0, 0.0)])
 # Shapes beyond which edges are thinner; so are they in a picture narrower than so many points.
 _MANY, _NARROW, _THINNEST = 24, 260.0, 0.4

@@ -1,5 +1,7 @@
 """Pages on screens of any width, of scenes of any length."""
 
+import re
+
 import numpy as np
 import pytest
 from browser import FOUND, Browser
@@ -54,6 +56,31 @@ def test_a_telephone_shows_curves_legibly(tmp_path):
             opened.value("along(times[now])"), rel=1e-5
         )
         assert opened.said == []
+
+
+def contrast(*colours):
+    """Return the contrast of two colours such as ``rgb(1, 2, 3)``, as WCAG 2 defines it."""
+    found = []
+    for colour in colours:
+        parts = np.array([float(x) for x in re.findall(r"\d+", colour)[:3]]) / 255.0
+        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        found.append(0.05 + linear @ (0.2126, 0.7152, 0.0722))
+    return max(found) / min(found)
+
+
+@in_browser
+@pytest.mark.parametrize("dark", [False, True])
+def test_words_stand_out_from_the_paper(dark, tmp_path):
+    result = statechart.run("four_legged_table")
+    colours = """[...document.querySelectorAll("h1, h2, p, td, li, #curves text")].map((e) =>
+        getComputedStyle(e)[e.tagName === "text" ? "fill" : "color"])"""
+    with Browser(tmp_path / "browser", dark=dark) as opened:
+        opened.open(result.report(tmp_path / "page.html"))
+        paper = opened.value("getComputedStyle(document.body).backgroundColor")
+        found = set(opened.value(colours))
+        assert len(found) > 1
+        # What WCAG 2.2 asks of letters of this size.
+        assert min(contrast(colour, paper) for colour in found) >= 4.5
 
 
 @in_browser
