@@ -287,6 +287,15 @@ def _hurry(numbers: BodyNumbers, state: Array, h: float) -> bool:
     return h * most > _FAR * least
 
 
+@part
+def _fastest_turn(rates: Array) -> float:
+    """Return the largest angular velocity, of either sense."""
+    most = 0.0
+    for b in range(len(rates)):
+        most = max(most, abs(rates[b, 2]))
+    return most
+
+
 @kernel
 def step_bodies(
     numbers: BodyNumbers,
@@ -371,7 +380,7 @@ def step_bodies(
                         touches.bodies, touches.rows, numbers.inverse, forced, i, d,
                         room.steady[i, d],
                     )  # fmt: skip
-        if deepest < math.inf and h * np.abs(rates[:, 2]).max() > math.pi:
+        if deepest < math.inf and h * _fastest_turn(rates) > math.pi:
             return k, COARSE
         _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
         if joins:

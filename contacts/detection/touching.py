@@ -17,7 +17,9 @@ from contacts.detection.meeting import arrives, came, crossing, nearby, overlap
 from contacts.detection.seams import exposed
 from contacts.detection.touches import Touches, felt, recalled, turned
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
-from statechart.kernels.jit import beside
+from statechart.arrays import Array, Ints
+from statechart.kernels.copies import put
+from statechart.kernels.jit import beside, part
 
 # Points of contact that a pair can have: a polygon on a surface has as many as corners.
 _POINTS = 16
@@ -34,6 +36,10 @@ _STARTED = 1e-5
 # What is hit in the step nearest to its arrival is so deep at most, in parts of the way that the
 # fastest goes in a step.
 _LANDED = 0.5
+
+
+APPROACH, CLOSING, PASSED, SUNK = range(4)
+"""What a look keeps the largest of; see `Seen`."""
 
 
 class Seen(NamedTuple):
@@ -60,6 +66,261 @@ class Seen(NamedTuple):
     sunk: float
 
 
+class _Times(NamedTuple):
+    """When a look is taken.
+
+    Attributes
+    ----------
+    h, since : float
+        Length of the step; since the last look. Between looks bodies move in straight lines.
+    fall : float
+        What gravity makes of rest in a step.
+    first : bool
+        Whether there was no look before.
+    lowest : float
+        A contact is kept no deeper; where the run starts it may be.
+    """
+
+    h: float
+    since: float
+    fall: float
+    first: bool
+    lowest: float
+
+
+class _Pair(NamedTuple):
+    """A piece of a body, and what it may touch.
+
+    Attributes
+    ----------
+    p, q : int
+        The piece; another, or a surface, which stand behind all pieces.
+    body, other : int
+        Of the piece; which other body it touches, also one that carries a surface, or -1.
+    key : int
+        See `Memory`.
+    material : int
+        Which law they touch by; -1: they do not.
+    whole, discs, moves : bool
+        Whether both are pieces; both discs; one a surface that moves, and no body.
+    slowly : bool
+        Whether the step is short beside how fast pieces move: all that looks closer at what is fast
+        is within its error.
+    size : float
+        Of the smaller one.
+    """
+
+    p: int
+    q: int
+    body: int
+    other: int
+    key: int
+    material: int
+    whole: bool
+    discs: bool
+    moves: bool
+    slowly: bool
+    size: float
+
+
+class _Points(NamedTuple):
+    """Where a pair touches, and where the search for that works.
+
+    Attributes
+    ----------
+    found, features : (m, FOUND), (m,) array
+        See `contacts.detection.convex.between`.
+    aside : (m, FOUND) array
+        Of the same pair at another time.
+    worst : (4,) array
+        What a look has found so far of `APPROACH`, `CLOSING`, `PASSED` and `SUNK`.
+    """
+
+    found: Array
+    features: Ints
+    aside: Array
+    worst: Array
+
+
+@part
+def _note(points: _Points, what: int, value: float) -> None:
+    """Keep the largest that a look has found."""
+    points.worst[what] = max(points.worst[what], value)
+
+
+@part
+def _paired(numbers: BodyNumbers, look: Look, p: int, q: int, since: float) -> _Pair:
+    """Return a piece and what it may touch."""
+    pieces, surfaces = numbers.pieces, numbers.surfaces
+    count, b = len(pieces.sizes), pieces.bodies[p]
+    s, key = q - count, p * (count + len(surfaces.kinds)) + q
+    if s < 0:
+        other = pieces.bodies[q]
+        touch = other != b and not held(numbers.joints, b, other)
+        material = numbers.laws[numbers.kinds[b], numbers.kinds[other]] if touch else -1
+        size, discs = min(pieces.sizes[p], pieces.sizes[q]), pieces.radii[p] * pieces.radii[q] > 0.0
+        slowly = nearby(look.drifts, pieces.sizes, p, q, _CROSSED / since)
+        return _Pair(p, q, b, other, key, material, True, discs, False, slowly, size)
+    other = surfaces.carriers[s]
+    material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s] if other != b else -1
+    moves, size = other < 0 and surfaces.moves[s], pieces.sizes[p]
+    return _Pair(p, q, b, other, key, material, False, False, moves, True, size)
+
+
+@part
+def _of_pieces(
+    numbers: BodyNumbers, look: Look, pair: _Pair, times: _Times, points: _Points
+) -> int:
+    """Find the points where two pieces are near each other, and whether they have passed."""
+    pieces, p, q, since = numbers.pieces, pair.p, pair.q, times.since
+    radii, cores, firsts, centres = pieces.radii, pieces.cores, pieces.firsts, look.centres
+    # Of what grazes the approach is slow.
+    core = _CORE if pair.slowly else _WHOLE
+    if pair.discs or nearby(look.drifts, cores, p, q, _CROSSED / since):
+        begin, end = overlap(centres, look.drifts, p, q, core * (cores[p] + cores[q]))
+        if -since < begin and begin + end < 0.0:
+            _note(points, PASSED, (end - begin) / times.h)
+    else:
+        crossed = crossing(numbers, look, (p, q), since, core, points.aside)
+        _note(points, PASSED, crossed / times.h)
+    return between(
+        look.world[firsts[p] : firsts[p + 1]], centres[p], radii[p],
+        look.world[firsts[q] : firsts[q + 1]], centres[q], radii[q],
+        look.reach[p] + look.reach[q], points.found, points.features,
+    )  # fmt: skip
+
+
+@part
+def _met(
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: _Pair, times: _Times, points: _Points
+) -> int:
+    """Find the points where a pair is near each other; return their number."""
+    pieces, (found, features) = numbers.pieces, points[:2]
+    if pair.whole:
+        count = _of_pieces(numbers, look, pair, times, points)
+    else:
+        s = pair.q - len(pieces.sizes)
+        count, crosses = on_surface(numbers, ground, look, pair.p, s, times.h, found, features)
+        _note(points, PASSED, crosses)
+    if pieces.begins[pair.body + 1] - pieces.begins[pair.body] > 1:
+        count = exposed(pieces, look.centres, look.world, pair.p, -1.0, found, features, count)
+    if pair.whole and pieces.begins[pair.other + 1] - pieces.begins[pair.other] > 1:
+        count = exposed(pieces, look.centres, look.world, pair.q, 1.0, found, features, count)
+    return count
+
+
+@part
+def _strikes(
+    numbers: BodyNumbers, look: Look, pair: _Pair, times: _Times, point: Array, nearing: float,
+    alike: bool, points: _Points,
+) -> bool:  # fmt: skip
+    """Whether what is near and fast is hit: it may pass beside the other.
+
+    What is `alike` was known at the last look, or is slow: it meets where it is near.
+    """
+    h, nx, ny, gap = times.h, point[0], point[1], point[4]
+    if gap > 0.0 and pair.discs:
+        radii = numbers.pieces.radii
+        apart = radii[pair.p] + radii[pair.q]
+        touch, _ = overlap(look.centres, look.drifts, pair.p, pair.q, apart)
+        if touch > h:
+            return False
+    if alike:
+        return True
+    meets, crossed = arrives(
+        numbers, look, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.aside
+    )
+    _note(points, PASSED, crossed)
+    return meets
+
+
+@part
+def _kept_up(
+    memory: Memory, place: int, lasting: bool, m: int, times: _Times, gained: float,
+    above: float, touches: Touches,
+) -> None:  # fmt: skip
+    """Write what the velocities of a contact that lasts may not fall below.
+
+    On the way to the next look it is to be where it is kept, and the velocities of what sticks to
+    be none on average. What is deeper than turning takes it was moved there by a change of
+    features: it goes back no faster than forces take it, or than it came. So is what bears nothing
+    any more and is not out yet: nothing kicks it. What leaves as its force falls to zero turns no
+    faster than forces move it.
+    """
+    h, since, turn, shift = times.h, times.since, 0.0, 0.0
+    if place >= 0 and memory.contacts[place, 1] != 0.0:
+        turn, shift = turned(memory, place, m, touches)
+    if not lasting and abs(turn) > gained:
+        turn = shift = 0.0
+    if above < 0.0:
+        above = min(above - 0.5 * since * min(turn, 0.0), 0.0)
+    back, part = max(0.5 * gained, -touches.before[m, 0]), 0.5 * h / since
+    touches.wanted[m, 0] = max(above / h + part * turn, -back)
+    touches.wanted[m, 1] = part * shift
+
+
+@part
+def _takes_part(
+    numbers: BodyNumbers, ground: Ground, memory: Memory, look: Look, pair: _Pair, times: _Times,
+    at: int, at_old: int, m: int, points: _Points, touches: Touches,
+) -> bool:  # fmt: skip
+    """Whether a pair touches at a point in this step, which is written as contact m then.
+
+    What is remembered of the pair begins `at_old`.
+    """
+    h, point, feature = times.h, points.found[at], points.features[at]
+    gap = point[4]
+    known = at_old < memory.many[0] and memory.keys[at_old, 0] == pair.key
+    level, lasting, place = recalled(memory, at_old, pair.key, feature, h, m, touches)
+    felt(look, pair.body, pair.other, point, m, touches)
+    if pair.moves:
+        s = pair.q - len(numbers.pieces.sizes)
+        pull = carried_along(ground, numbers.surfaces, s, point, h, m, touches)
+        look.pull[pair.body] = max(look.pull[pair.body], pull)
+    nearing = -touches.before[m, 0]
+    gained = max(abs(touches.free[m, 0] - touches.before[m, 0]), times.fall)
+    slow = SLOW * max(gained, TOUCHING * pair.size / h)
+    if gap < 0.0 and not known:
+        explained = times.since * max(memory.past[1], nearing, slow)
+        explained += _STARTED * pair.size if times.first else 0.0
+        _note(points, SUNK, -gap - explained)
+    # Struck in the step whose middle is nearest to the instant of touching.
+    role, level, above = arriving(
+        gap, level, lasting, nearing, touches.free[m, 0], slow, 0.5 + BESIDE, h
+    )
+    alike = known or pair.slowly
+    if role == HIT and not _strikes(numbers, look, pair, times, point, nearing, alike, points):
+        role = APART
+    if gap < 0.0 and -nearing > slow and not alike:
+        # It leaves: if it was not in it at the last look, it came by another side.
+        where = (pair.p, pair.q), (point[0], point[1])
+        _note(points, PASSED, came(numbers, look, *where, times.since, points.aside))
+    if role == APART:
+        return False
+    _note(points, APPROACH, nearing)
+    if nearing > slow and -gap > max(memory.past[2], h * nearing):
+        _note(points, SUNK, -gap)
+    if role == HIT:
+        touches.wanted[m, 0] = -numbers.materials[pair.material, 2] * nearing
+        touches.wanted[m, 1] = 0.0
+        _note(points, CLOSING, -gap)
+        if -gap > _SUNK * pair.size:
+            _note(points, SUNK, -gap)
+    else:
+        # No deeper than an impact leaves a contact does it stay.
+        above, level = min(above, gap + times.lowest), max(level, -times.lowest)
+        _kept_up(memory, place, lasting, m, times, gained, above, touches)
+    if not lasting:
+        # An impact's impulses say nothing of the next.
+        touches.pushes[m, 0] = touches.pushes[m, 1] = 0.0
+    touches.hit[m] = role == HIT
+    touches.keys[m, 0], touches.keys[m, 1] = pair.key, feature
+    touches.memory[m, 0] = level
+    touches.memory[m, 1] = 0.0 if lasting or role == HIT else above
+    put(numbers.materials[pair.material], touches.materials[m])
+    return True
+
+
 @beside
 def touching(
     numbers: BodyNumbers, ground: Ground, memory: Memory, look: Look, grid: Grid, h: float,
@@ -82,146 +343,36 @@ def touching(
     touches : Touches
         To be filled.
     """
-    pieces, surfaces, pairs = numbers.pieces, numbers.surfaces, grid.pairs
-    bodies, sizes, radii, cores = pieces.bodies, pieces.sizes, pieces.radii, pieces.cores
-    firsts, centres, drifts = pieces.firsts, look.centres, look.drifts
-    p_count, s_count = len(sizes), len(surfaces.kinds)
-    found, aside = np.empty((_POINTS, FOUND)), np.empty((_POINTS, FOUND))
-    features, near = np.empty(_POINTS, np.int64), np.empty(p_count, np.int64)
-    # Between looks bodies move in straight lines.
-    since = 0.5 * (h + (memory.past[0] if memory.past[0] > 0.0 else h))
+    sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, memory.keys
+    count, others = len(sizes), len(sizes) + len(numbers.surfaces.kinds)
+    found, aside, worst = np.empty((_POINTS, FOUND)), np.empty((_POINTS, FOUND)), np.zeros(4)
+    points = _Points(found, np.empty(_POINTS, np.int64), aside, worst)
+    first = not memory.past[0] > 0.0
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
-    # Where it starts, a contact may be deeper.
-    lowest = _LANDED * memory.past[2] if memory.past[0] > 0.0 else math.inf
-    m, at_old, at_pair = 0, 0, 0
-    approach = closing = passed = sunk = 0.0
-    many = near_pairs(centres, sizes + look.reach, grid)
-    if many < 0:
-        return Seen(-1, approach, closing, passed, sunk)
-    for p in range(p_count):
-        count, b = 0, bodies[p]
-        while at_pair < many and pairs[at_pair, 0] == p:
-            near[count] = pairs[at_pair, 1]
-            count += 1
-            at_pair += 1
-        for i in range(count + s_count):
-            q = near[i] if i < count else p_count + i - count
-            s = q - p_count
-            # What it touches: a body, also one that carries a surface, or none.
-            whole, other, moves = s < 0, bodies[q] if s < 0 else surfaces.carriers[s], False
-            if other == b:
+    lowest = math.inf if first else _LANDED * memory.past[2]
+    times = _Times(h, 0.5 * (h + (h if first else memory.past[0])), fall, first, lowest)
+    m, at_old, end = 0, 0, 0
+    many = near_pairs(look.centres, sizes + look.reach, grid)
+    for p in range(count if many >= 0 else 0):
+        begin = end
+        while end < many and pairs[end, 0] == p:
+            end += 1
+        for i in range(begin, end + others - count):
+            q = pairs[i, 1] if i < end else count + i - end
+            pair = _paired(numbers, look, p, q, times.since)
+            if pair.material < 0:
                 continue
-            if whole:
-                material = numbers.laws[numbers.kinds[b], numbers.kinds[other]]
-                if material < 0 or held(numbers.joints, b, other):
-                    continue
-                # In short steps all that follows is within their error.
-                slowly = nearby(drifts, sizes, p, q, _CROSSED / since)
-                # Of what grazes the approach is slow.
-                core = _CORE if slowly else _WHOLE
-                if radii[p] * radii[q] > 0.0 or nearby(drifts, cores, p, q, _CROSSED / since):
-                    begin, end = overlap(centres, drifts, p, q, core * (cores[p] + cores[q]))
-                    if -since < begin and begin + end < 0.0:
-                        passed = max(passed, (end - begin) / h)
-                else:
-                    passed = max(passed, crossing(numbers, look, (p, q), since, core, aside) / h)
-                points = between(
-                    look.world[firsts[p] : firsts[p + 1]], centres[p], radii[p],
-                    look.world[firsts[q] : firsts[q + 1]], centres[q], radii[q],
-                    look.reach[p] + look.reach[q], found, features,
-                )  # fmt: skip
-            else:
-                material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s]
-                if material < 0:
-                    continue
-                slowly, moves = True, other < 0 and surfaces.moves[s]
-                points, crosses = on_surface(numbers, ground, look, p, s, h, found, features)
-                passed = max(passed, crosses)
-            if pieces.begins[b + 1] - pieces.begins[b] > 1:
-                points = exposed(pieces, centres, look.world, p, -1.0, found, features, points)
-            if whole and pieces.begins[other + 1] - pieces.begins[other] > 1:
-                points = exposed(pieces, centres, look.world, q, 1.0, found, features, points)
-            pair = p * (p_count + s_count) + q
-            while at_old < memory.many[0] and memory.keys[at_old, 0] < pair:
+            near = _met(numbers, ground, look, pair, times, points)
+            while at_old < memory.many[0] and keys[at_old, 0] < pair.key:
                 at_old += 1
-            known = at_old < memory.many[0] and memory.keys[at_old, 0] == pair
-            for at in range(points):
-                nx, ny, gap = found[at, 0], found[at, 1], found[at, 4]
-                look.gaps[b] = min(look.gaps[b], gap)
-                if other >= 0:
-                    look.gaps[other] = min(look.gaps[other], gap)
-                level, lasting, place = recalled(memory, at_old, pair, features[at], h, m, touches)
-                felt(look, b, other, found[at], m, touches)
-                if moves:
-                    pull = carried_along(ground, surfaces, s, found[at], h, m, touches)
-                    look.pull[b] = max(look.pull[b], pull)
-                nearing = -touches.before[m, 0]
-                changed = touches.free[m, 0] - touches.before[m, 0]
-                size = min(sizes[p], sizes[q]) if whole else sizes[p]
-                gained = max(abs(changed), fall)
-                slow = SLOW * max(gained, TOUCHING * size / h)
-                if gap < 0.0 and not known:
-                    explained = since * max(memory.past[1], nearing, slow)
-                    explained += 0.0 if memory.past[0] > 0.0 else _STARTED * size
-                    sunk = max(sunk, -gap - explained)
-                # Struck in the step whose middle is nearest to the instant of touching.
-                role, level, above = arriving(
-                    gap, level, lasting, nearing, touches.free[m, 0], slow, 0.5 + BESIDE, h
-                )
-                if role == HIT and gap > 0.0 and whole and radii[p] * radii[q] > 0.0:
-                    # Discs that are near and fast may pass beside each other.
-                    touch, _ = overlap(centres, drifts, p, q, radii[p] + radii[q])
-                    role = HIT if touch <= h else APART
-                if role == HIT and not (known or slowly):
-                    meets, crossed = arrives(
-                        numbers, look, (p, q), (nx, ny), gap, nearing, h, aside
-                    )
-                    passed = max(passed, crossed)
-                    role = HIT if meets else APART
-                if gap < 0.0 and -nearing > slow and not (known or slowly):
-                    # It leaves: if it was not in it at the last look, it came by another side.
-                    crossed = came(numbers, look, (p, q), (nx, ny), since, aside)
-                    passed = max(passed, crossed)
-                if role == APART:
-                    continue
-                if nearing > slow and -gap > max(memory.past[2], h * nearing):
-                    sunk = max(sunk, -gap)
-                touches.hit[m] = role == HIT
-                touches.wanted[m, 0] = touches.wanted[m, 1] = 0.0
-                if role == HIT:
-                    touches.wanted[m, 0] = -numbers.materials[material, 2] * nearing
-                    approach = max(approach, nearing)
-                    closing = max(closing, -gap)
-                    if -gap > _SUNK * size:
-                        sunk = max(sunk, -gap)
-                else:
-                    # No deeper than an impact leaves a contact does it stay.
-                    above, level = min(above, gap + lowest), max(level, -lowest)
-                    # On the way to the next look it is to be where it is kept, and the velocities
-                    # of what sticks to be none on average. What is deeper than turning takes it
-                    # was moved there by a change of features: it goes back no faster than forces
-                    # take it, or than it came.
-                    # So is what bears nothing any more and is not out yet: nothing kicks it. What
-                    # leaves as its force falls to zero turns no faster than forces move it.
-                    kept = place >= 0 and memory.contacts[place, 1] != 0.0
-                    turn, shift = turned(memory, place, m, touches) if kept else (0.0, 0.0)
-                    if not lasting and abs(turn) > gained:
-                        turn = shift = 0.0
-                    if above < 0.0:
-                        above = min(above - 0.5 * since * min(turn, 0.0), 0.0)
-                    back, part = max(0.5 * gained, nearing), 0.5 * h / since
-                    touches.wanted[m, 0] = max(above / h + part * turn, -back)
-                    touches.wanted[m, 1] = part * shift
-                    approach = max(approach, nearing)
-                for d in range(3):
-                    touches.materials[m, d] = numbers.materials[material, d]
-                touches.keys[m, 0], touches.keys[m, 1] = pair, features[at]
-                touches.memory[m, 0] = level
-                touches.memory[m, 1] = 0.0 if lasting or role == HIT else above
-                if not lasting:
-                    # An impact's impulses say nothing of the next.
-                    touches.pushes[m, 0] = touches.pushes[m, 1] = 0.0
-                m += 1
+            for at in range(near):
+                look.gaps[pair.body] = min(look.gaps[pair.body], found[at, 4])
+                if pair.other >= 0:
+                    look.gaps[pair.other] = min(look.gaps[pair.other], found[at, 4])
+                if _takes_part(
+                    numbers, ground, memory, look, pair, times, at, at_old, m, points, touches
+                ):
+                    m += 1
                 if m == len(touches.hit):
-                    return Seen(-1, approach, closing, passed, sunk)
-    return Seen(m, approach, closing, passed, sunk)
+                    return Seen(-1, worst[0], worst[1], worst[2], worst[3])
+    return Seen(m if many >= 0 else -1, worst[0], worst[1], worst[2], worst[3])

@@ -72,6 +72,16 @@ def slope(cone: Array) -> float:
 
 
 @part
+def rates_moved(contacts: ContactRows) -> int:
+    """Return how many rates there are."""
+    places, count = contacts.places, 0
+    for i in range(places.shape[0]):
+        for k in range(places.shape[1]):
+            count = max(count, places[i, k] + 1)
+    return count
+
+
+@part
 def add(contacts: ContactRows, i: int, normal: float, tangential: float, rates: Array) -> None:
     """Add to the rates what an impulse of contact i does to them."""
     places, columns = contacts.places, contacts.columns
@@ -201,11 +211,11 @@ def swept(
     most : int
         Sweeps; `count` are done before.
     """
-    rates = np.zeros(contacts.places.max() + 1)
+    rates = np.zeros(rates_moved(contacts))
     moved(contacts, impulses, rates)
     best, lowest = impulses.copy(), residual(contacts, least, impulses, rates)
-    now, change = impulses.copy(), np.empty_like(impulses)
-    along, carried = np.zeros_like(impulses), np.zeros_like(rates)
+    now, change = impulses.copy(), np.empty((len(impulses), 2))
+    along, carried = np.zeros((len(impulses), 2)), np.zeros(len(rates))
     earlier = rates.copy()
     before = 0.0
     for sweep in range(most):

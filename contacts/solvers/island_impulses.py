@@ -18,6 +18,7 @@ from contacts.solvers.contact_rows import (
     add,
     moved,
     own_compliances,
+    rates_moved,
     residual,
     slope,
     swept,
@@ -70,7 +71,7 @@ def solve_rows(
     if parting:
         impulses[:] = 0.0
         return 0.0, 0
-    rates = np.zeros(contacts.places.max() + 1)
+    rates = np.zeros(rates_moved(contacts))
     moved(contacts, impulses, rates)
     left = residual(contacts, least, impulses, rates)
     if left <= _VERIFIED:
@@ -162,9 +163,9 @@ def _by_lemke(contacts: ContactRows, least: Array, felt: Array, impulses: Array)
 @part
 def _velocities(contacts: ContactRows, impulses: Array) -> Array:
     """Return how impulses change the velocities (m, 2) of the contacts."""
-    rates = np.zeros(contacts.places.max() + 1)
+    rates = np.zeros(rates_moved(contacts))
     moved(contacts, impulses, rates)
-    result = np.zeros_like(impulses)
+    result = np.zeros((len(impulses), 2))
     for i in range(len(impulses)):
         for d in range(2):
             for k in range(contacts.places.shape[1]):
@@ -179,17 +180,18 @@ def _rebounding(
 ) -> tuple[float, int, bool]:  # fmt: skip
     """Find impulses with restitution that adds no energy; see `island_impulses`."""
     good, plastic = max(allowed, _GOOD), impulses.copy()
-    left, done = solve_rows(contacts, free + wanted, impulses, allowed, rests)
-    changes = _velocities(contacts, impulses)
-    gains = left > good or part_within(impulses, before, free, changes, 0.0) < 1.0
-    if not gains or not rebounds.any():
-        return left, done, False
-    # Without it nobody knows how much energy restitution may give back.
-    soft = free + wanted
+    least, some = free + wanted, False
+    left, done = solve_rows(contacts, least, impulses, allowed, rests)
     for i in range(len(impulses)):
         if rebounds[i]:
-            soft[i, 0] = free[i, 0]
-    calm, further = solve_rows(contacts, soft, plastic, allowed, False)
+            least[i, 0], some = free[i, 0], True
+    if not some:
+        return left, done, False
+    changes = _velocities(contacts, impulses)
+    if left <= good and part_within(impulses, before, free, changes, 0.0) >= 1.0:
+        return left, done, False
+    # Without it nobody knows how much energy restitution may give back.
+    calm, further = solve_rows(contacts, least, plastic, allowed, False)
     if left > good or calm > good:
         put_rows(plastic, impulses)
         return calm, done + further, True

@@ -15,7 +15,15 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_rows import HELD, ContactRows, moved, residual, seen, slope
+from contacts.solvers.contact_rows import (
+    HELD,
+    ContactRows,
+    moved,
+    rates_moved,
+    residual,
+    seen,
+    slope,
+)
 from contacts.solvers.proximal_path import followed
 from contacts.solvers.status_equations import (
     OPEN,
@@ -120,7 +128,7 @@ def by_proximal_points(
         Residual.
     """
     count = len(impulses)
-    rates = np.zeros(contacts.places.max() + 1)
+    rates = np.zeros(rates_moved(contacts))
     moved(contacts, impulses, rates)
     lowest = residual(contacts, least, impulses, rates)
     equations = equations_of(contacts)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.solvers.contact_rows import ContactRows
+from contacts.solvers.contact_rows import ContactRows, rates_moved
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel, part
 
@@ -99,7 +99,7 @@ def pattern_of(contacts: ContactRows) -> Pattern:
         Of bodies: of the six rates that a contact moves three are one body's; three that are one
         stand for what nothing moves.
     """
-    bodies = contacts.places.max() // 3 + 1
+    bodies = (rates_moved(contacts) + 2) // 3
     first, sizes = np.empty(bodies + 1, np.int64), np.empty(bodies, np.int64)
     mark = np.full(bodies, -1)
     pool = _neighbours(contacts, first, sizes, mark)

@@ -19,6 +19,7 @@ from contacts.solvers.contact_rows import (
     add,
     moved,
     one_contact,
+    rates_moved,
     residual,
     seen,
     slope,
@@ -122,10 +123,11 @@ def _solve(
         for d in range(2 if status[i] == STICKS else 1 if status[i] == SLIDES else 0):
             whose[at], which[at] = i, d
             at += 1
-    scales = np.empty(count)
+    scales, order = np.empty(count), np.empty(count, np.int64)
     for a in range(count):
+        order[a] = a
         scales[a] = 1.0 / np.sqrt(max(contacts.own[whose[a], which[a]], 1e-300))
-    matrix, felt, width = np.empty((count, count)), np.zeros_like(rates), contacts.places.shape[1]
+    matrix, felt, width = np.empty((count, count)), np.zeros(len(rates)), contacts.places.shape[1]
     for b in range(count):
         j = whose[b]
         slides = status[j] == SLIDES
@@ -140,7 +142,7 @@ def _solve(
         for k in range(width):
             felt[contacts.places[j, k]] = 0.0
         matrix[b, b] += _PROXIMAL
-    order, right, step = np.arange(count), np.empty(count), np.empty(count)
+    right, step = np.empty(count), np.empty(count)
     if not eliminated(matrix, order):
         return False
     for _ in range(_CORRECTIONS):
@@ -206,7 +208,7 @@ def by_status(
     most : int
         Steps, `STEPS` of which are of use.
     """
-    rates = np.zeros(contacts.places.max() + 1)
+    rates = np.zeros(rates_moved(contacts))
     moved(contacts, impulses, rates)
     lowest = residual(contacts, least, impulses, rates)
     best, now = impulses, impulses.copy()

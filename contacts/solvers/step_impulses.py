@@ -263,7 +263,7 @@ def capped(
     limit = max(begin, 0.0) + _WORK_ROUNDING * _sizes(before, free, elastic)
     if end <= limit:
         return elastic, 1.0
-    curvature, chosen = 0.0, np.empty_like(elastic)
+    curvature, chosen = 0.0, np.empty((len(elastic), 2))
     for i in range(len(elastic)):
         for d in range(2):
             further = elastic[i, d] - plastic[i, d]
