@@ -68,7 +68,8 @@ _KNOWN = 2**15
 
 def made_ready(stepping: Stepping, begun: Begun, span: Span) -> SteppedRun:
     """Return a run of a scene from its initial state."""
-    values = begun.setup.values
+    values, (record, watch) = begun.setup.values, span.keeping
+    told = record is Record.MODES or begun.control is not None
     recorder = Recorder(
         stepping.regions[: len(begun.codes)],
         begun.codes,
@@ -79,9 +80,8 @@ def made_ready(stepping: Stepping, begun: Begun, span: Span) -> SteppedRun:
         lambda state, time: float(stepping.energy.at(state, values, time)[0]),
         len(stepping.angles),
         # Controllers wait for the events of regions.
-        span.keeping.record is Record.MODES
-        or begun.control is not None
-        or (span.keeping.watch is not None and span.keeping.watch.events),
+        told or (watch is not None and watch.events),
+        told or (watch is not None and watch.motion),
     )
     return SteppedRun(stepping, begun, recorder, span)
 

@@ -59,6 +59,9 @@ class Recorder:
     modes : bool
         Whether modes and jumps of regions are told; else it is counted how many jumps there are,
         and arcs end where they would.
+    arcs_too : bool
+        Whether somebody looks at arcs; else they are made of the last step alone, in which a stop
+        condition may be met.
 
     Attributes
     ----------
@@ -77,6 +80,7 @@ class Recorder:
     energy: Callable[[Array, float], float]
     coordinates: int
     modes: bool = True
+    arcs_too: bool = True
     clock: Clock = field(default_factory=Clock)
     arcs: list[Arc] = field(default_factory=list)
     jumps: list[Jump] = field(default_factory=list)
@@ -95,6 +99,8 @@ class Recorder:
 
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
+        if not self.arcs_too:
+            chunk = self._last(chunk)
         shown = self._shown(chunk.codes)
         hit: Bools = np.any(chunk.struck, axis=1)
         changed = self._changed(shown) | hit
@@ -111,6 +117,18 @@ class Recorder:
             if last > first:
                 self._note_shared(chunk.shared[first:last])
                 self._flow(chunk, first, last)
+
+    def _last(self, chunk: Chunk) -> Chunk:
+        """Count the jumps of all steps but the last, and return that one."""
+        last = len(chunk.codes) - 1
+        shown, hit = self._shown(chunk.codes)[:last], chunk.struck[:last].any(axis=1)
+        changed = shown != np.vstack([self.row, shown[:-1]]) if last else np.zeros((0, 1))
+        self.count += int(hit.sum()) + int(changed[~hit].sum())
+        if last:
+            self.row, self._raw = shown[-1], chunk.codes[last - 1]
+        self._open, self._size = [], 0
+        self.clock = self._began = self.clock.later(last * chunk.h)
+        return chunk.after(last)
 
     def changes(self, chunk: Chunk) -> Bools:
         """Return the steps (k,) in which `add` will record jumps."""

@@ -20,6 +20,11 @@ class Watch(Protocol):
         """Whether it looks at jumps and modes; arcs have no modes, else."""
         ...
 
+    @property
+    def motion(self) -> bool:
+        """Whether it looks at arcs and jumps between the start and the end."""
+        ...
+
     def add(self, piece: Trace) -> None:
         """Take the arcs and jumps since the last time."""
         ...

@@ -45,6 +45,16 @@ class OnTheWay:
         during = any(output.during for output in outputs.integrals.values())
         return bool(outputs.at or outputs.counts or during)
 
+    @property
+    def motion(self) -> bool:
+        """Whether it looks at what is between the start and the end."""
+        outputs, programs = self._outputs, self._observer.programs
+        if self.events or outputs.extremes or outputs.integrals:
+            return True
+        values = programs.expressions([*outputs.start.values(), *outputs.end.values()])
+        # Of a step that holds an impulse others tell the forces.
+        return bool(programs.needed(values))
+
     def add(self, piece: Trace) -> None:
         """Take the arcs and jumps since the last time."""
         regions = self._observer.automaton.regions

@@ -10,6 +10,8 @@ import xarray as xr
 from runs import automaton
 
 import models
+from contacts.time_stepping import recorder
+from statechart.automaton.trace import Arc, Outcome
 from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
@@ -135,6 +137,30 @@ def test_outputs_of_every_kind_are_the_same_to_the_bit():
     assert outputs["never"] is None
     assert outputs["flown"] > 0.0
     assert found[0][1].outcome.name == "STOPPED"
+
+
+@pytest.mark.parametrize(
+    "asked", ["", "outputs: {height: {value: ball.y}, speed: {value: ball.dy}}"]
+)
+def test_what_looks_at_the_ends_alone_gets_no_arcs_of_what_is_between(asked, monkeypatch):
+    text = BALL.partition("outputs:")[0] + asked + "\nsettings: {engine: impulse, step: 1e-3}"
+    made = []
+
+    def counted(*values):
+        made.append(values)
+        return Arc(*values)
+
+    monkeypatch.setattr(recorder, "Arc", counted)
+    thrown = built(text)
+    found = runs(thrown, 1e-3, 3.0)
+    assert found[0][1].outcome is Outcome.STOPPED
+    assert_alike(found)
+    made.clear()
+    Observers(thrown).at(Setting("impulse", step=1e-3, record="nothing")).simulator.run(
+        {}, until=3.0
+    )
+    # Of each chunk of 512 steps the last alone, in which the run may be stopped.
+    assert sum(len(values[4]) - 1 for values in made) <= 2 * 3
 
 
 def test_controllers_act_the_same_whatever_is_kept():
