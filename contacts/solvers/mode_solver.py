@@ -13,7 +13,8 @@ from contacts.solvers.saddle_point import (
     SINGULAR,
     SOLVED,
     UNDETERMINED,
-    solve_refined,
+    room,
+    solve_in,
 )
 from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
@@ -88,14 +89,17 @@ def _write_rows(
     columns: Array,
     first: Ints,
     bearing: Ints,
+    rank: int,
     matrix: Array,
 ) -> None:
     """Write the leading rows and columns of a saddle point, by their orders, beside the mass."""
     n = rows.shape[1]
-    for k in range(n, len(matrix)):
+    for k in range(rank):
         for i in range(n):
-            matrix[i, k] = -columns[bearing[k - n], i]
-            matrix[k, i] = rows[first[k - n], i]
+            matrix[i, n + k] = -columns[bearing[k], i]
+            matrix[n + k, i] = rows[first[k], i]
+        for i in range(rank):
+            matrix[n + k, n + i] = 0.0
 
 
 @part
@@ -166,6 +170,8 @@ def solve_modes(
     rows, columns = np.empty((2 * contacts, n)), np.empty((2 * contacts, n))
     constants, directions = np.empty(2 * contacts), np.empty((2 * contacts, 2))
     owners, in_order = np.empty(2 * contacts, np.int64), np.arange(2 * contacts)
+    size = n + 2 * contacts
+    matrix, b, x, memory = np.empty((size, size)), np.empty(size), np.empty(size), room(size)
     for k in range(count):
         code, verdict, force = codes[k], verdicts[k], forces[k]
         verdict[0], verdict[1], verdict[2], verdict[3] = -math.inf, 0.0, 0.0, 0.0
@@ -195,14 +201,12 @@ def solve_modes(
                 continue
             if rank < m:
                 first, bearing = row_order, order
-        size = n + rank
-        matrix, b, x = np.zeros((size, size)), np.empty(size), np.empty(size)
         put_rows(mass, matrix)
-        _write_rows(rows, columns, first, bearing, matrix)
+        _write_rows(rows, columns, first, bearing, rank, matrix)
         put(right, b)
         for i in range(rank):
             b[n + i] = constants[first[i]]
-        status[k] = solve_refined(matrix, b, x)
+        status[k] = solve_in(memory, matrix, b, x, n + rank)
         if status[k] != SOLVED:
             continue
         for i in range(n):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,33 +46,70 @@ def largest_in_column(matrix: Array, k: int) -> float:
     return largest
 
 
+class Room(NamedTuple):
+    """Memory to solve systems of up to s unknowns in.
+
+    Attributes
+    ----------
+    factors, errors : (s, s) array
+    column_scale, y, residual : (s,) array
+    order : (s,) array of int64
+    """
+
+    factors: Array
+    errors: Array
+    column_scale: Array
+    y: Array
+    residual: Array
+    order: Ints
+
+
 @part
-def _equilibrate(scaled: Array, b: Array) -> Array:
-    """Bring rows and columns to size 1, in place, by powers of two; return those of the columns."""
-    size = len(b)
-    column_scale = np.empty(size)
+def room(size: int) -> Room:
+    """Return memory for systems of up to so many unknowns."""
+    return Room(
+        np.empty((size, size)),
+        np.empty((size, size)),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size, np.int64),
+    )
+
+
+@part
+def _equilibrate(scaled: Array, b: Array, size: int, column_scale: Array) -> None:
+    """Bring rows and columns to size 1, in place, by powers of two; write those of the columns."""
     # Columns first: masses may span many decades.
     for k in range(size):
-        scale = power_of_two(largest_in_column(scaled, k))
+        largest = 0.0
+        for i in range(size):
+            largest = max(largest, abs(scaled[i, k]))
+        scale = power_of_two(largest)
         for i in range(size):
             scaled[i, k] *= scale
         column_scale[k] = scale
     for i in range(size):
-        scale = power_of_two(largest_size(scaled[i]))
+        largest = 0.0
+        for k in range(size):
+            largest = max(largest, abs(scaled[i, k]))
+        scale = power_of_two(largest)
         for k in range(size):
             scaled[i, k] *= scale
         b[i] *= scale
-    return column_scale
 
 
 @part
-def _factorise(factors: Array, order: Ints) -> bool:
+def _factorise(factors: Array, order: Ints, errors: Array) -> bool:
     """Eliminate with partial pivoting, in place; False where no pivot is left.
 
     A pivot that its own rounding could have made of zero is none: running error analysis
     (Wilkinson 1963), to the first order, of entries that are known to a rounding each.
     """
-    size, errors = len(order), np.abs(factors) * _ROUNDING
+    size = len(order)
+    for i in range(size):
+        for k in range(size):
+            errors[i, k] = abs(factors[i, k]) * _ROUNDING
     for k in range(size):
         best = k
         for i in range(k + 1, size):
@@ -145,11 +183,20 @@ def solve_refined(scaled: Array, b: Array, x: Array) -> int:
 
     Matrix and right side are equilibrated in place, by powers of two (exact).
     """
-    size = len(b)
-    column_scale = _equilibrate(scaled, b)
-    factors, y, residual, order = scaled.copy(), np.empty(size), b.copy(), np.arange(size)
-    x[:] = 0.0
-    if not _factorise(factors, order):
+    return solve_in(room(len(b)), scaled, b, x, len(b))
+
+
+@part
+def solve_in(memory: Room, scaled: Array, b: Array, x: Array, size: int) -> int:
+    """Do what `solve_refined` does, of the first unknowns of larger arrays."""
+    factors, errors, column_scale, y, residual, orders = memory
+    order = orders[:size]
+    _equilibrate(scaled, b, size, column_scale)
+    for i in range(size):
+        order[i], residual[i], x[i] = i, b[i], 0.0
+        for k in range(size):
+            factors[i, k] = scaled[i, k]
+    if not _factorise(factors, order, errors):
         return SINGULAR
     for _ in range(3):
         substitute(factors, order, residual, y)

@@ -40,6 +40,8 @@ the integration began and its rounding, series (n, d + 1), tolerance, longest st
 def stray(row: Array, h: float, series: Array, offs: Array, reaches: Array) -> float:
     """How far the slope at the end of a step is off the rate there, in parts of the motion.
 
+    Infinite where the step is not finite.
+
     Writes how far it is of each variable (n,), and how large each is and moves in the step.
     """
     worst, size = 0.0, LEAST_MOTION
@@ -50,24 +52,36 @@ def stray(row: Array, h: float, series: Array, offs: Array, reaches: Array) -> f
             reach += k * abs(row[v, k])
         off = abs(slope - h * series[v, 1])
         offs[v], reaches[v] = off, reach
-        if off != off:
+        if not (off < math.inf and reach < math.inf):
             return math.inf
         worst, size = max(worst, off), max(size, reach)
     return worst / size
 
 
 @part
-def expand(series: Array, h: float, row: Array) -> bool:
-    """Write a series in time as a polynomial in s = time / h; False if it is not finite."""
-    bounded = True
+def expand(series: Array, h: float, row: Array, powers: Array) -> None:
+    """Write a series in time as a polynomial in s = time / h, and the powers (d + 1,) of h.
+
+    Term by term without a look at any: so processors do many at once.
+    """
+    factor = 1.0
+    for k in range(series.shape[1]):
+        powers[k] = factor
+        factor *= h
     for v in range(series.shape[0]):
-        factor = 1.0
         for k in range(series.shape[1]):
             # Nothing to a power beyond all floats is nothing.
-            value = series[v, k] * factor if series[v, k] != 0.0 else 0.0
-            row[v, k] = value
-            factor *= h
-            bounded = bounded and abs(value) < math.inf
+            value = series[v, k] * powers[k]
+            row[v, k] = 0.0 if series[v, k] == 0.0 else value
+
+
+@part
+def _finite(row: Array) -> bool:
+    """Whether all terms of a step are."""
+    bounded = True
+    for v in range(row.shape[0]):
+        for k in range(row.shape[1]):
+            bounded = bounded and abs(row[v, k]) < math.inf
     return bounded
 
 
@@ -116,7 +130,7 @@ def _taylor_steps(
     address, state, parameters, clock, series, tolerance, max_step = integrator
     n, allowed = series.shape[0], max(STRAY, ORDERS * tolerance)
     step, here, begun = np.empty(1), np.empty(n), np.empty(n)
-    offs, reaches = np.empty(n), np.empty(n)
+    offs, reaches, powers = np.empty(n), np.empty(n), np.empty(series.shape[1])
     left, total, taken = duration, 0.0, 0
     longest, off, halvings, done, again = max_step, math.inf, 0, False, False
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
@@ -145,7 +159,8 @@ def _taylor_steps(
             return taken, taken, h, left
         h, again = step[0], False
         put(here, begun)
-        bounded = expand(series, h, coeffs[first + taken])
+        expand(series, h, coeffs[first + taken], powers)
+        bounded = _finite(coeffs[first + taken])
         taken += 1
         summed, length, since, rest = total, left, clock[0], clock[1]
         let_pass(clock, h)

@@ -26,9 +26,11 @@ from statechart.kernels.lift import Program as Following
 from statechart.kernels.lift import following, lift_any
 from statechart.kernels.polynomials import cut_steps, horner
 from statechart.kernels.resolution import roughen
+from statechart.kernels.roots import value_at
 from statechart.kernels.search import (
     CROSSING,
     NONE,
+    Ready,
     clear_whole,
     ready_along,
     search,
@@ -205,8 +207,8 @@ def flow_to_event(
 ) -> tuple[int, int, int, int]:
     """Flow in a mode from `initial`; write the steps and, to `initial`, the state at their end.
 
-    A step is searched when the one after it has been made, with whose series its slope at the end
-    is compared: one step at most is made in vain.
+    A step is searched when it has been made, and its slope at the end compared with the rates
+    there, with which the series of the next begins.
 
     Parameters
     ----------
@@ -237,6 +239,7 @@ def flow_to_event(
     margins, n = row[MARGINS], initial.shape[0]
     guards, rates = outputs[:margins], outputs[margins:]
     tolerances, offs, sizes = np.empty(margins), np.empty(n), np.empty(n)
+    powers = np.empty(series.shape[1])
     doubtful = np.zeros(coeffs.shape[0], np.bool_)
     for i in range(margins):
         own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
@@ -255,36 +258,17 @@ def flow_to_event(
     while True:
         if chunk_end > coeffs.shape[0]:
             return UNUSUAL, -1, 0, boxes
-        # After the last step before an end, one of no length: for the series alone.
         h[0] = min(left, pace.max_step)
         lift_any(follows, state, start + times[made])
         call_step(address, state, pars, clock, h, series)
         if pending:
             if stray(coeffs[made - 1], length, series, offs, sizes) > allowed:
                 return UNUSUAL, -1, 0, boxes
-            if clear_whole(ready, guards, tolerances, made - 1, jets):
-                boxes += 1
-            else:
-                found = search_step(ready, guards, tolerances, made - 1, BOXES)
-                boxes += found[6]
             doubtful[made - 1] = not _followed(
                 ready[0], rates, watch, pace, offs, sizes, length, jets
             )
-            if found[0] != NONE:
-                break
-            if left == 0.0:
-                if end == duration:
-                    break
-                horizon *= GROWTH
-                end = min(times[made] + horizon, duration)
-                _enter(program, row, watch, memory, ended, start + times[made])
-                base, total, left, pending = times[made], 0.0, end - times[made], False
-                chunk = min(chunk + chunk // 2, LONGEST_CHUNK)
-                chunk_end = made + chunk
-                continue
         length = h[0]
-        if not expand(series, length, coeffs[made]):
-            return UNUSUAL, -1, 0, boxes
+        expand(series, length, coeffs[made], powers)
         let_pass(clock, length)
         total += length
         made, pending = made + 1, True
@@ -305,7 +289,28 @@ def flow_to_event(
                 > NEAR
             ):  # fmt: skip
                 return UNUSUAL, -1, 0, boxes
-        if made == chunk_end and not last:
+        if clear_whole(ready, guards, tolerances, made - 1, jets):
+            boxes += 1
+        else:
+            found = search_step(ready, guards, tolerances, made - 1, BOXES)
+            boxes += found[6]
+        if last or found[0] != NONE:
+            # No step follows whose series would begin with the rates.
+            _rates_at_end(ready, rates, made - 1, series)
+            if stray(coeffs[made - 1], length, series, offs, sizes) > allowed:
+                return UNUSUAL, -1, 0, boxes
+            doubtful[made - 1] = not _followed(
+                ready[0], rates, watch, pace, offs, sizes, length, jets
+            )
+            if found[0] != NONE or end == duration:
+                break
+            horizon *= GROWTH
+            end = min(times[made] + horizon, duration)
+            _enter(program, row, watch, memory, ended, start + times[made])
+            base, total, left, pending = times[made], 0.0, end - times[made], False
+            chunk = min(chunk + chunk // 2, LONGEST_CHUNK)
+            chunk_end = made + chunk
+        elif made == chunk_end:
             chunk = min(chunk + chunk // 2, LONGEST_CHUNK)
             chunk_end += chunk
             base, total, left = times[made], 0.0, end - times[made]
@@ -328,6 +333,15 @@ def flow_to_event(
     count = cut_steps(times, coeffs, made, cut, initial)
     lift_any(follows, initial, start + times[count])
     return EVENT, guard, count, boxes
+
+
+@part
+def _rates_at_end(ready: Ready, rates: Ints32, step: int, series: Array) -> None:
+    """Write the rates where a step ends, as a series from there begins with them."""
+    along, regs = ready[0], ready[3]
+    value_at(along, step, rates[0], 1.0, regs)
+    for v in range(rates.shape[0]):
+        series[v, 1] = regs[rates[v], 0]
 
 
 @part

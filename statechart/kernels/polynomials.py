@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import beside, part, seldom
 
 
 @part
@@ -19,11 +19,12 @@ def horner(coeffs: Array, step: int, v: int, s: float) -> float:
     return value
 
 
-@part
+@beside
 def values_at(coeffs: Array, step: int, v: int, places: Array, values: Array) -> None:
     """Write the values (m,) of a variable at places (m,) of a step.
 
-    Term by term for all of them: none waits for another.
+    Term by term for all of them: none waits for another. Compiled for itself: where it is known
+    how many they are, they are not computed side by side.
     """
     top, count = coeffs.shape[2] - 1, places.shape[0]
     term = coeffs[step, v, top]
