@@ -30,12 +30,11 @@ from statechart.kernels.roots import value_at
 from statechart.kernels.search import (
     CROSSING,
     NONE,
-    Ready,
     clear_whole,
-    ready_along,
     search,
     search_step,
 )
+from statechart.kernels.search_memory import Memory, Ready, ready_along, room
 from statechart.kernels.tapes import tape_values
 
 ENDED, EVENT, UNUSUAL = range(3)
@@ -125,6 +124,17 @@ class Scratch(NamedTuple):
         At least as many as any mode takes.
     clock : (2,) array
     series : (n, terms) array
+    powers : (terms,), length : (1,) array
+        Of the length of a step.
+    offs, sizes : (n,) array
+        Of a step, see `statechart.engines.taylor_loop.stray`.
+    doubtful : (s,) array of bool
+        Steps.
+    tolerances : (m,) array
+        Of margins; at least as many as any mode has, likewise for what follows.
+    searched : Memory
+    whole : (r, 6) array
+        Ranges over a step.
     """
 
     times: Array
@@ -134,18 +144,38 @@ class Scratch(NamedTuple):
     pars: Array
     clock: Array
     series: Array
+    powers: Array
+    length: Array
+    offs: Array
+    sizes: Array
+    doubtful: Bools
+    tolerances: Array
+    searched: Memory
+    whole: Array
 
 
-def scratch(steps: int, variables: int, terms: int) -> Scratch:
-    """Return memory for flows of so many steps, in modes that take no parameters."""
+def scratch(
+    steps: int, terms: int, modes: NDArray[np.int64], variables: int, parameters: int
+) -> Scratch:
+    """Return memory for flows of so many steps, in modes as those of a `Program`."""
+    _, operations, _, constants, _, outputs = modes[:, WATCHED : WATCHED + 6].max(axis=0).tolist()
+    registers = variables + 1 + parameters + constants + operations
     return Scratch(
         np.zeros(steps + 1),
         np.empty((steps, variables, terms)),
         np.empty(variables),
         np.empty(variables),
-        np.empty(0),
+        np.empty(modes[:, PARS].max()),
         np.zeros(2),
         np.empty((variables, terms)),
+        np.empty(terms),
+        np.empty(1),
+        np.empty(variables),
+        np.empty(variables),
+        np.empty(steps, np.bool_),
+        np.empty(modes[:, MARGINS].max()),
+        Memory(*room(registers, operations, outputs, variables)),
+        np.empty((registers, 6)),
     )
 
 
@@ -235,12 +265,11 @@ def flow_to_event(
     parameters, address = watch.parameters, row[ADDRESS]
     code, constants, outputs, reads, n_fixed = tape_of(program, row[WATCHED : WATCHED + TAPE])
     off_code, off_constants, off_outputs, _, _ = tape_of(program, watch.off)
-    pars, h = memory.pars[: row[PARS]], np.empty(1)
+    pars, h = memory.pars[: row[PARS]], memory.length
     margins, n = row[MARGINS], initial.shape[0]
     guards, rates = outputs[:margins], outputs[margins:]
-    tolerances, offs, sizes = np.empty(margins), np.empty(n), np.empty(n)
-    powers = np.empty(series.shape[1])
-    doubtful = np.zeros(coeffs.shape[0], np.bool_)
+    tolerances, offs, sizes = memory.tolerances, memory.offs, memory.sizes
+    powers, doubtful, jets = memory.powers, memory.doubtful, memory.whole
     for i in range(margins):
         own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
         tolerances[i] = own if own >= 0.0 else watch.kinds[program.ints[row[MARGINS_AT] + 2 * i]]
@@ -251,9 +280,12 @@ def flow_to_event(
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
     lift_any(follows, initial, start)
-    ready = ready_along(code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start)
-    jets = ready[4].copy()
-    jets[:, 2:] = 0.0
+    ready = ready_along(
+        code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start, memory.searched
+    )  # fmt: skip
+    for r in range(ready[0][1] + code.shape[0]):
+        jets[r, 0], jets[r, 1] = ready[4][r, 0], ready[4][r, 1]
+        jets[r, 2] = jets[r, 3] = jets[r, 4] = jets[r, 5] = 0.0
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:

@@ -63,7 +63,6 @@ class Modes:
         self._compiled: dict[Kind, CompiledMode] = {}
         self._entries: dict[Kind, Entry] = {}
         self._bands: dict[str, int] = {}
-        self._memory: Scratch | None = None
         self._loop: Loop | None = None
         self._asked, self._worth = 0, False
         self._calls: dict[tuple[str, ...], RowCall | None] = {}
@@ -171,13 +170,9 @@ class Modes:
             )
         tapes = np.array([packed.tape(tape) for tape in self._ordinary.tapes], np.int64)
         # Of one engine, and so of one order.
-        pace, memory = entry.pace, self._memory
-        if memory is None:
-            numbers = self._ordinary.tapes[0]
-            steps = max(min(_STEPS, _PART // (numbers.n_variables * pace.terms)), 1)
-            memory = scratch(steps, numbers.n_variables, pace.terms)
-        takes = max(len(memory.pars), *(entry.takes for entry in self._entries.values()))
-        self._memory = memory = memory._replace(pars=np.empty(takes))
+        pace, n = entry.pace, len(self._automaton.variables)
+        steps = max(min(_STEPS, _PART // (n * pace.terms)), 1)
+        memory = scratch(steps, pace.terms, rows, n, len(self._automaton.parameters))
         return Loop(
             packed.program(rows), tapes, pace, memory, tuple(self._bands), tuple(self.kinds)
         )

@@ -6,8 +6,6 @@ then the others' operations are skipped.
 
 from __future__ import annotations
 
-import numpy as np
-
 from statechart.arrays import Ints, Ints32
 from statechart.kernels.boxes import Along
 from statechart.kernels.jit import part
@@ -28,17 +26,21 @@ def bit(output: int) -> int:
 
 
 @part
-def needed(along: Along, outputs: Ints32, registers: int) -> Needed:
+def follow(along: Along, outputs: Ints32, needed: Needed) -> None:
     """Follow which registers the outputs need; of operations, those that `along` runs."""
-    code, base, first, last, reads = along[:5]
-    needs = np.zeros(registers, np.int64)
+    needs, chosen, _, kept = needed
+    code, base, first, last = along[:4]
+    for r in range(base + code.shape[0]):
+        needs[r] = 0
     for i in range(outputs.shape[0]):
         needs[outputs[i]] |= bit(i)
+    for k in range(code.shape[0]):
+        chosen[k, 0], chosen[k, 1], chosen[k, 2] = code[k, 0], code[k, 1], code[k, 2]
     for k in range(last - 1, first - 1, -1):
         needs[code[k, 1]] |= needs[base + k]
         if code[k, 0] <= POW:
             needs[code[k, 2]] |= needs[base + k]
-    return needs, code.copy(), np.empty(reads.shape[0], np.int32), np.zeros(3, np.int64)
+    kept[0] = kept[1] = kept[2] = 0
 
 
 @part

@@ -18,19 +18,16 @@ from statechart.kernels.boxes import (
 from statechart.kernels.intervals import INF, LIBM
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel, part
-from statechart.kernels.needed import Needed, bit, narrowed, needed
+from statechart.kernels.needed import bit, narrowed
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.roots import last_place, value_at
-from statechart.kernels.tapes import filled, run_tape
+from statechart.kernels.search_memory import BOXES, Ready, ready_along, room
 
 NONE, CROSSING, GRAZE, BUDGET, NON_FINITE = range(5)
 
 NARROW = 2.0**-48  # of a step: narrower boxes tell nothing new in float64
 
 FLAT = 2.0**-12  # likewise: nothing that a step resolves is within rounding of zero thrice in it
-
-# Boxes still to see, at most: halves of halves down to the narrowest.
-_BOXES = 64
 
 Scratch = tuple[Array, Array, Array, Array]
 """Memory to evaluate in: bounds of third derivatives, registers, jets, evidence on one output."""
@@ -209,41 +206,6 @@ def _decided(
     return STUCK, INF, INF
 
 
-Ready = tuple[Along, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
-"""A tape that is evaluated along steps, with what depends on parameters alone: see `Along`, and
-`Needed`; bounds of third derivatives, registers, jets; evidence on the outputs; boxes still to see,
-and the outputs that are undecided in them."""
-
-
-@part
-def ready_along(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    times: Array,
-    coeffs: Array,
-    parameters: Array,
-    start: float,
-) -> Ready:
-    """Evaluate what depends on parameters alone."""
-    n, count = coeffs.shape[1], outputs.shape[0]
-    base, regs = filled(code, constants, parameters, n, 1)
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
-    run_tape(code, 0, n_fixed, base, regs, 1)
-    jets = np.zeros((regs.shape[0], 6))
-    for r in range(n + 1, base):
-        jets[r, 0] = jets[r, 1] = regs[r, 0]
-        if not abs(regs[r, 0]) < INF:
-            jets[r, 0], jets[r, 1] = -INF, INF
-    run_jets(code, 0, n_fixed, base, jets, 2)
-    work, ends = np.empty((count + 1, 11)), np.empty((2, _BOXES))
-    marks = np.empty((_BOXES + 1, count), dtype=np.uint8)
-    needs = needed(along, outputs, regs.shape[0])
-    return along, needs, np.zeros(n), regs, jets, work, ends, marks
-
-
 @kernel
 def search(
     code: Ints32,
@@ -269,7 +231,12 @@ def search(
     for i in range(outputs.shape[0]):
         if not tolerances[i] >= 0.0:
             raise ValueError("the tolerances of margins are numbers >= 0")
-    ready = ready_along(code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start)
+    n = coeffs.shape[1]
+    registers = n + 1 + parameters.shape[0] + constants.shape[0] + code.shape[0]
+    memory = room(registers, code.shape[0], outputs.shape[0], n)
+    ready = ready_along(
+        code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start, memory
+    )  # fmt: skip
     return search_along(ready, outputs, tolerances, first, last, budget)
 
 
@@ -292,10 +259,10 @@ def clear_whole(ready: Ready, outputs: Ints32, tolerances: Array, step: int, jet
 
 
 @part
-def _undecided(marks: NDArray[np.uint8]) -> int:
-    """Return the set of the outputs that are marked."""
+def _undecided(marks: NDArray[np.uint8], count: int) -> int:
+    """Return the set of those of the first outputs that are marked."""
     outputs = 0
-    for i in range(marks.shape[0]):
+    for i in range(count):
         if marks[i] != 0:
             outputs |= bit(i)
     return outputs
@@ -328,7 +295,7 @@ def search_step(
     along, needs, bounds, regs, jets, work, ends, marks = ready
     reads, times, coeffs, start = along[4:]
     n_out = outputs.shape[0]
-    aside, state = work[n_out:], marks[_BOXES]
+    aside, state = work[n_out:], marks[BOXES]
     scratch = (bounds, regs, jets, aside)
     lefts, rights = ends[0], ends[1]  # the leftmost on top
     boxes = 0
@@ -347,14 +314,14 @@ def search_step(
             return BUDGET, -1, step, a, at, end, boxes - 1
         for i in range(n_out):
             state[i] = marks[top, i]
-        few = narrowed(needs, along, _undecided(state))
+        few = narrowed(needs, along, _undecided(state, n_out))
         if b - a == 1.0:
             unclear = unclear_by_slopes(few, outputs, tolerances, step, bounds, jets, state, work)
         else:
             unclear = unclear_by_values(few, outputs, tolerances, step, bounds, a, b, jets, state)
         if unclear == 0:
             continue
-        few = narrowed(needs, along, _undecided(state))
+        few = narrowed(needs, along, _undecided(state, n_out))
         judge(few, outputs, step, bounds, a, b, jets, work)
         unclear, improved = 0, False
         for i in range(n_out):

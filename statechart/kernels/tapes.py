@@ -116,15 +116,21 @@ def filled(
     code: Ints32, constants: Array, parameters: Array, n_variables: int, width: int
 ) -> tuple[int, Array]:
     """Return the first register of the operations, and registers with what is known filled in."""
-    n_parameters = parameters.shape[0]
-    base = n_variables + 1 + n_parameters + constants.shape[0]
+    base = n_variables + 1 + parameters.shape[0] + constants.shape[0]
     regs = np.empty((base + code.shape[0], width))
-    for j in range(width):
+    fill(constants, parameters, n_variables, regs)
+    return base, regs
+
+
+@part
+def fill(constants: Array, parameters: Array, n_variables: int, regs: Array) -> None:
+    """Write what is known to the first registers."""
+    n_parameters = parameters.shape[0]
+    for j in range(regs.shape[1]):
         for p in range(n_parameters):
             regs[n_variables + 1 + p, j] = parameters[p]
         for c in range(constants.shape[0]):
             regs[n_variables + 1 + n_parameters + c, j] = constants[c]
-    return base, regs
 
 
 @seldom

@@ -12,7 +12,7 @@ from statechart.formulas.writer import compile_tape
 from statechart.kernels.boxes import enclose, prepare
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.needed import bit, narrowed, needed
+from statechart.kernels.needed import bit, follow, narrowed
 
 COEFFS, TIMES = contiguous([[[0.7, 0.2, -0.1], [0.4, -0.3, 0.2]]]), contiguous([0.0, 0.5])
 PARAMETERS = contiguous([1.3])
@@ -20,7 +20,15 @@ PARAMETERS = contiguous([1.3])
 
 @kernel
 def _enclosed(along, outputs, chosen, bounds, w, order, jets, ran):
-    few = narrowed(needed(along, outputs, jets.shape[0]), along, chosen)
+    registers, operations = jets.shape[0], along[0].shape[0]
+    needed = (
+        np.empty(registers, np.int64),
+        np.empty((operations, 3), np.int32),
+        np.empty(3, np.int32),
+        np.empty(3, np.int64),
+    )
+    follow(along, outputs, needed)
+    few = narrowed(needed, along, chosen)
     ran[0], ran[1] = 0, few[4].shape[0]
     for k in range(few[2], few[3]):
         if few[0][k, 0] >= 0:
