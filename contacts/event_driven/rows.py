@@ -128,7 +128,8 @@ class RowCall:
         """Return what the numbers of runs are computed from (m, i), of rows (m, p) of values."""
         found = np.empty((len(table), len(self._fixed)))
         found[:] = self._fixed
-        found[:, self._places] = table[:, self._columns]
+        if self._places.size:
+            found[:, self._places] = table[:, self._columns]
         return found
 
     def run(self, rows: Rows, block: Block, found: Found) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -115,6 +116,15 @@ def polynomials(block: Block, row: int, variables: int) -> tuple[Array, Array]:
     return block.times[at : at + steps + 1], terms.reshape(steps, variables, width)
 
 
+def arc_of(block: Block, row: int, variables: int, kinds: Sequence[Kind]) -> Arc:
+    """Return an arc of a block, which is written on no more."""
+    kind, j = block.arcs[row, :2].tolist()
+    mode, roles = kinds[kind]
+    start = Clock._make(block.starts[row].tolist())
+    times, terms = polynomials(block, row, variables)
+    return Arc(mode, roles, start, j, times, terms)
+
+
 def event_of(block: Block, row: int, j: int, kinds: Sequence[Kind]) -> Event:
     """Return an event of a block, before which there were `j` jumps."""
     source, target, *codes = block.events[row].tolist()
@@ -140,6 +150,67 @@ def _empty(room: tuple[int, int, int, int], variables: int) -> Block:
         np.empty((events, 6)),
         np.empty((events, 2, variables)),
         np.zeros(4, np.int64),
+    )
+
+
+class Whole:
+    """A run that one block holds.
+
+    Parameters
+    ----------
+    pad : Block
+        What it stands on, from the beginning.
+    variables : int
+        Of a state.
+    kinds : list of (Key, Roles)
+    jump : callable
+        Makes the jump of an event.
+    last : callable or None
+        Makes one more that follows those.
+
+    Attributes
+    ----------
+    block : Block
+        A copy.
+    arcs, jumps : sequence
+    """
+
+    def __init__(
+        self,
+        pad: Block,
+        variables: int,
+        kinds: list[Kind],
+        jump: Callable[[Event], Jump],
+        last: Callable[[], Jump] | None,
+    ) -> None:
+        written = pad.used.tolist()
+        arcs, events = written[ARCS], written[EVENTS]
+        block = _copied(pad, written)
+
+        def event(j: int) -> Jump:
+            if j == events and last is not None:
+                return last()
+            return jump(event_of(block, j, j, kinds))
+
+        jumps = events if last is None else events + 1
+        self.block = block
+        self.arcs = Recorded(lambda row: arc_of(block, row, variables, kinds), lambda: arcs)
+        self.jumps = Recorded(event, lambda: jumps)
+
+
+def _copied(pad: Block, written: list[int]) -> Block:
+    """Return a copy of what is written on a pad."""
+    arcs, times, terms, events = written
+    return Block(
+        pad.arcs[:arcs].copy(),
+        pad.places[:arcs].copy(),
+        pad.starts[:arcs].copy(),
+        pad.times[:times].copy(),
+        pad.coefficients[:terms].copy(),
+        pad.events[:events].copy(),
+        pad.numbers[:events].copy(),
+        pad.states[:events].copy(),
+        pad.used.copy(),
     )
 
 
@@ -204,11 +275,6 @@ class Recording:
         del self.arcs, self.jumps
         return found
 
-    @property
-    def only(self) -> Block | None:
-        """The block that holds all of it, if one does."""
-        return self._blocks[0] if len(self._blocks) == 1 else None
-
     def kind(self, mode: Key, roles: Roles) -> int:
         """Return the place of a kind, a new one where it was none."""
         kind = mode, roles
@@ -260,11 +326,7 @@ class Recording:
         written = self.memory.used.tolist()
         if not any(written):
             return
-        arcs, times, terms, events = written
-        used = (arcs, arcs, arcs, times, terms, events, events, events, 4)
-        arrays: Iterable[NDArray[Any]] = self.memory
-        pairs = zip(arrays, used, strict=True)
-        self._keep(Block._make([array[:count].copy() for array, count in pairs]))
+        self._keep(_copied(self.memory, written))
         self.memory.used[:] = 0
 
     def _room(self, arcs: int, times: int, terms: int, events: int) -> bool:
@@ -288,13 +350,10 @@ class Recording:
 
     def _arc(self, place: int) -> Arc:
         block, row = self._found(self._arcs, place)
-        kind, j = block.arcs[row, :2].tolist()
-        mode, roles = self._kinds[kind]
-        times, terms = polynomials(block, row, self.variables)
+        arc = arc_of(block, row, self.variables, self._kinds)
         if block is self.memory:  # which is written on again
-            times, terms = times.copy(), terms.copy()
-        start = Clock._make(block.starts[row].tolist())
-        return Arc(mode, roles, start, j, times, terms)
+            arc = replace(arc, times=arc.times.copy(), coefficients=arc.coefficients.copy())
+        return arc
 
     def _event(self, j: int) -> Jump:
         made = self.made.get(j)

@@ -8,7 +8,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from statechart.automaton.deferred import Deferred
-from statechart.automaton.recording import Recording
+from statechart.automaton.recording import Whole
 from statechart.automaton.trace import Jump, Outcome, Trace
 from statechart.execution.ahead import N_BOXES, N_JUMPS, N_MODE, N_STEPS, T_HIGH
 from statechart.execution.flow import FOLLOWED
@@ -33,30 +33,29 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
     """
     automaton, engine, found = simulator.automaton, simulator.engine, batch.found
     modes, kinds = batch.modes, batch.kinds
-    jump = partial(modes.jump, setup)
-    record = Recording(len(automaton.variables), modes.kinds, batch.block, jump, begun=True)
     place, t_end, final = found.place[0].tolist(), found.now.item(T_HIGH), found.final[0]
     first, last = kinds[found.ends.item(FIRST_MODE)][0], kinds[place[N_MODE]]
-    outcome = batch.outcome(0)
+    outcome, stop = batch.outcome(0), None
     if outcome is Outcome.STOPPED:
         margin = modes.compiled(last).names[found.ends.item(MARGIN)]
         message = f"{margin} at t = {t_end:.6g}"
-        record.add_jump(
-            Jump(t_end, place[N_JUMPS], "", "stop", last[0], last[0], final, final, (margin,))
-        )
+        key, made = last[0], place[N_JUMPS]
+        stop = partial(Jump, t_end, made, "", "stop", key, key, final, final, (margin,))
     else:
         message = f"reached t = {t_end:.6g}"
-    arcs, jumps = record.close()
-    block = record.only
-    if block is not None:
-        arcs.source = Batch(batch.rows, found, block, kinds, modes, batch.zeros, batch.series)
+    whole = Whole(
+        batch.block, len(automaton.variables), modes.kinds, partial(modes.jump, setup), stop
+    )
+    whole.arcs.source = Batch(
+        batch.rows, found, whole.block, kinds, modes, batch.zeros, batch.series
+    )
     return Trace(
         name=automaton.name,
         regions=automaton.region_names,
         variables=automaton.names,
         parameters=dict(zip(automaton.parameter_names, found.values[0].tolist(), strict=True)),
-        arcs=arcs,
-        jumps=jumps,
+        arcs=whole.arcs,
+        jumps=whole.jumps,
         initial=found.initial[0],
         final=final,
         start_mode=first,
@@ -74,7 +73,7 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
             "steps": place[N_STEPS],
             "evaluations": 0,
             "boxes": place[N_BOXES],
-            "jumps": len(jumps),
+            "jumps": len(whole.jumps),
             "modes_built": simulator.modes_built,
             "python_instants": 0,
         },

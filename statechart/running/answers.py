@@ -21,6 +21,8 @@ from statechart.running.confirmed import confirmed
 from statechart.running.estimate import tighten, within
 from statechart.running.halving import SHARE, halve
 
+_ONCE = Cost(1, 0, 0, 0.0)
+
 
 class Answers:
     """Makes the runs that a plan asks for.
@@ -78,7 +80,7 @@ class Answers:
             observer, trace = self._once(self.setting, overrides, end)
             if self._other_engine(trace):
                 observer, trace = self._once(self.setting, overrides, end)
-            return Answer(observer, trace, None, Cost(1, 0, 0, 0.0)), self._plan.basis
+            return Answer(observer, trace, None, _ONCE), self._plan.basis
         if self._allowance is not None:
             self._allowance.begin()
         answer, basis = self._found(overrides, end)
