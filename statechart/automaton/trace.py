@@ -204,6 +204,12 @@ class Jump:
     skipped: float = 0.0
 
 
+_UNTOLD = (
+    "an amount that is not known: an event is met as slowly as its guard is rounded, or errors "
+    "grow beyond the motion"
+)
+
+
 @dataclass(frozen=True)
 class Motion:
     """What is proved of the steps of a run: how far they are off their differential equations.
@@ -217,7 +223,8 @@ class Motion:
         When that step begins, and the variable; empty where there was no step.
     whole : float
         Estimate of what all steps together amount to: of the final state, in the same parts, and
-        of the times of events, in parts of the end. Infinite where there is none.
+        of the times of events, in parts of the end. Infinite where there is none: it is linear in
+        errors, and these have grown beyond that.
     proved : bool
         Whether `local` is what the tolerance of the run promises.
     """
@@ -234,7 +241,7 @@ class Motion:
         most = f"{self.local:.2g} of the size of a variable ({self.of} from t = {self.at:.6g} on)"
         if not self.proved:
             return f"not proved: a step may be off by {most}"
-        whole = f"about {self.whole:.2g}" if self.whole < math.inf else "an unknown amount"
+        whole = f"about {self.whole:.2g}" if self.whole < math.inf else _UNTOLD
         return f"interval enclosure: no step is off by more than {most}, the run by {whole}"
 
 

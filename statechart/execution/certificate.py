@@ -65,6 +65,8 @@ class Certificate:
         self._error = np.zeros(len(self._scale))
         self._unknown = np.zeros((len(self._scale),) * 2)  # a covariance
         self._local, self._where, self._late = 0.0, (0.0, ""), 0.0
+        # Whether errors are so small that what becomes of them is in proportion to them.
+        self._linear = True
         self._before: tuple[Arc, CompiledMode] | None = None
         # Where an event is under way: the state and those displaced from it, one for every
         # variable; and how much later the event is for a variable that is larger.
@@ -75,14 +77,15 @@ class Certificate:
         """Return what was found, at the end of the run."""
         if self._states:
             self._carry(self._through(self._states))
-        ends = np.abs(self._error) + np.sqrt(np.diag(self._unknown))
+        with np.errstate(invalid="ignore"):
+            ends = np.abs(self._error) + np.sqrt(np.diag(self._unknown))
         # What counts as closed and as at rest follows from the tolerance.
         whole = max(float(ends.max(initial=0.0)), self._late, self._least)
         return Motion(
             local=self._local,
             at=self._where[0],
             of=self._where[1],
-            whole=whole if whole >= 0.0 else math.inf,
+            whole=whole if self._linear and 0.0 <= whole <= 1.0 else math.inf,
             proved=self._local <= _PROVED * self._allowed,
         )
 
@@ -180,13 +183,16 @@ class Certificate:
         tangents = self._through(near)
         if instant.fired and instant.fired[0] in compiled.names:
             guard = compiled.names.index(instant.fired[0])
-            rates = compiled.rates.values(before, self._setup.values, time) / self._scale
-            slope = self._gradients(compiled.guards, before[None], np.array([time]))[0, guard]
-            along = float(slope @ rates) + self._rate(compiled.guards, guard, before, time)
+            slope, rates, along = self._falling(compiled, guard, before, time)
             self._later = -(slope / along) @ tangents
-            late = abs(self._later @ self._error)
-            late += np.sqrt(self._later @ self._unknown @ self._later)
-            self._late = max(self._late, float(late) / self._end)
+            spread = np.sqrt(self._later @ self._unknown @ self._later)
+            late = abs(float(self._later @ self._error)) + float(spread)
+            self._late = max(self._late, late / self._end)
+            # Within what the event may be late by, the guard has to fall on: one that turns there
+            # is met at a time that goes with the root of the error.
+            earlier = before - late * self._scale * rates
+            _, _, there = self._falling(compiled, guard, earlier, time - late)
+            self._linear = self._linear and abs(there - along) <= 0.5 * abs(along)
             tangents += np.outer(rates, self._later)
         return self._displaced(near[0], tangents)
 
@@ -217,6 +223,15 @@ class Certificate:
         values = tape.table(moved.reshape(-1, n), self._setup.values, np.repeat(times, 2 * n))
         values = values.reshape(m, 2, n, -1)
         return np.asarray((values[:, 1] - values[:, 0]).swapaxes(1, 2) / (2.0 * _STEP))
+
+    def _falling(
+        self, compiled: CompiledMode, guard: int, state: Array, time: float
+    ) -> tuple[Array, Array, float]:
+        """Return a guard's derivative and the flow, by sizes of the variables; the guard's rate."""
+        rates = compiled.rates.values(state, self._setup.values, time) / self._scale
+        slope = self._gradients(compiled.guards, state[None], np.array([time]))[0, guard]
+        along = float(slope @ rates) + self._rate(compiled.guards, guard, state, time)
+        return slope, rates, along
 
     def _rate(self, guards: Tape, guard: int, state: Array, time: float) -> float:
         """Return the rate of a guard with time alone."""

@@ -149,3 +149,35 @@ def test_the_exponential_of_a_matrix_is_a_rotation_a_growth_and_a_series_that_en
     whole = np.random.default_rng(3).normal(size=(7, 7))
     assert _exponential(whole) == pytest.approx(expm(whole), rel=1e-12, abs=1e-12)
     assert _exponential(np.zeros((0, 0))).shape == (0, 0)
+
+
+_LOW = """
+kind: chart
+name: low
+parameters: {s: 1e-2}
+variables: {x: 1, v: 0, n: 0}
+regions:
+  it:
+    initial: high
+    states: {high: {flows: {x: v, v: -9}}, low: {flows: {x: v, v: -9}}, end: {}}
+    transitions:
+      - {name: hit, from: high, to: low, guard: x <= 0, updates: {v: s}}
+      - {name: bounce, from: low, to: low, guard: x <= 0, updates: {v: -0.9*v, n: n + 1}}
+      - {name: done, from: low, to: end, guard: n >= 10}
+stop: {time: 1}
+outputs: {ends: {value: time, at: last bounce}}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+@pytest.mark.parametrize("s", [1e-2, 1e-9, 1e-10])
+def test_impacts_as_slow_as_rounding_leave_no_estimate(engine: str, s: float) -> None:
+    # A height off by the error of the first fall (1e-16) makes the next speed sqrt(2 g 1e-16),
+    # 4e-8: more than such bounces have, but where the fall ends at the height 0 to the last bit.
+    result = Runner(read_text(_LOW), engine=engine).run({"s": s}, certify=True)
+    motion = result.trace.motion
+    ends = math.sqrt(2.0 / 9.0) + 2.0 * s / 9.0 * math.fsum(0.9**k for k in range(10))
+    if s == 1e-2 or motion.whole < math.inf:
+        assert abs(result.outputs["ends"] - ends) < 10.0 * motion.whole < 1e-10
+    else:
+        assert "the run by an amount that is not known" in str(motion)
