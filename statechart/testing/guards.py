@@ -59,10 +59,11 @@ def assert_margins(subject: Subject, trace: Trace) -> None:
     AssertionError
         Where it does not hold.
     """
+    moved = _moved(trace)
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
         if mode.margins:
-            _assert_margins(subject, trace, arc, tau, mode.margins)
+            _assert_margins(subject, trace, arc, tau, mode.margins, moved)
 
 
 def assert_invariants(subject: Subject, trace: Trace) -> None:
@@ -83,6 +84,7 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
         Where it does not hold.
     """
     observer = subject.observers[trace.engine.split()[0]]
+    moved = _moved(trace)
     for arc, tau in dense(trace):
         margins = [
             margin
@@ -92,7 +94,7 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
         margins += subject.automaton.invariants
         if not margins:
             continue
-        allowed = _assert_margins(subject, trace, arc, tau, margins)
+        allowed = _assert_margins(subject, trace, arc, tau, margins, moved)
         alone = replace(trace, arcs=(arc,))
         for margin, less in zip(margins, allowed, strict=True):
             found = np.full(2, np.nan)
@@ -128,22 +130,29 @@ def _assert_at(
 
 
 def _assert_margins(
-    subject: Subject, trace: Trace, arc: Arc, tau: Array, margins: Sequence[Margin]
+    subject: Subject,
+    trace: Trace,
+    arc: Arc,
+    tau: Array,
+    margins: Sequence[Margin],
+    by: Array,
 ) -> Array:
-    """Check margins at local times of an arc; return what each may be below zero there."""
+    """Check margins at local times of an arc; return what each may be below zero there.
+
+    `by`: see `_moved`.
+    """
     expressions = [margin.expression for margin in margins]
     states = arc.states(tau)
     values = subject.solved(trace, arc, tau, expressions)
     rounding = np.zeros(values.shape)
-    sizes = [np.abs(a.coefficients[:, :, 0]).max(axis=0, initial=0.0) for a in trace.arcs]
-    for i, (size, step) in enumerate(zip(np.max(sizes, axis=0), _of_a_step(trace), strict=True)):
+    for i, change in enumerate(by.tolist()):
         changed = states.copy()
         if trace.step is None:
             changed[:, i] *= 1.0 + NUDGE
             moved = subject.solved(trace, arc, tau, expressions, changed)
             rounding += np.abs(moved - values) * (max(trace.tolerance, ROUNDING) / NUDGE)
         # What a jump leaves of a variable carries the rounding of what it was before.
-        changed[:, i] = states[:, i] + (ROUNDING * size + step)
+        changed[:, i] = states[:, i] + change
         moved = subject.solved(trace, arc, tau, expressions, changed)
         rounding += np.nan_to_num(np.abs(moved - values), nan=0.0)
     allowed = rounding + [trace.tolerances.get(margin.kind, 0.0) for margin in margins]
@@ -163,9 +172,17 @@ def _assert_margins(
     return found
 
 
+def _moved(trace: Trace) -> Array:
+    """Return by how much variables (n,) may be off: rounding, and what a time step moves."""
+    sizes = np.zeros(len(trace.variables))
+    for arc in trace.arcs:
+        sizes = np.fmax(sizes, np.abs(arc.coefficients[:, :, 0]).max(axis=0, initial=0.0))
+    return ROUNDING * sizes + _of_a_step(trace)
+
+
 def _of_a_step(trace: Trace) -> Array:
     """Return by how much variables (n,) change at most in a step of time stepping, jumps apart."""
-    if trace.step is None:
+    if trace.step is None or not trace.arcs:
         return np.zeros(len(trace.variables))
     changes = [
         np.abs(np.diff(a.states(a.times), axis=0)).max(axis=0, initial=0.0) for a in trace.arcs
