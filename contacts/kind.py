@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from contacts.dynamics.mechanics import Mechanics
     from contacts.scene.modes import ContactSymbols
     from statechart.automaton.regions import Region
+    from statechart.automaton.time_stepper import TimeStepper
     from statechart.pictures.stage import Stage
 
 
@@ -27,11 +28,14 @@ def automaton(scene: Scene) -> Automaton:
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup import SceneNumbers
-    from contacts.event_driven.controlled_laws import ControlledLaws
     from contacts.event_driven.laws import SceneLaws
-    from contacts.time_stepping.scene_stepper import SceneStepper
     from statechart.automaton.laws import Laws
     from statechart.automaton.regions import stop_margins
+
+    def stepper() -> TimeStepper:
+        from contacts.time_stepping.scene_stepper import SceneStepper
+
+        return SceneStepper(mechanics, stops, regions)
 
     mechanics = Mechanics(scene)
     parameters, observables = mechanics.parameters, mechanics.observables
@@ -41,6 +45,8 @@ def automaton(scene: Scene) -> Automaton:
     contact_laws = SceneLaws(mechanics, numbers)
     laws: Laws = contact_laws
     if scene.regions:
+        from contacts.event_driven.controlled_laws import ControlledLaws
+
         laws = ControlledLaws(contact_laws, mechanics, regions)
     return Automaton(
         name=scene.name,
@@ -61,7 +67,7 @@ def automaton(scene: Scene) -> Automaton:
         controls=(*mechanics.controls, *(r for r in memory_rates(mechanics).values() if r != 0)),
         coordinates=coordinates(mechanics),
         # A step would have to carry what controllers remember through its impulses.
-        stepper=None if mechanics.memory else lambda: SceneStepper(mechanics, stops, regions),
+        stepper=None if mechanics.memory else stepper,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from statechart.engines.engine import FlowWatch
 from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.execution.ahead import AHEAD, Ahead, Begun
-from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.finding import closing
 from statechart.execution.flow import UNFOLLOWED, Advance
@@ -27,6 +27,9 @@ from statechart.execution.record import trace_of
 from statechart.execution.zeno import Accumulation
 from statechart.kernels.polynomials import summands
 from statechart.tabular import several
+
+if TYPE_CHECKING:
+    from statechart.execution.certificate import Certificate
 
 # At such a rate a variable would have changed by this many times its size.
 _STEEP = 1e6
@@ -233,10 +236,9 @@ class Execution:
 
     def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:
         """Return what fired where a margin fell; a stop ends the run."""
-        margin = compiled.mode.margins[guard]
+        margin, self.grazed = compiled.mode.margins[guard], graze
         # They stand last; zeros and controls have been replaced in their formulas.
         stops = guard >= len(compiled.mode.margins) - len(self.automaton.stops)
-        self.grazed = graze
         if graze and stops and self._unbounded():
             # Rates without bound make noise of what is watched next to where they end.
             return (UNBOUNDED,)
@@ -346,8 +348,7 @@ class Execution:
         """
         if not self.automaton.stops:
             check_pace(self.record.jumps, self.clock, self.until, self.max_jumps)
-        many = len(self.record.jumps) >= self.max_jumps
-        if many:
+        if many := len(self.record.jumps) >= self.max_jumps:
             self._end(Outcome.TOO_MANY_JUMPS, several(self.max_jumps, "jump"))
         return many
 
@@ -377,8 +378,7 @@ class Execution:
         Where a force is zero as a whole (balls that fall side by side) its enclosure is wider
         than the band of its kind. The laws may take a speed for none that is beyond its own.
         """
-        compiled = self.entered[self.flow.roles]
-        kind = dict(compiled.watched).get(margin)
+        kind = dict(self.entered[self.flow.roles].watched).get(margin)
         if kind is None or not (self.grazed or kind == "speed"):
             return False
         usual = self.setup.tolerances[kind]

@@ -16,7 +16,6 @@ from statechart.automaton.trace import Arc, Jump, Outcome, Roles, Trace
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
 from statechart.execution.ahead import Ahead
-from statechart.execution.certificate import Certificate
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes, SolvedModes
 from statechart.execution.execution import Execution
 from statechart.execution.loops import Modes
@@ -147,6 +146,8 @@ class Simulator:
         Trace
             The same, with its `motion`.
         """
+        from statechart.execution.certificate import Certificate
+
         made = self._execution(parameters or {}, until, max_jumps)
         laws = self.automaton.laws_of_events
         made.ahead = None

@@ -75,10 +75,15 @@ def kind(name: str) -> Kind:
     StatechartError
         If its package is hidden by another of its name.
     """
-    loaded = load(kinds()[name])
-    if not isinstance(loaded, Kind):
-        raise TypeError(f"the entry point of kind {name!r} is not a Kind but {loaded!r}")
-    return loaded
+    return loaded(kinds()[name])
+
+
+def loaded(entry: EntryPoint) -> Kind:
+    """Return the kind of one of `kinds`; fails as `kind` does."""
+    found = load(entry)
+    if not isinstance(found, Kind):
+        raise TypeError(f"the entry point of kind {entry.name!r} is not a Kind but {found!r}")
+    return found
 
 
 def offered(group: str, name: str) -> Any:

@@ -11,7 +11,7 @@ from statechart.documents.document import Document
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read
 from statechart.errors import DeclarationError, close_matches
-from statechart.loading.kind import kind, kinds
+from statechart.loading.kind import kinds, loaded
 from statechart.loading.offered import module
 
 
@@ -28,11 +28,11 @@ def interpret(document: Document) -> Declaration:
     DeclarationError
         If it names no known kind, or is not a correct model of it.
     """
-    name = document.data.get("kind")
-    if not isinstance(name, str) or name not in kinds():
+    name, offered = document.data.get("kind"), kinds()
+    if not isinstance(name, str) or name not in offered:
         at = document.position(("kind",))
         given = document.data.get("kind") is not None
-        known = close_matches(str(name), kinds())
+        known = close_matches(str(name), offered)
         raise DeclarationError(
             f"unknown kind {name!r}"
             if given
@@ -44,7 +44,7 @@ def interpret(document: Document) -> Declaration:
             line=at.line,
             column=at.column,
         )
-    return validate(document, kind(name).model)
+    return validate(document, loaded(offered[name]).model)
 
 
 def load(path_or_name: str | Path) -> Declaration:
