@@ -71,7 +71,7 @@ def sweep(arguments: argparse.Namespace) -> int:
         made = make(plan, executor, store=target.store, resume=arguments.resume, progress=shown)
     pieces = Pieces()
     with interrupts.held(), interrupts.limited(PATIENCE):
-        data = made.dataset().load()
+        data = made.loaded()
         target.write(plan, data, pieces)
         told = summary.report(plan, data, where=arguments.output)
         if arguments.json:

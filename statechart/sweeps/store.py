@@ -11,10 +11,10 @@ import math
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import EllipsisType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Ints32
 from statechart.documents.declaration import TIME
 from statechart.errors import DeclarationError, StatechartError
-from statechart.sweeps.block import WORDS, Block
+from statechart.sweeps.block import Block
 from statechart.sweeps.claim import Claim
 from statechart.sweeps.plan import Plan, Slices, Tile
+from statechart.sweeps.variables import CODE, COUNT, NUMBER, OWN, TEXT, Kind
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,27 +36,6 @@ _SEQUENCE, _UNFINISHED = "sequence", "unfinished"
 _LIST_CHUNK, _TABLE_CHUNK = 16, 256
 # What zarr writes before it has a name.
 _PARTIAL = "*.partial"
-
-
-class _Kind(NamedTuple):
-    """What an array holds, and what where nothing was written."""
-
-    dtype: Any
-    fill: Any
-
-
-_NUMBER, _TEXT, _FLAG = _Kind(float, math.nan), _Kind(str, ""), _Kind(bool, False)
-_CODE, _COUNT = _Kind("int32", -1), _Kind("int32", 0)
-# In the order in which they are written: with its outcome a cell is done.
-_OWN: Mapping[str, tuple[_Kind, Mapping[str, str]]] = {
-    "message": (_TEXT, {"long_name": "what kept the run from its end"}),
-    "certified": (_FLAG, {"long_name": "every guard of every step was decided by enclosure"}),
-    "t_end": (_NUMBER, {"long_name": "time at which the run ended"}),
-    "seconds": (_NUMBER, {"long_name": "what the cell took", "units": "s"}),
-    "error_estimate": (_NUMBER, {"long_name": "estimated error of the run, relative"}),
-    "modes": (_CODE, {"long_name": "sequence of modes: place along sequence, -1 for none"}),
-    "outcome": (_TEXT, {"long_name": "why the run ended; empty: not run yet", **WORDS}),
-}
 
 
 class Store:
@@ -90,6 +70,7 @@ class Store:
     ) -> None:
         self._plan, self._claim = plan, claim
         self._path = None if path is None else Path(path)
+        self._fresh = False
         self._codes: dict[str, int] = {}
         self._arrays: dict[str, zarr.Array[Any]] = {}
         with self._explained():
@@ -161,6 +142,13 @@ class Store:
             del self._group[_UNFINISHED]
             self._consolidate()
 
+    def discard(self) -> None:
+        """Remove what was made here, as nothing came of it."""
+        if self._fresh and self._path is not None:
+            with suppress(StatechartError):
+                self._check_claim()
+                shutil.rmtree(self._path, ignore_errors=True)
+
     def dataset(self) -> xr.Dataset:
         """Return the sweep, read from the store where and when it is looked at."""
         import xarray as xr
@@ -169,6 +157,14 @@ class Store:
             return xr.open_zarr(self._group.store, chunks=None)
         except OSError as error:
             raise self._problem("read", error) from error
+
+    def loaded(self) -> xr.Dataset:
+        """Return the sweep, read; `DeclarationError` if a part of it is damaged."""
+        found = self.dataset()
+        for name, variable in found.variables.items():
+            with self._whole(str(name)):
+                variable.load()
+        return found
 
     def _opened(self, resume: bool) -> zarr.Group:
         import zarr
@@ -195,13 +191,36 @@ class Store:
         self._check(group)
         for part in path.rglob(_PARTIAL):  # of a process that was killed while it wrote them
             part.unlink()
-        if "outcome" not in group:  # made by a process that was killed while it made it
+        with self._whole("outcome"):
+            begun = "outcome" in group
+        if not begun:  # made by a process that was killed while it made it
             return self._made_anew(path)
         self._group = group
-        if _UNFINISHED in group:
-            texts = self._read(f"{_UNFINISHED}/{_SEQUENCE}")
-            self._codes = {str(text): code for code, text in enumerate(texts)}
+        self._look()
         return group
+
+    def _look(self) -> None:
+        """Read what a sweep goes on with, but for what its cells gave.
+
+        Raises
+        ------
+        DeclarationError
+            If it is not whole.
+        """
+        for name, _ in self._named(Block.empty(0, self._plan.numbers, self._plan.lists)):
+            self._array(name)
+        for name, column in self._plan.columns.items():
+            if not np.array_equal(self._read(self._plan.coordinates[name]), column):
+                raise self._damaged(name)
+        self._read(_SEQUENCE)
+        if _UNFINISHED in self._group:
+            self._array(f"{_UNFINISHED}/modes")
+            texts = [str(text) for text in self._read(f"{_UNFINISHED}/{_SEQUENCE}")]
+            self._codes = {text: code for code, text in enumerate(texts)}
+            if "" in self._codes:
+                raise self._damaged(_SEQUENCE)
+        elif not self._group.attrs.get("complete"):
+            raise self._damaged(_UNFINISHED)
 
     def _check(self, group: zarr.Group) -> None:
         """Raise `DeclarationError` where a store holds another sweep."""
@@ -232,6 +251,7 @@ class Store:
     def _created(self, where: Any) -> zarr.Group:
         import zarr
 
+        self._fresh = True
         plan = self._plan
         self._group = group = zarr.create_group(
             where, attributes={**plan.attributes(), "complete": 0}
@@ -240,22 +260,22 @@ class Store:
             told = {**plan.named(name), "declared": str(plan.model.parameters[name])}
             dims = (plan.coordinates[name],) if plan.grid else plan.dims
             shape = column.shape
-            self._make(plan.coordinates[name], _NUMBER, shape, shape, dims, told)[:] = column
+            self._make(plan.coordinates[name], NUMBER, shape, shape, dims, told)[:] = column
         shape, chunk, dims = plan.shape, plan.chunk, plan.dims
         for name in plan.task.outputs:
             variable, told = plan.variables[name], {**plan.named(name), **plan.declared(name)}
             if name in plan.lists:
                 own = ((*shape, 0), (*chunk, _LIST_CHUNK), (*dims, f"{variable}_index"))
-                self._make(variable, _NUMBER, *own, told)
+                self._make(variable, NUMBER, *own, told)
                 told = {"long_name": f"number of {name}"}
-                self._make(f"{variable}_count", _COUNT, shape, chunk, dims, told)
+                self._make(f"{variable}_count", COUNT, shape, chunk, dims, told)
             else:
-                self._make(variable, _NUMBER, shape, chunk, dims, told)
+                self._make(variable, NUMBER, shape, chunk, dims, told)
         for place in (_SEQUENCE, f"{_UNFINISHED}/{_SEQUENCE}"):
             told = {"long_name": "modes in the order in which they were entered"}
-            self._make(place, _TEXT, (0,), (_TABLE_CHUNK,), (_SEQUENCE,), told)
-        self._make(f"{_UNFINISHED}/modes", _CODE, shape, chunk, dims, {})
-        for name, (kind, told_of_all) in _OWN.items():
+            self._make(place, TEXT, (0,), (_TABLE_CHUNK,), (_SEQUENCE,), told)
+        self._make(f"{_UNFINISHED}/modes", CODE, shape, chunk, dims, {})
+        for name, (kind, told_of_all) in OWN.items():
             if name != "error_estimate" or plan.accurate:
                 unit = plan.named(TIME) if name == "t_end" else {}
                 self._make(name, kind, shape, chunk, dims, {**unit, **told_of_all})
@@ -265,7 +285,7 @@ class Store:
     def _make(
         self,
         name: str,
-        kind: _Kind,
+        kind: Kind,
         shape: tuple[int, ...],
         chunk: tuple[int, ...],
         dims: tuple[str, ...],
@@ -285,7 +305,7 @@ class Store:
         """Yield variables of one value a cell with their values (n,), the outcome last."""
         for name, values in block.numbers.items():
             yield self._plan.variables[name], values
-        for name in _OWN:
+        for name in OWN:
             if name != "error_estimate" or self._plan.accurate:
                 yield name, getattr(block, name)
 
@@ -326,11 +346,14 @@ class Store:
         if found is None:
             import zarr
 
-            found = self._arrays[name] = zarr.open_array(self._group.store, path=name, mode="r+")
+            with self._whole(name):
+                found = zarr.open_array(self._group.store, path=name, mode="r+")
+            self._arrays[name] = found
         return found
 
     def _read(self, name: str, where: Slices | EllipsisType = ...) -> NDArray[Any]:
-        return np.asarray(self._array(name)[where])
+        with self._whole(name):
+            return np.asarray(self._array(name)[where])
 
     def _consolidate(self) -> None:
         """Gather what readers open first: without it they warn that they read it piece by piece."""
@@ -353,6 +376,20 @@ class Store:
     def _check_claim(self) -> None:
         if self._claim is not None:
             self._claim.check()
+
+    @contextmanager
+    def _whole(self, name: str) -> Iterator[None]:
+        """Tell what the library makes of files that are cut off, or missing."""
+        try:
+            yield
+        except (FileNotFoundError, ValueError, KeyError, RuntimeError):
+            raise self._damaged(name) from None
+
+    def _damaged(self, name: str) -> DeclarationError:
+        return DeclarationError(
+            f"{self._path} is damaged: {name} cannot be read",
+            advice="remove it, and begin the sweep anew",
+        )
 
     def _problem(self, verb: str, error: OSError) -> StatechartError:
         return StatechartError(f"cannot {verb} {self._path}: {error.strerror or error}")

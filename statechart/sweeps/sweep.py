@@ -67,7 +67,13 @@ class Made:
 
     def dataset(self) -> xr.Dataset:
         """Return what the cells gave, why it is not all of it among the attributes."""
-        found = self.store.dataset()
+        return self._told(self.store.dataset())
+
+    def loaded(self) -> xr.Dataset:
+        """Return the same, read from the store."""
+        return self._told(self.store.loaded())
+
+    def _told(self, found: xr.Dataset) -> xr.Dataset:
         return found.assign_attrs(ended=self.ended) if self.ended else found
 
 
@@ -203,18 +209,27 @@ def make(
         raise DeclarationError("there is no store to resume", advice="name the one that was begun")
     with nullcontext() if store is None else claimed(Path(store)) as claim:
         kept = Store(plan, store, resume=resume, claim=claim)
-        before = kept.left
-        with interrupts.held(), told(plan.size, plan.size - before, shown=progress) as tell:
-            work = _Work(plan, kept, tell, shared=executor is not None)
-            ended = _ended(work, executor)
-            kept.finish()
-        if ended not in ("", INTERRUPTED) and kept.left == before:
-            raise DeclarationError(ended)
+        left = kept.left
+        try:
+            with interrupts.held(), told(plan.size, plan.size - left, shown=progress) as tell:
+                work = _Work(plan, kept, tell, shared=executor is not None)
+                ended = _ended(work, executor)
+                kept.finish()
+        except StatechartError:
+            if kept.left == left:
+                kept.discard()
+            raise
         return Made(plan, kept, ended)
 
 
 def _ended(work: _Work, executor: Executor | None) -> str:
-    """Do the work; return why not all of it is done, else an empty text."""
+    """Do the work; return why not all of it is done, else an empty text.
+
+    Raises
+    ------
+    StatechartError
+        If none of it could be done.
+    """
     try:
         if executor is None:
             _run_here(work)
@@ -223,7 +238,9 @@ def _ended(work: _Work, executor: Executor | None) -> str:
     except KeyboardInterrupt:
         return INTERRUPTED
     except _Lost as lost:
-        return str(lost)
+        if not work.done:
+            raise lost.error from None
+        return str(lost.error)
     finally:
         work.write()
     return ""
@@ -231,6 +248,10 @@ def _ended(work: _Work, executor: Executor | None) -> str:
 
 class _Lost(Exception):  # noqa: N818 - it is workers that are lost
     """Workers cannot go on."""
+
+    def __init__(self, error: StatechartError) -> None:
+        super().__init__(str(error))
+        self.error = error
 
 
 @dataclass
@@ -261,7 +282,7 @@ class _Work:
         self._left, self._shared = store.left, shared
         self._open: list[_Chunk] = []
         self._parts = self._cells()
-        self._size = 1
+        self._size, self.done = 1, 0
         self._written_at = time.monotonic()
         self.task = plan.task
         next(self._parts)
@@ -297,6 +318,7 @@ class _Work:
         chunk = job.chunk
         chunk.block.take(job.places, block, self._store.coded(block))
         chunk.left -= len(job.places)
+        self.done += len(job.places)
         chunk.written = False
         # Not the mean: a cell that compiles takes a thousand times as long as others.
         each = max(float(np.median(block.seconds)), 1e-9)
@@ -340,14 +362,17 @@ def _hand_out(work: _Work, executor: Executor) -> None:
         raise
     except ImportError as error:
         raise _Lost(
-            f"a worker cannot load what the sweep needs: {error}; "
-            "install this package, in this version, on all workers"
+            DeclarationError(
+                f"a worker cannot load what the sweep needs: {error}",
+                advice="install this package, in this version, on all workers",
+            )
         ) from None
     except (BrokenExecutor, CancelledError) as error:
         words = str(error).strip() or "the connection to them was lost"
-        raise _Lost(f"workers died: {words}") from None
+        raise _Lost(StatechartError(f"workers died: {words}")) from None
     except Exception as error:  # whatever an executor makes of workers that fail
-        raise _Lost(f"workers failed, {type(error).__name__}: {error}") from None
+        problem = f"workers failed, {type(error).__name__}: {error}"
+        raise _Lost(StatechartError(problem)) from None
     finally:
         for future in pending:
             future.cancel()

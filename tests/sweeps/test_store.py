@@ -17,6 +17,7 @@ import pytest
 import xarray as xr
 
 from statechart import sweep
+from statechart.cli.main import main
 from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps import plan as plans
 from statechart.sweeps import sweep as sweeps
@@ -146,6 +147,7 @@ def test_what_a_killed_process_was_writing_is_removed(tmp_path: Path) -> None:
 _RESUMING = """
 import sys
 from statechart import sweep
+from statechart.cli.main import main
 from statechart.errors import StatechartError
 try:
     sweep("toppling_stick", {"mu": [0.2, 0.4, 0.6]}, store=sys.argv[1], resume=True)
@@ -214,3 +216,57 @@ def test_a_store_that_is_removed_under_way_is_told_of(
     with pytest.raises(StatechartError, match=r"a\.zarr was removed while it was written"):
         sweep(STICK, {"mu": [0.2]}, store=store)
     assert not list(store.rglob("*"))
+
+
+@pytest.mark.parametrize(
+    ("part", "cut"),
+    [
+        *((part, cut) for part in ("zarr.json", "c/0") for cut in ("outcome", "mu", "sequence")),
+        ("zarr.json", "seconds"),
+        ("c/0", "t_end"),
+        ("zarr.json", "unfinished/modes"),
+        ("c/0", "unfinished/sequence"),
+    ],
+)
+@pytest.mark.parametrize("half", [True, False], ids=["half", "empty"])
+def test_a_store_with_files_that_are_cut_off_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, cut: str, half: bool
+) -> None:
+    store, over = tmp_path / "a.zarr", {"mu": [0.2, 0.4, 0.6]}
+    with monkeypatch.context() as patched:
+        patched.setattr(sweeps, "_BLOCK", 0.0)
+        patched.setattr(sweeps, "run_block", interrupting(2))
+        sweep(STICK, over, store=store)
+    file = store / cut / part
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2] if half else b"")
+    with pytest.raises(DeclarationError, match=rf"is damaged: .*{Path(cut).name} cannot be read"):
+        sweep(STICK, over, store=store, resume=True)
+
+
+@pytest.mark.parametrize("gone", ["unfinished", "mu/c", "unfinished/sequence/c", "t_end"])
+def test_a_store_that_lacks_a_part_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gone: str
+) -> None:
+    store, over = tmp_path / "a.zarr", {"mu": [0.2, 0.4, 0.6]}
+    with monkeypatch.context() as patched:
+        patched.setattr(sweeps, "_BLOCK", 0.0)
+        patched.setattr(sweeps, "run_block", interrupting(2))
+        sweep(STICK, over, store=store)
+    shutil.rmtree(store / gone)
+    with pytest.raises(DeclarationError, match="is damaged"):
+        sweep(STICK, over, store=store, resume=True)
+
+
+def test_a_complete_store_that_is_cut_off_is_told_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "a.zarr"
+    asked = ["sweep", STICK, "--over", "mu=0.2,0.4", "--outputs", "t_impact", "-o", str(store)]
+    assert main(asked) == 0
+    (store / "t_impact" / "c" / "0").write_bytes(b"")
+    capsys.readouterr()
+    assert main([*asked, "--resume"]) == 2
+    assert capsys.readouterr().err.endswith(
+        f"{store} is damaged: t_impact cannot be read; remove it, and begin the sweep anew\n"
+    )

@@ -36,14 +36,15 @@ def same(one: xr.Dataset, other: xr.Dataset) -> None:
 class Inline(Executor):
     """Runs what it is given where it is: the last first, or dies of a call."""
 
-    def __init__(self, dies_at: int = 0) -> None:
+    def __init__(self, dies_at: int = 0, dies_of: Exception | None = None) -> None:
         self.calls, self._dies_at = 0, dies_at
+        self._dies_of = dies_of or BrokenExecutor("a process ended")
 
     def submit(self, work: Callable[..., Any], /, *values: Any, **options: Any) -> Future[Any]:
         self.calls += 1
         future: Future[Any] = Future()
         if self.calls == self._dies_at:
-            future.set_exception(BrokenExecutor("a process ended"))
+            future.set_exception(self._dies_of)
         else:
             future.set_result(work(*values, **options))
         return future
@@ -280,6 +281,23 @@ def test_wrong_input_is_refused_before_anything_runs(changes: dict[str, Any], wo
     asked: dict[str, Any] = {"over": {"mu": [1.0]}, **changes}
     with pytest.raises(DeclarationError, match=words):
         sweep(STICK, **asked)
+
+
+@pytest.mark.parametrize(
+    ("dies_of", "kind"),
+    [
+        (BrokenExecutor("a process ended"), StatechartError),
+        (ModuleNotFoundError("No module named 'statechart'"), DeclarationError),
+    ],
+)
+def test_of_workers_that_did_nothing_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dies_of: Exception, kind: type[Exception]
+) -> None:
+    monkeypatch.setattr(sweeps, "_FIRST", 1)
+    with pytest.raises(StatechartError, match="worker") as caught:
+        sweep(STICK, GRID, executor=Inline(dies_at=1, dies_of=dies_of), store=tmp_path / "a.zarr")
+    assert type(caught.value) is kind
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_dead_workers_did_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
