@@ -149,8 +149,8 @@ def _record_arc(
     for i in range(steps):
         for v in range(n):
             for k in range(width):
-                block.coefficients[place] = coeffs[i, v, k]
-                place += 1
+                block.coefficients[place + k] = coeffs[i, v, k]
+            place += width
     used[ARCS], used[TIMES], used[TERMS] = arc + 1, at + steps + 1, place
 
 

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from statechart.arrays import Array, Ints32
+from statechart.arrays import Array, Bools, Ints32
 from statechart.kernels.boxes import prepare
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import part, seldom
 from statechart.kernels.polynomials import local_time
-from statechart.kernels.resolution import NARROW, PLACES, at, look, ready, roughen_by_places
+from statechart.kernels.resolution import (
+    NARROW,
+    PLACES,
+    at,
+    look,
+    look_whole,
+    ready,
+    roughen_by_places,
+)
 from statechart.kernels.tapes import filled
 
 # An integral or an extreme may miss this part of the largest value that was met.
@@ -23,6 +31,19 @@ _PIECES = 1 << 14
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _NODES = (_NODES + 1.0) / 2.0
 _WEIGHTS = _WEIGHTS / 2.0
+
+
+@part
+def _misses(
+    outputs: Ints32, jets: Array, width: float, undefined: Bools, largest: Array, rough: Array
+) -> bool:
+    """Whether a piece is not resolved for some output; writes how rough each is in it."""
+    missed = False
+    for i in range(outputs.shape[0]):
+        rough[i] = jets[outputs[i], 2]
+        near = width * rough[i] <= _EXACT * largest[i] + _NOTHING
+        missed = missed or not (undefined[i] or near)
+    return missed
 
 
 @seldom
@@ -59,25 +80,27 @@ def integrate_outputs(
         if not low < high:
             continue
         span = times[step + 1] - times[step]
-        prepare(coeffs, step, reads, bounds)
-        top, looked = 1, 0
+        top, looked, prepared = 1, 0, False
         lefts[0], rights[0] = (low - times[step]) / span, (high - times[step]) / span
         while top > 0:
             top -= 1
             a, b = lefts[top], rights[top]
             looked += 1
             at(along, step, a, b, _NODES, regs)
-            look(along, step, bounds, a, b, jets)
-            halve = False
             for i in range(outputs.shape[0]):
                 undefined[i] = False
                 for j in range(count):
                     value = abs(regs[outputs[i], j])
                     undefined[i] = undefined[i] or value != value
                     largest[i] = max(largest[i], value)
-                rough[i] = jets[outputs[i], 2]
-                missed = (b - a) * rough[i]
-                halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
+            whole = b - a == 1.0 and look_whole(along, step, jets)
+            halve = not whole or _misses(outputs, jets, b - a, undefined, largest, rough)
+            if halve:
+                if not prepared:
+                    prepare(coeffs, step, reads, bounds)
+                    prepared = True
+                look(along, step, bounds, a, b, jets)
+                halve = _misses(outputs, jets, b - a, undefined, largest, rough)
             if halve:
                 # What is as rough at places as in the box, or not rougher than its values are
                 # rounded there, is the rounding of a kink's zero.
