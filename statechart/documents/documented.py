@@ -57,7 +57,8 @@ class Documented(ModelMetaclass):
         own = cls.__dict__.get("__doc__")
         if not own:
             return None
-        told = "\n".join(_told(name, field) for name, field in _fields(cls))
+        # Fields without a word of their own have theirs in the docstring.
+        told = "\n".join(_told(name, field) for name, field in _fields(cls) if field.description)
         return f"{inspect.cleandoc(own)}\n\nParameters\n----------\n{told}" if told else own
 
     @property

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_serializer
 
+from statechart.documents.documented import Documented
 from statechart.documents.setting import Setting
 
 _Time = Annotated[float, Field(ge=0)]
@@ -16,7 +17,7 @@ RESOLVED = 20.0
 """Errors below so many times what the reference resolves are rounding."""
 
 
-class Record(BaseModel):
+class Record(BaseModel, metaclass=Documented):
     """Base of what is written to a file and read back."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")

@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -60,6 +60,8 @@ class Study(Record):
     left_out : mapping of str to str
         Setting -> why it was not run.
     """
+
+    METHODS: ClassVar[tuple[str, ...]] = ("choose", "error", "front", "kept", "missed")
 
     format: Literal["statechart trade 6"] = "statechart trade 6"
     model: str
