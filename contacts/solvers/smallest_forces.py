@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.solvers.dependence import independent
-from contacts.solvers.saddle_point import SOLVED, solve_refined
+from contacts.solvers.saddle_point import SOLVED, largest_size, solve_refined
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import part, seldom
 
@@ -214,7 +214,10 @@ def springs(
     scaled = reach.copy()
     right, pushed = load.copy(), load.copy()
     for i in range(size):
-        scale = 1.0 / np.abs(reach[:, :, i]).max()
+        largest = 0.0
+        for g in range(count):
+            largest = max(largest, abs(reach[g, 0, i]), abs(reach[g, 1, i]))
+        scale = 1.0 / largest
         for g in range(count):
             scaled[g, 0, i] *= scale
             scaled[g, 1, i] *= scale
@@ -228,7 +231,7 @@ def springs(
         for i in range(size):
             pushed[i] += inward / count * (n * scaled[g, 0, i] + t * scaled[g, 1, i])
     w, forces, own = np.empty((count, 2)), np.zeros((count, 2)), np.empty(2)
-    size_of_load = np.abs(pushed).max()
+    size_of_load = largest_size(pushed)
     if size_of_load == 0.0:
         return True, forces, zones, 0.0
     y, step = np.zeros(size), np.empty(size)
@@ -258,7 +261,7 @@ def springs(
         length = _length(scaled, cones, sliding, pushed, y, step, w, forces)
         y += length * step
         _displaced(scaled, y, w)
-        if np.abs(y).max() > _BEYOND * size_of_load:
+        if largest_size(y) > _BEYOND * size_of_load:
             return False, forces, zones, np.inf
         for g in range(count):
             zones[g] = _zone(w[g], cones[g], sliding[g])

@@ -17,6 +17,7 @@ from contacts.solvers.contact_lcp_kernels import (
     step_residual,
 )
 from contacts.solvers.redundancy import connected
+from contacts.solvers.saddle_point import largest_size
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import beside, kernel, late, part
@@ -108,14 +109,14 @@ def solve_impacts(
         `AS_ASKED`, `SOFTENED` or `AS_GIVEN`.
     """
     limit = pivots(len(cones))
-    least = free + wanted
+    least, size = free + wanted, 0.0
     soft = least.copy()
     for a in range(len(cones)):
+        size = max(size, largest_size(free[a]), largest_size(before[a]))
         if how != AS_ASKED:
             soft[a, 0] = free[a, 0] + max(wanted[a, 0], 0.0)
         elif rebounds[a]:
             soft[a, 0] = free[a, 0]
-    size = max(np.abs(free).max(), np.abs(before).max())
     _without_rounding(least, size)
     _without_rounding(soft, size)
     if how == AS_GIVEN:
@@ -289,7 +290,7 @@ def _part_left(push: Array, force: Array, cone: Array) -> float:
     """Return the largest part of `force`, up to 1, without which `push` is still in its cone."""
     part = 1.0
     # Of what slides both are on the edge, but for rounding.
-    rounding = ROUNDING * (np.abs(push).sum() + np.abs(force).sum())
+    rounding = ROUNDING * (abs(push[0]) + abs(push[1]) + (abs(force[0]) + abs(force[1])))
     for side in (-1.0, 1.0):
         whole = max(cone[1] * push[0] + side * cone[0] * push[1], 0.0)
         taken = cone[1] * force[0] + side * cone[0] * force[1]
@@ -358,6 +359,9 @@ def relieve(
     """
     for a in range(len(cones)):
         if not of_group(sudden, groups, groups[a]):
-            steady[a], slides[a] = pushes[a], z[UNKNOWNS * a + 3] > 0.0
+            put(pushes[a], steady[a])
+            slides[a] = z[UNKNOWNS * a + 3] > 0.0
         elif not sudden[a]:
-            steady[a] *= _part_left(pushes[a], steady[a], cones[a])
+            left = _part_left(pushes[a], steady[a], cones[a])
+            steady[a, 0] *= left
+            steady[a, 1] *= left

@@ -1,11 +1,11 @@
 """Moreau's and Jean's time stepping, for points on surfaces.
 
 `stepper` is what all scenes have in common that are stepped; `scene_stepper` runs one by
-`scene_steps`, each `chunk` by the compiled `scene_step` with the linear `equations` and the
-`control` of each step; `loop` is the run of what is `stepped` from where it has `begun`,
-`streaming` the same as it comes, `stops` ends it, `forces` tells modes and forces from impulses,
-`effort` counts what those took, and `recorder` makes a trace of it all, of the `polynomials` of
-steps; a `track` keeps states alone. `scene_tape` are a scene's equations. `passing`, `limits` and
-`energy` tell where a step is too long; `misses` estimates the errors of a run, with `unseen` of its
-forces and `impacts`.
+`scene_steps`, each `chunk` by the compiled `scene_step` of `scene_numbers` with the linear
+`equations`, the `step_contacts` and the `control` of each step; `loop` is the run of what is
+`stepped` from where it has `begun`, `streaming` the same as it comes, `stops` ends it, `forces`
+tells modes and forces from impulses, `effort` counts what those took, and `recorder` makes a trace
+of it all, of the `polynomials` of steps; a `track` keeps states alone. `scene_tape` are a scene's
+equations. `passing`, `limits` and `energy` tell where a step is too long; `misses` estimates the
+errors of a run, with `unseen` of its forces and `impacts`.
 """

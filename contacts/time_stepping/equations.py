@@ -26,11 +26,16 @@ _LIGHTEST = 1e-9
 def _factor(matrix: Array) -> tuple[bool, Ints]:
     """Factor in place with partial pivoting of equilibrated rows; False where singular."""
     size = len(matrix)
-    order = np.arange(size)
-    scale = np.empty(size)
+    order, scale = np.empty(size, np.int64), np.empty(size)
     for i in range(size):
-        largest = np.abs(matrix[i]).max()
-        if not (largest > 0.0 and math.isfinite(largest)):
+        order[i] = i
+    for i in range(size):
+        largest = 0.0
+        for j in range(size):
+            largest = max(largest, abs(matrix[i, j]))
+            if not math.isfinite(matrix[i, j]):
+                return False, order
+        if not largest > 0.0:
             return False, order
         scale[i] = 1.0 / largest
     for k in range(size):

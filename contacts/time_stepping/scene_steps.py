@@ -9,13 +9,13 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.setup import SceneSetup
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import BAD_INERTIA, Chunk, stepped
 from contacts.time_stepping.limits import Swings, check_swing, remarks
 from contacts.time_stepping.misses import Equations, Misses
 from contacts.time_stepping.passing import passed
+from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from statechart.arrays import Array, Bools, Ints
@@ -34,14 +34,9 @@ _CODES = {state: code for code, state in STATES.items()}
 
 @dataclass(eq=False)
 class _Memory:
-    """What lasts from step to step; see `contacts.time_stepping.scene_step.step_scene`."""
+    """What lasts from step to step: of contacts, their last modes, the least values seen."""
 
-    level: Array
-    closed: Bools
-    fresh: Ints
-    off: Bools
-    light: Bools
-    bases: Bools
+    contacts: ContactMemory
     codes: Ints
     least_gap: Array
     least: Array
@@ -72,12 +67,7 @@ class SteppedScene:
         self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
         self.switch(source, setup.contacts)
         self._memory = _Memory(
-            np.zeros(count),
-            np.zeros(count, dtype=np.bool_),
-            np.zeros(count, dtype=np.int64),
-            off.copy(),
-            np.zeros(1, dtype=np.bool_),
-            np.zeros((count, UNKNOWNS), dtype=np.bool_),
+            ContactMemory.of(off),
             np.full(count, FREE),
             np.full(count, np.inf),
             np.full((count, 2), np.inf),
@@ -106,7 +96,7 @@ class SteppedScene:
     @property
     def filled(self) -> bool:
         """Whether coordinates without an inertia of their own were given one."""
-        return bool(self._memory.light[0])
+        return bool(self._memory.contacts.light[0])
 
     def forget(self) -> None:
         """Take back the last steps."""
@@ -148,19 +138,18 @@ class SteppedScene:
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.room(h, state, n + r + 2 * c + source.controls, c, count)
         self._kept, self._misses_kept = self._memory.copy(), self._misses.copy()
-        memory = self._memory
+        memory = self._memory.contacts
+        scene = SceneNumbers(
+            tape.code, tape.constants, tape.outputs, source.damped, self._values, self._cones,
+            self._restitution, source.plastic, source.held, source.slips, r, self._near,
+            _SLOWEST * self._speed, self._negligible,
+        )  # fmt: skip
         swings = self._check_springs(chunk, start)
 
         def step(
             left: Chunk, done: int, given: Array, how: int
         ) -> tuple[int, int, Array, Array, Array]:
-            return step_scene(
-                tape.code, tape.constants, tape.outputs, source.damped, self._values,
-                self._cones, self._restitution, source.plastic, source.held, source.slips, r,
-                self._near, _SLOWEST * self._speed, self._negligible, start + done * h,
-                memory.level, memory.closed, memory.fresh, memory.off, memory.light, memory.bases,
-                given, how, left,
-            )  # fmt: skip
+            return step_scene(scene, memory, start + done * h, given, how, left)
 
         done = stepped(step, _failure, chunk, self._allowed)
         chunk = chunk.first(self._declared(chunk.codes[:done], start, h))

@@ -1,0 +1,182 @@
+"""What a step of a scene on tape works with, as values that kernels take."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from statechart.arrays import Array, Bools, Ints, Ints32
+
+
+class SceneNumbers(NamedTuple):
+    """What does not change in a run, until a controller or a condition changes it.
+
+    Attributes
+    ----------
+    code, constants, outputs
+        The tape: mass (n, n), forces (n,), where `damped` also their derivatives by the rates
+        (n, n), then per contact Jacobian (2, n) and what `CONTACT` lists, per component of a joint
+        Jacobian (n,) and what `JOINT` lists, and what controllers set (u,).
+    damped : bool
+    parameters : (p,)
+    cones : (c, 2), restitution : (c,)
+    plastic : bool
+        Whether contacts that are hit together do not rebound.
+    held : (c,) array of int
+        How many components of a contact's velocity are constrained whatever the impulse: 0, 1
+        (normal), 2 (both).
+    slips : (c,) array of int
+        Whether a contact may slide: 0, 1, or 2 if its slides have a direction.
+    joints : int
+        Number of components of joints.
+    near : float
+        Contacts that were off come back where they are no deeper than this.
+    slowest, negligible : float
+        What contacts add to the energy is told in parts of what they move with: at this speed at
+        least, and twice this energy at least.
+    """
+
+    code: Ints32
+    constants: Array
+    outputs: Ints32
+    damped: bool
+    parameters: Array
+    cones: Array
+    restitution: Array
+    plastic: bool
+    held: Ints
+    slips: Ints
+    joints: int
+    near: float
+    slowest: float
+    negligible: float
+
+
+class ContactMemory(NamedTuple):
+    """What lasts of contacts from step to step.
+
+    Attributes
+    ----------
+    level : (c,)
+        Gap at which a contact that lasts is kept: what its landing has left, never above 0.
+    closed : (c,)
+        Whether it lasts.
+    fresh : (c,) array of int
+        Of how many steps, this one included, impulses are not those of forces alone.
+    off : (c,)
+        Whether its condition keeps it off.
+    light : (1,)
+        Whether coordinates without an inertia of their own were given one.
+    bases : (c, 4)
+        Positive unknowns of the last problem.
+    """
+
+    level: Array
+    closed: Bools
+    fresh: Ints
+    off: Bools
+    light: Bools
+    bases: Bools
+
+    @classmethod
+    def of(cls, off: Bools) -> ContactMemory:
+        """Return that of contacts that have not touched yet."""
+        count = len(off)
+        return cls(
+            np.zeros(count),
+            np.zeros(count, dtype=np.bool_),
+            np.zeros(count, dtype=np.int64),
+            off.copy(),
+            np.zeros(1, dtype=np.bool_),
+            np.zeros((count, UNKNOWNS), dtype=np.bool_),
+        )
+
+    def copy(self) -> ContactMemory:
+        """Return it as it is now."""
+        return ContactMemory._make(array.copy() for array in self)
+
+
+class Tape(NamedTuple):
+    """The numbers of a step's tape; the Jacobian of contact i begins at ``first + per * i``.
+
+    Attributes
+    ----------
+    numbers : (k,)
+    size, first, per : int
+        Coordinates; where contacts begin; numbers of a contact.
+    """
+
+    numbers: Array
+    size: int
+    first: int
+    per: int
+
+
+class Met(NamedTuple):
+    """How contacts take part in a step.
+
+    Attributes
+    ----------
+    active, hit : (c,) array of bool
+        Who takes part, who is struck.
+    wanted, before, free : (c, 2) array
+        What velocities may not fall below, negated; what they are before the step, and after it
+        without impulses.
+    """
+
+    active: Bools
+    hit: Bools
+    wanted: Array
+    before: Array
+    free: Array
+
+
+class Problem(NamedTuple):
+    """The contact problem of those that take part.
+
+    Attributes
+    ----------
+    which : (m,) array of int
+        Contacts.
+    columns : (2 m, s), delassus : (2 m, 2 m)
+        What unit impulses do to all that moves, and to the contacts' velocities.
+    groups : (m,) array of int
+        Equal for those that feel each other's impulses.
+    cones, before, free, wanted : (m, 2)
+    rebounds, sudden : (m,) array of bool
+        Who asks for restitution; whose impulse is one at an instant.
+    """
+
+    which: Ints
+    columns: Array
+    delassus: Array
+    groups: Ints
+    cones: Array
+    before: Array
+    free: Array
+    wanted: Array
+    rebounds: Bools
+    sudden: Bools
+
+
+class Answer(NamedTuple):
+    """What solves it.
+
+    Attributes
+    ----------
+    z, basis : (4 m,)
+        Unknowns; which of them are positive.
+    least : (m, 2)
+        Velocities without impulses, as they were asked for.
+    pushes, steady : (m, 2), slides : (m,) array of bool
+        Impulses; those of them that are forces, and who slides under these.
+    """
+
+    z: Array
+    basis: Bools
+    least: Array
+    pushes: Array
+    steady: Array
+    slides: Bools

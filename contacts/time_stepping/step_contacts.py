@@ -1,0 +1,310 @@
+"""The contacts of a step of a scene on tape: which take part, what they bear, and how that is told.
+
+Moreau's midpoint rule: all impulses of a step are those of one contact problem in its middle.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from contacts.solvers.redundancy import shared_forces
+from contacts.solvers.step_impulses import (
+    coupled_contacts,
+    into_cone,
+    of_group,
+    relieve,
+    steady_impulses,
+)
+from contacts.states import FREE, OFF_CODE
+from contacts.time_stepping.chunk import (
+    APART,
+    BESIDE,
+    HIT,
+    LASTING,
+    SLOW,
+    Chunk,
+    arriving,
+    pressed_guess,
+)
+from contacts.time_stepping.energy import energy_added
+from contacts.time_stepping.equations import back
+from contacts.time_stepping.forces import borne_mode, jammed, resting
+from contacts.time_stepping.scene_numbers import (
+    Answer,
+    ContactMemory,
+    Met,
+    Problem,
+    SceneNumbers,
+    Tape,
+)
+from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.copies import put
+from statechart.kernels.jit import part
+
+# A contact that lands slower than this part of what a step without contact would make of rest
+# brings no momentum that forces would tell.
+_LATE = 1e-9
+# So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
+# its level in the landing's; and the one after that, which ends what the next began.
+_SETTLING = 3
+
+
+@part
+def taking_part(
+    scene: SceneNumbers, memory: ContactMemory, tape: Tape, change: Array, k: int, met: Met,
+    chunk: Chunk,
+) -> bool:  # fmt: skip
+    """Write which contacts take part in step k; False where one is nowhere.
+
+    Without contacts the step changes the rates by `change`.
+    """
+    numbers, n, off, level, h = tape.numbers, tape.size, memory.off, memory.level, chunk.h
+    for i in range(len(scene.cones)):
+        row = tape.first + tape.per * i
+        gap = numbers[row + 2 * n + 2]
+        condition = numbers[row + 2 * n + 5]
+        was_off = off[i]
+        if was_off:
+            off[i] = not (condition > 0.0 and gap >= -scene.near)
+        elif condition < 0.0:
+            off[i] = True
+        if not off[i] and (math.isnan(condition) or not math.isfinite(gap)):
+            return False
+        chunk.gaps[k, i] = math.inf if off[i] else gap
+        if scene.held[i] > 0 or off[i] or was_off:
+            level[i] = 0.0
+            continue
+        before, free = met.before[i], met.free[i]
+        for d in range(2):
+            before[d] = free[d] = numbers[row + 2 * n + 3 + d]
+            for j in range(n):
+                free[d] += numbers[row + d * n + j] * change[j]
+        nearing, slow = -before[0], SLOW * abs(free[0] - before[0])
+        bias = 0.5 * h * numbers[row + 2 * n]
+        role, level[i], above = arriving(
+            gap, level[i], memory.closed[i], nearing, free[0] + bias, slow, BESIDE, h
+        )
+        met.active[i], met.hit[i] = role != APART, role == HIT
+        if role == LASTING:
+            met.wanted[i, 0] = above / h + bias
+            met.wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
+        elif role == HIT:
+            # The direction it is hit in is as far off as it turns within the step.
+            speed = max(math.hypot(before[0], before[1]), scene.slowest)
+            chunk.gained[k] = max(chunk.gained[k], (bias / speed) ** 2)
+            met.wanted[i, 0] = -scene.restitution[i] * nearing
+            chunk.approach[k] = max(chunk.approach[k], nearing)
+            chunk.closing[k] = max(chunk.closing[k], -gap)
+    return True
+
+
+@part
+def _alone(groups: Ints, a: int) -> bool:
+    """Whether a contact is the only one of its group."""
+    alone = True
+    for b in range(len(groups)):
+        alone = alone and (b == a or groups[b] != groups[a])
+    return alone
+
+
+@part
+def _delassus(tape: Tape, which: Ints, columns: Array) -> Array:
+    """Return what unit impulses of contacts do to their velocities."""
+    m, n = len(which), tape.size
+    result = np.zeros((2 * m, 2 * m))
+    for a in range(m):
+        row = tape.first + tape.per * which[a]
+        for d in range(2):
+            for b in range(2 * m):
+                value = 0.0
+                for j in range(n):
+                    value += tape.numbers[row + d * n + j] * columns[b, j]
+                result[2 * a + d, b] = value
+    return result
+
+
+@part
+def contact_problem(
+    scene: SceneNumbers, tape: Tape, factors: Array, order: Ints, which: Ints, met: Met
+) -> Problem:
+    """Return the problem of the contacts that take part; `met` is told who does not rebound.
+
+    What moves has the equations of these factors, in this order.
+    """
+    m, n = len(which), tape.size
+    columns, push = np.zeros((2 * m, len(order))), np.zeros(len(order))
+    for a in range(m):
+        row = tape.first + tape.per * which[a]
+        for d in range(2):
+            for j in range(n):
+                push[j] = tape.numbers[row + d * n + j]
+            put(back(factors, order, push), columns[2 * a + d])
+    delassus = _delassus(tape, which, columns)
+    groups = coupled_contacts(delassus)
+    cones, before = np.empty((m, 2)), np.empty((m, 2))
+    free, wanted = np.empty((m, 2)), np.empty((m, 2))
+    rebounds, sudden = np.empty(m, np.bool_), np.empty(m, np.bool_)
+    for a in range(m):
+        i = which[a]
+        rebounds[a], sudden[a] = met.hit[i] and scene.restitution[i] > 0.0, met.hit[i]
+        if scene.plastic and rebounds[a] and not _alone(groups, a):
+            rebounds[a], met.wanted[i, 0] = False, 0.0
+        put(scene.cones[i], cones[a])
+        put(met.before[i], before[a])
+        put(met.free[i], free[a])
+        put(met.wanted[i], wanted[a])
+    return Problem(which, columns, delassus, groups, cones, before, free, wanted, rebounds, sudden)
+
+
+@part
+def guessed(problem: Problem, bases: Bools) -> Bools:
+    """Return which unknowns (4 m,) are positive: those of the last problem; what is new presses."""
+    m = len(problem.which)
+    guess = np.zeros(UNKNOWNS * m, np.bool_)
+    for a in range(m):
+        for u in range(UNKNOWNS):
+            guess[UNKNOWNS * a + u] = bases[problem.which[a], u]
+        if not guess[UNKNOWNS * a]:
+            slip = problem.free[a, 1] + problem.wanted[a, 1]
+            mine = guess[UNKNOWNS * a : UNKNOWNS * (a + 1)]
+            pressed_guess(mine, slip, problem.cones[a, 1] > 0.0)
+    return guess
+
+
+@part
+def answered(
+    scene: SceneNumbers, memory: ContactMemory, problem: Problem, z: Array, basis: Bools,
+    least: Array, pushes: Array,
+) -> Answer:  # fmt: skip
+    """Return what of impulses is force; what jams is struck at an instant."""
+    delassus, sudden = problem.delassus, problem.sudden
+    for a in range(len(problem.which)):
+        i = problem.which[a]
+        corner = delassus[2 * a : 2 * a + 2, 2 * a : 2 * a + 2]
+        # Where it stuck, its slip is rounding.
+        if scene.slips[i] > 0 and (memory.bases[i, 3] or not memory.closed[i]):
+            slip = problem.before[a, 1]
+            sudden[a] = sudden[a] or jammed(corner, least[a], slip, problem.cones[a])
+    steady, slides = steady_impulses(delassus, least, problem.cones, z, pushes, sudden)
+    relieve(problem.groups, problem.cones, z, pushes, sudden, steady, slides)
+    return Answer(z, basis, least, pushes, steady, slides)
+
+
+@part
+def energy_of(
+    scene: SceneNumbers, tape: Tape, problem: Problem, pushes: Array, rates: Array
+) -> float:
+    """Return the largest part of its own energy that contacts add to a group of them."""
+    m, delassus = len(problem.which), problem.delassus
+    work, moving, rows = np.empty(m), np.empty(m), np.empty(m, np.int64)
+    for a in range(m):
+        work[a], rows[a] = 0.0, tape.first + tape.per * problem.which[a]
+        for d in range(2):
+            both = problem.before[a, d] + problem.free[a, d]
+            for b in range(2 * m):
+                both += delassus[2 * a + d, b] * pushes[b // 2, b % 2]
+            work[a] += pushes[a, d] * both
+        speed = max(math.hypot(problem.before[a, 0], problem.before[a, 1]), scene.slowest)
+        moving[a] = speed * speed / delassus[2 * a, 2 * a]
+    return energy_added(tape.numbers, rates, rows, problem.groups, work, moving, scene.negligible)
+
+
+@part
+def mixed_with_impacts(
+    memory: ContactMemory, tape: Tape, problem: Problem, pushes: Array, h: float
+) -> Bools:
+    """Return whose impulses (m,) of this step are not those of forces alone."""
+    which, groups, m = problem.which, problem.groups, len(problem.which)
+    mixed = np.zeros(m, np.bool_)
+    for a in range(m):
+        i, nearing = which[a], -problem.before[a, 0]
+        late = _LATE * abs(problem.free[a, 0] + nearing)
+        bias = 0.5 * h * tape.numbers[tape.first + tape.per * i + 2 * tape.size]
+        arrives = nearing > late or abs(problem.wanted[a, 0] - bias) > late
+        if pushes[a, 0] > 0.0 and (problem.sudden[a] or (not memory.closed[i] and arrives)):
+            for b in range(m):
+                if groups[b] == groups[a]:
+                    memory.fresh[which[b]] = _SETTLING
+    for a in range(m):
+        if memory.fresh[which[a]] > 0:
+            for b in range(m):
+                mixed[b] = mixed[b] or groups[b] == groups[a]
+    return mixed
+
+
+@part
+def told(
+    scene: SceneNumbers, memory: ContactMemory, problem: Problem, answer: Answer, met: Met, k: int,
+    chunk: Chunk,
+) -> Ints:  # fmt: skip
+    """Write modes and impulses of step k, and who lasts; return the modes (m,) under forces."""
+    m, sudden, cones = len(problem.which), problem.sudden, problem.cones
+    pushes, steady = answer.pushes, answer.steady
+    modes = np.full(m, FREE)
+    for a in range(m):
+        i = problem.which[a]
+        for u in range(UNKNOWNS):
+            memory.bases[i, u] = answer.basis[UNKNOWNS * a + u]
+        slip = answer.least[a, 1]
+        for b in range(2 * m):
+            slip += problem.delassus[2 * a + 1, b] * pushes[b // 2, b % 2]
+        if of_group(sudden, problem.groups, problem.groups[a]):
+            for d in range(2):
+                chunk.impulses[k, i, d] = pushes[a, d] - steady[a, d]
+            put(into_cone(chunk.impulses[k, i], cones[a]), chunk.impulses[k, i])
+        pressed, directed = pushes[a, 0] > 0.0, scene.slips[i] == 2
+        if pressed and not met.hit[i] and not memory.closed[i]:
+            chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.level[i])
+        chunk.struck[k, i] = sudden[a] and pressed
+        memory.closed[i] = pressed and not problem.rebounds[a]
+        if memory.closed[i]:
+            sliding = answer.z[UNKNOWNS * a + 3] > 0.0
+            chunk.codes[k, i] = borne_mode(pushes[a], slip, sliding, cones[a], directed)
+        if steady[a, 0] > 0.0:
+            modes[a] = borne_mode(steady[a], slip, answer.slides[a], cones[a], directed)
+        elif not pressed:
+            rests, slip = resting(problem.delassus, answer.least, steady, a)
+            if rests:
+                modes[a] = borne_mode(steady[a], slip, slip != 0.0, cones[a], directed)
+    return modes
+
+
+@part
+def as_shared(
+    memory: ContactMemory, tape: Tape, problem: Problem, modes: Ints, steady: Array, k: int,
+    chunk: Chunk,
+) -> Array:  # fmt: skip
+    """Write whose forces the motion does not determine; return them shared out."""
+    m, n = len(problem.which), tape.size
+    if m < 2:
+        return steady
+    reach, struck = np.empty((m, 2, n)), False
+    for a in range(m):
+        row = tape.first + tape.per * problem.which[a]
+        struck = struck or problem.sudden[a]
+        for d in range(2):
+            for j in range(n):
+                reach[a, d, j] = tape.numbers[row + d * n + j]
+    alike, result = shared_forces(modes, problem.cones, reach, steady)
+    for a in range(m):
+        i = problem.which[a]
+        chunk.shared[k, i] = alike[a]
+        if result[a, 0] > 0.0 and not memory.closed[i] and not struck:
+            # Others bore its share.
+            memory.closed[i] = True
+            chunk.codes[k, i] = modes[a]
+    return result
+
+
+@part
+def nothing_borne(off: Bools, before: int, k: int, chunk: Chunk) -> None:
+    """Write of step k that no contact bears anything; forces of contacts begin at `before`."""
+    for i in range(len(off)):
+        chunk.codes[k, i] = OFF_CODE if off[i] else FREE
+        chunk.struck[k, i] = chunk.shared[k, i] = False
+        for d in range(2):
+            chunk.impulses[k, i, d] = 0.0
+            chunk.solved[k, before + 2 * i + d] = 0.0
