@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from contacts.detection.body_numbers import BodyNumbers
+from contacts.detection.convex import FOUND, place
 from contacts.detection.look import Look
 from contacts.detection.surfaces import (
     HOLLOW,
@@ -19,7 +22,16 @@ from contacts.detection.surfaces import (
 )
 from contacts.detection.touches import Touches
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import part
+from statechart.kernels.jit import late, part
+
+POINTS = 16
+"""Points of contact that a pair can have: a polygon on a surface has as many as corners."""
+
+# What moves or turns by less than this part of a piece's inner circle passes nothing with it; else
+# it is looked at that often on the way, but no more often than so many times.
+_STRIDE, _LOOKS = 0.5, 64
+# What is no deeper on the way, in parts of that circle, has grazed.
+_GRAZED = 0.1
 
 
 class Ground(NamedTuple):
@@ -79,13 +91,57 @@ def on_surface(
     if distance(surfaces, s, frames[1], x, y) > pieces.sizes[p] + within:
         return 0, 0.0
     before = seen_from(frames[0], x - h * look.drifts[p, 0], y - h * look.drifts[p, 1])
-    passed = crossed(surfaces, s, before, seen_from(frames[1], x, y), pieces.cores[p])
+    after = seen_from(frames[1], x, y)
+    passed = crossed(surfaces, s, before, after, pieces.cores[p])
     first, end = pieces.firsts[p], pieces.firsts[p + 1]
     points = against_surface(
         surfaces, s, frames[1], ground.registers, look.world[first:end], look.centres[p],
         pieces.radii[p], within, found, features,
     )  # fmt: skip
+    turned = h * look.old[pieces.bodies[p], 2] - (frames[1, 2] - frames[0, 2])
+    way = math.hypot(after[0] - before[0], after[1] - before[1]) + pieces.spans[p] * abs(turned)
+    if passed == 0.0 and way > _STRIDE * pieces.cores[p]:
+        clear = True
+        for at in range(points):
+            clear = clear and found[at, 4] >= 0.0
+        if clear:
+            looks = math.ceil(min(way / (_STRIDE * pieces.cores[p]), 1.0 * _LOOKS))
+            passed = _passed_over(numbers, ground, look, (p, s), h, frames, looks)
     return points, passed
+
+
+@late
+def _passed_over(
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], h: float,
+    frames: Array, looks: int,
+) -> float:  # fmt: skip
+    """Return the part of a step for which a piece was in a surface that it is clear of now.
+
+    Its corners and rims, not its middle alone, on the way from the look before: it and the surface
+    move straight and turn evenly. What was in the surface where the way begins leaves it.
+    """
+    (p, s), pieces = pair, numbers.pieces
+    b, first, end = pieces.bodies[p], pieces.firsts[p], pieces.firsts[p + 1]
+    found, features = np.empty((POINTS, FOUND)), np.empty(POINTS, np.int64)
+    frame, within, was_clear, inside = np.empty(3), 0.0, False, 0
+    for i in range(looks):
+        back = 1.0 - i / looks
+        x, y, angle = look.places[b] - back * h * look.old[b]
+        for d in range(3):
+            frame[d] = frames[1, d] + back * (frames[0, d] - frames[1, d])
+        points = against_surface(
+            numbers.surfaces, s, frame, ground.registers,
+            place(pieces.vertices[first:end], x, y, angle),
+            place(pieces.middles[p : p + 1], x, y, angle)[0], pieces.radii[p], within, found,
+            features,
+        )  # fmt: skip
+        deepest = 0.0
+        for at in range(points):
+            deepest = min(deepest, found[at, 4])
+        was_clear = was_clear or deepest == 0.0
+        if was_clear and deepest < -_GRAZED * pieces.cores[p]:
+            inside += 1
+    return inside / looks
 
 
 @part

@@ -10,7 +10,7 @@ import numpy as np
 from contacts.detection.body_numbers import BodyNumbers, Memory
 from contacts.detection.broad_phase import Grid, near_pairs
 from contacts.detection.convex import FOUND, between
-from contacts.detection.ground import Ground, carried_along, on_surface
+from contacts.detection.ground import POINTS, Ground, carried_along, on_surface
 from contacts.detection.joints import held
 from contacts.detection.look import TOUCHING, Look
 from contacts.detection.meeting import arrives, came, crossing, nearby, overlap
@@ -21,8 +21,6 @@ from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put
 from statechart.kernels.jit import beside, part
 
-# Points of contact that a pair can have: a polygon on a surface has as many as corners.
-_POINTS = 16
 # What is past another, within this part of their radii, since the last look has missed it; and of
 # what crosses much of its size in a step, where farther out it approaches at a tenth of its speed.
 _CORE, _WHOLE = 0.9, 0.995
@@ -345,8 +343,8 @@ def touching(
     """
     sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, memory.keys
     count, others = len(sizes), len(sizes) + len(numbers.surfaces.kinds)
-    found, aside, worst = np.empty((_POINTS, FOUND)), np.empty((_POINTS, FOUND)), np.zeros(4)
-    points = _Points(found, np.empty(_POINTS, np.int64), aside, worst)
+    found, aside, worst = np.empty((POINTS, FOUND)), np.empty((POINTS, FOUND)), np.zeros(4)
+    points = _Points(found, np.empty(POINTS, np.int64), aside, worst)
     first = not memory.past[0] > 0.0
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     lowest = math.inf if first else _LANDED * memory.past[2]
