@@ -16,7 +16,7 @@ from contacts.dynamics.conditions import edges
 from contacts.dynamics.scales import measure
 from contacts.dynamics.setup import POINT_MASS, ROUNDING, SceneNumbers
 from statechart.arrays import Array, Bools, Ints, Ints32
-from statechart.engines.whole_flow import Program, tape_of
+from statechart.engines.mode_table import Program, tape_of
 from statechart.kernels.jit import beside
 from statechart.kernels.tapes import tape_values
 

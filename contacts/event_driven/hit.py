@@ -16,7 +16,7 @@ from contacts.modes.fast_classification import classify
 from contacts.scene.parts import MOREAU
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
-from statechart.engines.whole_flow import Program, tape_of
+from statechart.engines.mode_table import Program, tape_of
 from statechart.kernels.copies import put
 from statechart.kernels.jit import part
 from statechart.kernels.tapes import tape_values

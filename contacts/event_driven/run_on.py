@@ -9,20 +9,16 @@ from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.recording import ARCS, EVENTS, TERMS, TIMES, Block
 from statechart.engines.engine import Pace
-from statechart.engines.whole_flow import (
+from statechart.engines.mode_table import (
     ADDRESS,
-    ENDED,
     LAWS_AT,
     MARGINS_AT,
-    SPEED,
     STOPS,
-    UNUSUAL,
     Program,
     Scratch,
-    Watch,
-    flow_to_event,
     tape_of,
 )
+from statechart.engines.whole_flow import ENDED, SPEED, UNUSUAL, Watch, flow_to_event
 from statechart.execution.ahead import (
     ACCUMULATES,
     AHEAD,
@@ -269,7 +265,7 @@ def run_on(
     Parameters
     ----------
     program, pace, watch, memory
-        See `statechart.engines.whole_flow`.
+        See `statechart.engines.mode_table`.
     scene : SceneWatch
         For the classification of instants.
     block : Block

@@ -15,20 +15,17 @@ from contacts.states import FREE, OFF_CODE
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.recording import ARCS, EVENTS, Block
 from statechart.engines.engine import Pace
-from statechart.engines.whole_flow import (
-    GAP,
+from statechart.engines.mode_table import (
     MARGINS,
     MARGINS_AT,
-    PLAIN,
-    SPEED,
     STOPS,
     TAPE,
     WATCHED,
     Program,
     Scratch,
-    Watch,
     tape_of,
 )
+from statechart.engines.whole_flow import GAP, PLAIN, SPEED, Watch
 from statechart.execution.ahead import (
     FELL,
     FULL,
@@ -253,7 +250,7 @@ def run_rows(
     Parameters
     ----------
     program, pace, memory
-        See `statechart.engines.whole_flow`.
+        See `statechart.engines.mode_table`.
     scene : SceneRows
     code, constants, outputs
         Tape of the parameters.

@@ -153,52 +153,7 @@ def _empty(room: tuple[int, int, int, int], variables: int) -> Block:
     )
 
 
-class Whole:
-    """A run that one block holds.
-
-    Parameters
-    ----------
-    pad : Block
-        What it stands on, from the beginning.
-    variables : int
-        Of a state.
-    kinds : list of (Key, Roles)
-    jump : callable
-        Makes the jump of an event.
-    last : callable or None
-        Makes one more that follows those.
-
-    Attributes
-    ----------
-    block : Block
-        A copy.
-    arcs, jumps : sequence
-    """
-
-    def __init__(
-        self,
-        pad: Block,
-        variables: int,
-        kinds: list[Kind],
-        jump: Callable[[Event], Jump],
-        last: Callable[[], Jump] | None,
-    ) -> None:
-        written = pad.used.tolist()
-        arcs, events = written[ARCS], written[EVENTS]
-        block = _copied(pad, written)
-
-        def event(j: int) -> Jump:
-            if j == events and last is not None:
-                return last()
-            return jump(event_of(block, j, j, kinds))
-
-        jumps = events if last is None else events + 1
-        self.block = block
-        self.arcs = Recorded(lambda row: arc_of(block, row, variables, kinds), lambda: arcs)
-        self.jumps = Recorded(event, lambda: jumps)
-
-
-def _copied(pad: Block, written: list[int]) -> Block:
+def copied(pad: Block, written: list[int]) -> Block:
     """Return a copy of what is written on a pad."""
     arcs, times, terms, events = written
     return Block(
@@ -326,7 +281,7 @@ class Recording:
         written = self.memory.used.tolist()
         if not any(written):
             return
-        self._keep(_copied(self.memory, written))
+        self._keep(copied(self.memory, written))
         self.memory.used[:] = 0
 
     def _room(self, arcs: int, times: int, terms: int, events: int) -> bool:

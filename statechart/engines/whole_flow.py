@@ -16,6 +16,23 @@ from statechart.arrays import Array, Bools, Ints32
 from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR, Pace
 from statechart.engines.event_location import BOXES
 from statechart.engines.heyoka_step import call_step
+from statechart.engines.mode_table import (
+    ADDRESS,
+    ANCHORS,
+    FIXED,
+    LIFT,
+    MARGINS,
+    MARGINS_AT,
+    PARS,
+    PLACES_AT,
+    RATES,
+    TAPE,
+    WATCHED,
+    WITHIN,
+    Program,
+    Scratch,
+    tape_of,
+)
 from statechart.engines.taylor_loop import ORDERS, STRAY, expand, let_pass, stray
 from statechart.kernels.boxes import Along
 from statechart.kernels.constraints import off_by
@@ -34,52 +51,15 @@ from statechart.kernels.search import (
     search,
     search_step,
 )
-from statechart.kernels.search_memory import Memory, Ready, ready_along, room
+from statechart.kernels.search_memory import Ready, ready_along
 from statechart.kernels.tapes import tape_values
 
 ENDED, EVENT, UNUSUAL = range(3)
 """How a flow ends: at the end of its duration, at an event, or not in this way."""
 
-TAPE = 9
-"""Columns of a tape in a table: begin and number of operations, constants, outputs, reads; n_fixed.
-"""
-
-(ADDRESS, PARS, MARGINS_AT, MARGINS, STOPS, LAWS_AT) = range(6)
-FIXED = 6
-WATCHED = FIXED + TAPE
-RATES = WATCHED + TAPE
-WITHIN = RATES + TAPE
-LIFT = WITHIN + TAPE
-ANCHORS = LIFT + TAPE
-PLACES_AT = ANCHORS + TAPE
-COLUMNS = PLACES_AT + 1
-"""Columns of a mode in a table. Address of heyoka's step; how many parameters it takes, the time
-among them; where the kinds of its margins are listed, each with the place of a tolerance of its
-own, how many, and which is the first stop; where the laws list what they know of it; tapes of these
-parameters, of the margins and the rates behind them, of the rates alone, of what is to stay above
-the room, of what follows from other variables, of its anchors; where the places of what follows are
-listed."""
-
 PLAIN, GAP, SPEED, FORCE = range(4)
 KINDS = ("plain", "gap", "speed", "force")
 """Kinds of margins: their numbers, and their names in that order."""
-
-
-class Program(NamedTuple):
-    """The modes of an automaton for compiled loops.
-
-    Attributes
-    ----------
-    ints : (..,) array of int32
-    floats : (..,) array
-        Codes, outputs and reads of tapes, and their constants, one behind the other.
-    modes : (m, `COLUMNS`) array of int64
-        Rows of zeros are modes that have not been compiled.
-    """
-
-    ints: Ints32
-    floats: Array
-    modes: NDArray[np.int64]
 
 
 class Watch(NamedTuple):
@@ -110,86 +90,6 @@ class Watch(NamedTuple):
     targets: Array
     weights: Array
     room: float
-
-
-class Scratch(NamedTuple):
-    """Memory of a flow: its steps, as in `statechart.engines.path.Path`, and what they begin with.
-
-    Attributes
-    ----------
-    times : (s + 1,), coefficients : (s, n, terms) array
-        Of the steps; times[0] is 0.
-    state, ended : (n,) array
-    pars : (p,) array
-        At least as many as any mode takes.
-    clock : (2,) array
-    series : (n, terms) array
-    powers : (terms,), length : (1,) array
-        Of the length of a step.
-    offs, sizes : (n,) array
-        Of a step, see `statechart.engines.taylor_loop.stray`.
-    doubtful : (s,) array of bool
-        Steps.
-    tolerances : (m,) array
-        Of margins; at least as many as any mode has, likewise for what follows.
-    searched : Memory
-    whole : (r, 6) array
-        Ranges over a step.
-    """
-
-    times: Array
-    coefficients: Array
-    state: Array
-    ended: Array
-    pars: Array
-    clock: Array
-    series: Array
-    powers: Array
-    length: Array
-    offs: Array
-    sizes: Array
-    doubtful: Bools
-    tolerances: Array
-    searched: Memory
-    whole: Array
-
-
-def scratch(
-    steps: int, terms: int, modes: NDArray[np.int64], variables: int, parameters: int
-) -> Scratch:
-    """Return memory for flows of so many steps, in modes as those of a `Program`."""
-    _, operations, _, constants, _, outputs = modes[:, WATCHED : WATCHED + 6].max(axis=0).tolist()
-    registers = variables + 1 + parameters + constants + operations
-    return Scratch(
-        np.zeros(steps + 1),
-        np.empty((steps, variables, terms)),
-        np.empty(variables),
-        np.empty(variables),
-        np.empty(modes[:, PARS].max()),
-        np.zeros(2),
-        np.empty((variables, terms)),
-        np.empty(terms),
-        np.empty(1),
-        np.empty(variables),
-        np.empty(variables),
-        np.empty(steps, np.bool_),
-        np.empty(modes[:, MARGINS].max()),
-        Memory(*room(registers, operations, outputs, variables)),
-        np.empty((registers, 6)),
-    )
-
-
-@part
-def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, Ints32, Ints32, int]:
-    """Code, constants, outputs, reads and n_fixed of a tape."""
-    ints, floats = program.ints, program.floats
-    return (
-        ints[row[0] : row[0] + 3 * row[1]].reshape((row[1], 3)),
-        floats[row[2] : row[2] + row[3]],
-        ints[row[4] : row[4] + row[5]],
-        ints[row[6] : row[6] + row[7]],
-        row[8],
-    )
 
 
 @part

@@ -7,8 +7,17 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from statechart.automaton.deferred import Deferred
-from statechart.automaton.recording import Whole
+from statechart.automaton.deferred import Deferred, Recorded
+from statechart.automaton.recording import (
+    ARCS,
+    EVENTS,
+    Block,
+    Event,
+    Kind,
+    arc_of,
+    copied,
+    event_of,
+)
 from statechart.automaton.trace import Jump, Outcome, Trace
 from statechart.execution.ahead import N_BOXES, N_JUMPS, N_MODE, N_STEPS, T_HIGH
 from statechart.execution.flow import FOLLOWED
@@ -18,6 +27,51 @@ if TYPE_CHECKING:
     from statechart.automaton.laws import Setup
     from statechart.execution.execution import Execution
     from statechart.execution.simulator import Simulator
+
+
+class _Whole:
+    """A run that one block holds.
+
+    Parameters
+    ----------
+    pad : Block
+        What it stands on, from the beginning.
+    variables : int
+        Of a state.
+    kinds : list of (Key, Roles)
+    jump : callable
+        Makes the jump of an event.
+    last : callable or None
+        Makes one more that follows those.
+
+    Attributes
+    ----------
+    block : Block
+        A copy.
+    arcs, jumps : sequence
+    """
+
+    def __init__(
+        self,
+        pad: Block,
+        variables: int,
+        kinds: list[Kind],
+        jump: Callable[[Event], Jump],
+        last: Callable[[], Jump] | None,
+    ) -> None:
+        written = pad.used.tolist()
+        arcs, events = written[ARCS], written[EVENTS]
+        block = copied(pad, written)
+
+        def event(j: int) -> Jump:
+            if j == events and last is not None:
+                return last()
+            return jump(event_of(block, j, j, kinds))
+
+        jumps = events if last is None else events + 1
+        self.block = block
+        self.arcs = Recorded(lambda row: arc_of(block, row, variables, kinds), lambda: arcs)
+        self.jumps = Recorded(event, lambda: jumps)
 
 
 def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup]) -> Trace:
@@ -43,7 +97,7 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
         stop = partial(Jump, t_end, made, "", "stop", key, key, final, final, (margin,))
     else:
         message = f"reached t = {t_end:.6g}"
-    whole = Whole(
+    whole = _Whole(
         batch.block, len(automaton.variables), modes.kinds, partial(modes.jump, setup), stop
     )
     whole.arcs.source = Batch(

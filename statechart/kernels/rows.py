@@ -34,7 +34,7 @@ def integrate_rows(
     ints, floats : (..,) array
         Tapes, packed.
     tapes : (k, 9) array of int64
-        The tape of every kind of arc, see `statechart.engines.whole_flow.TAPE`; one without
+        The tape of every kind of arc, see `statechart.engines.mode_table.TAPE`; one without
         outputs where nothing is integrated.
     columns : (k, f) array of int64
         Where each of its outputs is added.

@@ -9,7 +9,7 @@ import numpy as np
 from statechart.arrays import Ints
 from statechart.automaton.regions import Mode
 from statechart.documents.outputs import Event
-from statechart.engines.whole_flow import TAPE
+from statechart.engines.mode_table import TAPE
 from statechart.execution.loops import Packed
 from statechart.execution.rows import Batch
 from statechart.execution.simulator import Simulator
