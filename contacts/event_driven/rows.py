@@ -61,8 +61,7 @@ class RowCall:
         self.loop = loop
         tape, inputs = numbers.parameters.program(frozenset(names))
         literals = numbers.parameters.literals
-        given = [(place, names.index(name)) for place, name in enumerate(inputs) if name in names]
-        self._places, self._columns = np.array(given, np.intp).reshape(-1, 2).T
+        self._given_at = [(i, names.index(name)) for i, name in enumerate(inputs) if name in names]
         self._fixed = np.array([*(literals.get(name, math.nan) for name in inputs), math.inf])
         variables, parameters = len(loop.memory.state), len(numbers.parameters.names)
         # What contacts may do is the same whatever the values.
@@ -128,8 +127,8 @@ class RowCall:
         """Return what the numbers of runs are computed from (m, i), of rows (m, p) of values."""
         found = np.empty((len(table), len(self._fixed)))
         found[:] = self._fixed
-        if self._places.size:
-            found[:, self._places] = table[:, self._columns]
+        for place, column in self._given_at:
+            found[:, place] = table[:, column]
         return found
 
     def run(self, rows: Rows, block: Block, found: Found) -> int:

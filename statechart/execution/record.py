@@ -100,9 +100,7 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
     whole = _Whole(
         batch.block, len(automaton.variables), modes.kinds, partial(modes.jump, setup), stop
     )
-    whole.arcs.source = Batch(
-        batch.rows, found, whole.block, kinds, modes, batch.zeros, batch.series
-    )
+    whole.arcs.source = batch._replace(block=whole.block)
     return Trace(
         name=automaton.name,
         regions=automaton.region_names,

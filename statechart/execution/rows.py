@@ -7,7 +7,6 @@ loop would hand back, is not judged here: that row is left to a run of its own, 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -95,8 +94,7 @@ class Rows(NamedTuple):
     alone: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Batch:
+class Batch(NamedTuple):
     """Rows that have gone through; valid until the next of them are made.
 
     Attributes
@@ -200,7 +198,7 @@ class RowRunner:
                 kept = np.flatnonzero(self._judged(batch, table[batch.rows]))
                 if kept.size:
                     found = Found._make([array[kept] for array in batch.found])
-                    yield replace(batch, rows=batch.rows[kept], found=found)
+                    yield batch._replace(rows=batch.rows[kept], found=found)
             left = np.concatenate(others)
 
     def alone(self, values: Array, until: float, max_jumps: int) -> Batch | None:

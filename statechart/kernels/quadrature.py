@@ -69,9 +69,8 @@ def integrate_outputs(
     base, regs = filled(code, constants, parameters, n, count)
     along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
     jets, bounds = ready(along, regs), np.zeros(n)
-    result, largest = np.zeros(outputs.shape[0]), np.zeros(outputs.shape[0])
-    rough, noise = np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
-    rounded = np.empty(jets.shape[0])
+    sums = np.zeros((4, outputs.shape[0]))
+    result, largest, rough, noise = sums[0], sums[1], sums[2], sums[3]
     undefined = np.empty(outputs.shape[0], np.bool_)
     lefts, rights = np.empty(64), np.empty(64)
     ends, pieces = np.empty(2 * coeffs.shape[0] + 1), 0
@@ -104,7 +103,7 @@ def integrate_outputs(
             if halve:
                 # What is as rough at places as in the box, or not rougher than its values are
                 # rounded there, is the rounding of a kink's zero.
-                halve = False
+                halve, rounded = False, np.empty(jets.shape[0])
                 for j in range(2):
                     s = a + PLACES[j + 1] * (b - a)
                     look(along, step, bounds, s, s, jets)
