@@ -247,7 +247,20 @@ def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
             others = (largest(gap - columns[name]) for name in automaton.names)
             if min(others, default=np.inf) > _NOTHING * scale:
                 names.append(f"{region}.gap")
-    return [_chosen("gap", names, model.unit(names[0]), samples)] if names else []
+    if not names:
+        return []
+    changing = {
+        f"{region}.gap"
+        for jump in trace.jumps
+        for region, left, entered in zip(trace.regions, jump.source, jump.target, strict=True)
+        if left != entered
+    }
+    # Of many, those of contacts that do something.
+    told = [name for name in names if name in changing]
+    told = told if told and len(names) > MOST else names
+    panel = _chosen("gap", told, model.unit(names[0]), samples)
+    idle = tuple(name for name in names if name not in told)
+    return [replace(panel, left_out=(*panel.left_out, *idle))]
 
 
 def _forces(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:

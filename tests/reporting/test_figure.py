@@ -192,6 +192,17 @@ def test_of_many_curves_alike_some_from_one_end_to_the_other_are_drawn(height: i
     assert list(struck.impulses) == [hit[round(k * last / 4)] for k in range(5)]
 
 
+def test_of_many_gaps_those_of_contacts_that_change_are_drawn() -> None:
+    result = Runner("rimless_wheel").run()
+    _, panels = curves(result.observer, result.trace)
+    (gaps,) = (panel for panel in panels if panel.title == "gap")
+    rolled = {jump.region for jump in result.trace.jumps}
+    assert len(gaps.names) == 5
+    assert {name.removesuffix(".gap") for name in gaps.names} <= rolled
+    # Of those that stay off all along nothing is lost but the curve.
+    assert {*gaps.names, *gaps.left_out} == {f"{r}.gap" for r in result.trace.regions}
+
+
 def test_impulses_are_marked_on_the_axis_of_forces() -> None:
     trace, axes = drawn(DROP.replace("E}", "0}"))
     force = axes[-2]
