@@ -106,7 +106,7 @@ def by_us(count: int, tolerance: float) -> tuple[float, Iterator[Step]]:
     taken = median(lambda: runner.run(values, throw=False), 5)
 
     def steps() -> Iterator[Step]:
-        begun = runner.automaton.stepper()._begin(values, STEP, tolerance)
+        begun = runner.automaton.stepper()._begin(values, STEP, tolerance, forces=False)
         heap = begun.stepped
         assert isinstance(heap, SteppedHeap)
         # What is in the way after a step is not looked at: contacts are those of the step.

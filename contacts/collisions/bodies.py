@@ -136,7 +136,7 @@ class BodyStepper(Stepper):
 
         In it nothing moves far beside the smallest body, at the scene's speed or falling.
         """
-        setup, bodies = self._made({}, USUAL.tolerance)
+        setup, bodies = self._made({}, USUAL.tolerance, False)
         sizes = bodies.numbers.sizes
         # What only carries a surface has no size.
         size = float(sizes.min(where=sizes > 0.0, initial=np.inf))
@@ -154,10 +154,12 @@ class BodyStepper(Stepper):
         DeclarationProblem
             If no run can start there.
         """
-        return self._made(overrides, USUAL.tolerance)[0]
+        return self._made(overrides, USUAL.tolerance, False)[0]
 
-    def _begin(self, overrides: Mapping[str, float], step: float, allowed: float) -> Begun:
-        setup, bodies = self._made(overrides, allowed)
+    def _begin(
+        self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
+    ) -> Begun:
+        setup, bodies = self._made(overrides, allowed, forces)
         size, fall = setup.scales.length, math.hypot(*bodies.numbers.gravity) * step**2
         failure = None
         if fall > DEEPEST * size:
@@ -176,7 +178,7 @@ class BodyStepper(Stepper):
         return Begun(setup, bodies, free, self._lacks(setup), control, failure)
 
     def _made(
-        self, overrides: Mapping[str, float], allowed: float
+        self, overrides: Mapping[str, float], allowed: float, forces: bool
     ) -> tuple[SceneSetup, SteppedHeap]:
         values, remembered = self._mechanics.parameters.values(overrides)
         scene, owners = self._scene, self._bodies.owners
@@ -240,5 +242,6 @@ class BodyStepper(Stepper):
                     loc=("bodies", owners[names.index(body)], "start"),
                 )
         return setup, SteppedHeap(
-            names, touched(scene), bodies, around(), plastic, allowed, DEEPEST * length
-        )
+            names, touched(scene), bodies, around(), plastic, allowed, DEEPEST * length,
+            forces,
+        )  # fmt: skip

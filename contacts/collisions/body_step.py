@@ -22,10 +22,11 @@ from contacts.detection.joints import joined
 from contacts.detection.look import Look, look_at, pushed
 from contacts.detection.touches import Touches, velocity
 from contacts.detection.touching import Seen, touching
+from contacts.solvers.contact_rows import ContactRows
 from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import beside, kernel, late, part
 from statechart.kernels.tapes import BLOCK, filled
@@ -51,6 +52,12 @@ class Room(NamedTuple):
         Impulses of the step, and those of them that are forces.
     bounces : (c,) array of int
         1: restitution is asked for.
+    contacts : ContactRows
+        Those of an island.
+    island : (4, c, 2)
+        Their velocities before the step and without impulses, what is wanted, and impulses.
+    rebounds : (c,) array of bool
+        Which of them do.
     parents, local : (b,) array of int, begins : (b + 1,), order : (c,)
         See `contacts.collisions.islands`.
     worst : (4,)
@@ -66,6 +73,9 @@ class Room(NamedTuple):
     pressed: Array
     steady: Array
     bounces: Ints
+    contacts: ContactRows
+    island: Array
+    rebounds: Bools
     parents: Ints
     local: Ints
     begins: Ints
@@ -84,6 +94,9 @@ class Room(NamedTuple):
             np.empty((most, 2)),
             np.empty((most, 2)),
             np.empty(most, np.int64),
+            ContactRows.room(most),
+            np.empty((4, most, 2)),
+            np.empty(most, np.bool_),
             np.empty(count, np.int64),
             np.empty(count, np.int64),
             np.empty(count + 1, np.int64),
@@ -95,16 +108,17 @@ class Room(NamedTuple):
 
 @beside
 def _solved(
-    numbers: BodyNumbers, plastic: bool, room: Room, count: int, allowed: float, effort: Array
-) -> None:
+    numbers: BodyNumbers, plastic: bool, forces: bool, room: Room, count: int, allowed: float,
+    effort: Array,
+) -> None:  # fmt: skip
     """Find the impulses of a step, island by island.
 
     Parameters
     ----------
-    numbers, plastic, allowed
+    numbers, plastic, forces, allowed
         See `step_bodies`.
     room : Room
-        Its impulses are written.
+        Its impulses are written, and where the next step starts to look for its own.
     count : int
         Contacts.
     effort : (4,)
@@ -120,10 +134,10 @@ def _solved(
         size = len(members)
         if size == 0:
             continue
-        contacts = gathered(members, bodies, rows, inverse, materials, local)
-        start, unforced = np.empty((size, 2)), np.empty((size, 2))
-        asked, chosen = np.empty((size, 2)), np.empty((size, 2))
-        rebounds, quiet = np.empty(size, np.bool_), 0
+        contacts = gathered(members, bodies, rows, inverse, materials, local, room.contacts)
+        start, unforced = room.island[0, :size], room.island[1, :size]
+        asked, chosen = room.island[2, :size], room.island[3, :size]
+        rebounds, quiet = room.rebounds[:size], 0
         for a in range(size):
             i = members[a]
             put(touches.before[i], start[a])
@@ -149,18 +163,22 @@ def _solved(
         if missed > allowed:
             note_worst(numbers.inverse, touches.bodies, members, missed, room.worst)
         for a in range(size):
-            put(chosen[a], room.pressed[members[a]])
-            put(chosen[a], room.steady[members[a]])
-        if quiet < size:
-            done += _forces(numbers, room, members, quiet, allowed)
+            i = members[a]
+            put(chosen[a], room.pressed[i])
+            put(chosen[a], room.steady[i])
+            # What lasts is nearer to what it was than to what others' impacts made it bear.
+            if quiet == size or touches.hit[i]:
+                put(chosen[a], touches.pushes[i])
+        if forces and quiet < size:
+            _forces(numbers, room, members, quiet, allowed)
         effort[0] = max(effort[0], missed)
         effort[1] += done
         effort[3] = max(effort[3], 1.0 if softened else 0.0)
 
 
 @beside
-def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed: float) -> int:
-    """Write what is force of an island's impulses: those without what strikes; return iterations.
+def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed: float) -> None:
+    """Write what is force of an island's impulses: those without what strikes.
 
     `quiet` of its contacts are not struck.
     """
@@ -172,7 +190,7 @@ def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed
             others[last] = i
             last += 1
     if quiet == 0:
-        return 0
+        return
     alone, least = np.empty((quiet, 2)), np.empty((quiet, 2))
     slow = fast = 0.0
     for a in range(quiet):
@@ -185,12 +203,12 @@ def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed
     # No nearer, as velocities, than the impulses of the step are.
     near = min(allowed * fast / slow, max(allowed, _NEAR)) if slow > 0.0 else allowed
     contacts = gathered(
-        others, touches.bodies, touches.rows, numbers.inverse, touches.materials, room.local
-    )
-    _, done = solve_rows(contacts, least, alone, near, False)
+        others, touches.bodies, touches.rows, numbers.inverse, touches.materials, room.local,
+        room.contacts,
+    )  # fmt: skip
+    solve_rows(contacts, least, alone, near, False)
     for a in range(quiet):
         put(alone[a], room.steady[others[a]])
-    return done
 
 
 @beside
@@ -217,9 +235,7 @@ def _kept(
         closed = 0.0 if touches.hit[i] else -1.0
         memory.contacts[i, 0] = touches.memory[i, 0]
         memory.contacts[i, 1] = 1.0 if lasts else closed
-        # What lasts is nearer to the next step's impulses than what others' impacts made it bear.
-        kept = pressed if touches.hit[i] else room.steady
-        memory.contacts[i, 2], memory.contacts[i, 3] = kept[i]
+        memory.contacts[i, 2], memory.contacts[i, 3] = touches.pushes[i]
         for d in range(2):
             pushed_by = velocity(touches.bodies, touches.rows, rates, i, d)
             pushed_by -= velocity(touches.bodies, touches.rows, room.look.loose, i, d)
@@ -302,6 +318,7 @@ def step_bodies(
     around: Ahead,
     instant: float,
     plastic: bool,
+    forces: bool,
     memory: Memory,
     room: Room,
     bounds: tuple[float, float],
@@ -318,6 +335,8 @@ def step_bodies(
         When the first step begins.
     plastic : bool
         Whether what is hit together does not rebound.
+    forces : bool
+        Whether somebody reads the unknowns, which else are not those of what lasts.
     memory : Memory
         Where it has too little place the status is `FULL`. Changed in place.
     room : Room
@@ -336,9 +355,9 @@ def step_bodies(
     surfaces = numbers.surfaces
     registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
     registers[1][1] = 0.0
-    frames, still, forces = np.zeros((3, 3)), np.zeros((3, 3)), around.forces
+    frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), around.forces
     width = 2 * n + around.memories.shape[1]
-    acting = filled(forces.code, forces.constants, forces.values, width, 1)
+    acting = filled(applied.code, applied.constants, applied.values, width, 1)
     steps = len(chunk.codes)
     # What is in the way after the last step tells whether that could be taken.
     for k in range(steps + 1):
@@ -346,9 +365,9 @@ def step_bodies(
             break
         ground = Ground(around.frames[k : k + 3], registers, frames, still)
         look_at(numbers, state, h, memory.past[0], room.look)
-        if len(forces.bodies) > 0:
+        if len(applied.bodies) > 0:
             time = instant + (k + 0.5) * h
-            pushed(numbers, forces, acting, around.memories[k + 1], time, h, room.look)
+            pushed(numbers, applied, acting, around.memories[k + 1], time, h, room.look)
         seen = touching(numbers, ground, memory, room.look, room.grid, h, touches)
         full = seen.contacts < 0 or seen.contacts + len(numbers.joints.holds) >= len(touches.hit)
         if full and k < steps:
@@ -366,7 +385,7 @@ def step_bodies(
         if joins:
             places = around.places[k : k + 3]
             count = joined(numbers, places, memory, room.look, h, count, touches)
-        _solved(numbers, plastic, room, count, allowed, chunk.efforts[k])
+        _solved(numbers, plastic, forces, room, count, allowed, chunk.efforts[k])
         rates, forced = loose.copy(), loose.copy()
         for i in range(count):
             for d in range(2):
@@ -375,7 +394,7 @@ def step_bodies(
                         touches.bodies, touches.rows, numbers.inverse, rates, i, d,
                         room.pressed[i, d],
                     )  # fmt: skip
-                if room.steady[i, d] != 0.0:
+                if forces and room.steady[i, d] != 0.0:
                     push(
                         touches.bodies, touches.rows, numbers.inverse, forced, i, d,
                         room.steady[i, d],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from contacts.solvers.contact_rows import ContactRows, own_compliances
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import part
@@ -56,8 +54,9 @@ def grouped(bodies: Ints, count: int, parents: Ints, begins: Ints, order: Ints) 
 
 @part
 def gathered(
-    members: Ints, bodies: Ints, rows: Array, inverse: Array, cones: Array, local: Ints
-) -> ContactRows:
+    members: Ints, bodies: Ints, rows: Array, inverse: Array, cones: Array, local: Ints,
+    room: ContactRows,
+) -> ContactRows:  # fmt: skip
     """Return contacts as rows of their own, in the rates of the bodies that they move.
 
     Parameters
@@ -71,15 +70,14 @@ def gathered(
     cones : (c, 2)
     local : (b,) array of int
         Is overwritten.
+    room : ContactRows
+        Of as many contacts; where they are written.
     """
     count, moved = len(members), 0
     for i in members:
         for side in range(2):
             if bodies[i, side] >= 0:
                 local[bodies[i, side]] = -1
-    places = np.empty((count, 6), np.int64)
-    own_rows, columns = np.empty((count, 2, 6)), np.empty((count, 2, 6))
-    own, edges = np.empty((count, 3)), np.empty((count, 2))
     for a in range(count):
         i = members[a]
         for side in range(2):
@@ -87,20 +85,23 @@ def gathered(
             if b >= 0 and local[b] < 0:
                 local[b] = moved
                 moved += 1
-            for k in range(3):
-                # Surfaces move nothing, and stand behind the bodies.
-                places[a, 3 * side + k] = 3 * local[b] + k if b >= 0 else -1
+            room.bodies[a, side] = local[b] if b >= 0 else -1
+            for k in range(3 * side, 3 * side + 3):
                 for d in range(2):
-                    row = rows[i, d, 3 * side + k] if b >= 0 else 0.0
-                    own_rows[a, d, 3 * side + k] = row
-                    columns[a, d, 3 * side + k] = inverse[b, k] * row if b >= 0 else 0.0
-        edges[a, 0], edges[a, 1] = cones[i, 0], cones[i, 1]
+                    row = rows[i, d, k] if b >= 0 else 0.0
+                    room.rows[a, d, k] = row
+                    room.columns[a, d, k] = inverse[b, k - 3 * side] * row if b >= 0 else 0.0
+        room.cones[a, 0], room.cones[a, 1] = cones[i, 0], cones[i, 1]
     for a in range(count):
-        for k in range(6):
-            if places[a, k] < 0:
-                places[a, k] = 3 * moved
-    own_compliances(own_rows, columns, own)
-    return ContactRows(places, own_rows, columns, own, edges)
+        for side in range(2):
+            if room.bodies[a, side] < 0:
+                room.bodies[a, side] = moved
+    contacts = ContactRows(
+        room.bodies[:count], moved, room.rows[:count], room.columns[:count], room.own[:count],
+        room.cones[:count],
+    )  # fmt: skip
+    own_compliances(contacts.rows, contacts.columns, contacts.own)
+    return contacts
 
 
 @part

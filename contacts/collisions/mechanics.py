@@ -16,7 +16,7 @@ from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import body_parameters
 from contacts.scene.scene import Scene
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 from statechart.formulas.determinants import Definition
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
@@ -53,6 +53,7 @@ class BodyMechanics(Mechanics):
         parameters = body_parameters(scene)
         super().__init__(scene.model_copy(update={"bodies": single}), parameters)
         self.starts = Starts(scene, parameters)
+        self._force_tapes: dict[tuple[tuple[str, str], ...], tuple[Ints, Tape]] = {}
 
     def tape(
         self,
@@ -125,6 +126,14 @@ class BodyMechanics(Mechanics):
         values : (p,) array
             Of the parameters.
         """
+        key = tuple(states.items())
+        if key not in self._force_tapes:
+            self._force_tapes[key] = self._force_tape(states)
+        places, tape = self._force_tapes[key]
+        return ForceProgram(places, tape.code, tape.constants, tape.outputs, values)
+
+    def _force_tape(self, states: Mapping[str, str]) -> tuple[Ints, Tape]:
+        """Return which bodies forces act on, and what gives these forces."""
         found: dict[int, list[sp.Expr]] = {}
         for force in self.scene.forces.values():
             for place, known in self._each(force.body):
@@ -140,9 +149,7 @@ class BodyMechanics(Mechanics):
             [expression for three in found.values() for expression in three],
             definitions=self.controlled(states),
         )
-        return ForceProgram(
-            np.array([*found], dtype=np.int64), tape.code, tape.constants, tape.outputs, values
-        )
+        return np.array([*found], dtype=np.int64), tape
 
     def _each(self, body: str) -> Iterator[tuple[int, Mapping[str, sp.Expr]]]:
         """Yield the places of a body, or of its copies, with what formulas of each may use."""

@@ -38,6 +38,8 @@ class SteppedHeap:
         Residual of impulses that are good enough.
     deepest : float
         A gap that no step may close.
+    forces : bool
+        Whether somebody reads forces and accelerations.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class SteppedHeap:
         plastic: bool,
         allowed: float,
         deepest: float = math.inf,
+        forces: bool = True,
     ) -> None:
         self._surfaces = surfaces
         self.numbers, self._names, self._around, self._plastic = numbers, names, around, plastic
@@ -57,7 +60,7 @@ class SteppedHeap:
         self._room = Room.of(self.numbers, self._memory)
         self._allowed = allowed
         self._least = np.full(count, np.inf)
-        self._deepest = deepest
+        self._deepest, self._forces = deepest, forces
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
         # A disc about its centre of mass looks the same however it turns.
@@ -167,8 +170,8 @@ class SteppedHeap:
         done, status = 0, FULL
         while status == FULL:
             taken, status = step_bodies(
-                self.numbers, ahead.after(done), start + done * h, self._plastic, self._memory,
-                self._room, (self._allowed, deepest), chunk.after(done),
+                self.numbers, ahead.after(done), start + done * h, self._plastic,
+                self._forces, self._memory, self._room, (self._allowed, deepest), chunk.after(done),
             )  # fmt: skip
             done += taken
             if status == FULL:

@@ -18,8 +18,8 @@ from statechart.kernels.jit import beside, part
 _LARGE = 4.0
 # Cells for each body.
 _CELLS = 2
-# Multipliers of a cell's numbers (Teschner and others, Optimized spatial hashing, 2003).
-_ACROSS, _UP = 73856093, 19349663
+# Multiplier of a cell's column (Teschner and others, Optimized spatial hashing, 2003).
+_ACROSS = 73856093
 
 
 class Grid(NamedTuple):
@@ -57,7 +57,8 @@ class Grid(NamedTuple):
 
 @part
 def _bucket(across: int, up: int, most: int) -> int:
-    return ((across * _ACROSS) ^ (up * _UP)) & (most - 1)
+    # Cells above each other have buckets beside each other: three are looked through at once.
+    return (across * _ACROSS + up) & (most - 1)
 
 
 @part
@@ -129,11 +130,14 @@ def near_pairs(centres: Array, reach: Array, grid: Grid) -> int:
                 return -1
             found = _if_near(centres, reach, b, large[i], found, pairs)
         for across in range(cells[b, 0] - 1, cells[b, 0] + 2):
-            for up in range(cells[b, 1] - 1, cells[b, 1] + 2):
-                bucket = _bucket(across, up, most)
-                for i in range(heads[bucket], heads[bucket + 1]):
+            first = _bucket(across, cells[b, 1] - 1, most)
+            # Beyond the last bucket comes the first.
+            left = min(3, most - first)
+            for turn in range(1 if left == 3 else 2):
+                begin_at, end_at = (first, first + left) if turn == 0 else (0, 3 - left)
+                for i in range(heads[begin_at], heads[end_at]):
                     c = order[i]
-                    if c > b and cells[c, 0] == across and cells[c, 1] == up:
+                    if c > b and cells[c, 0] == across and abs(cells[c, 1] - cells[b, 1]) <= 1:
                         if found == len(pairs):
                             return -1
                         found = _if_near(centres, reach, b, c, found, pairs)

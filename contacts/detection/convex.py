@@ -25,6 +25,16 @@ _SAME = 1e-3
 
 
 @part
+def norm(x: float, y: float) -> float:
+    """Return a length.
+
+    The C library's `hypot` takes ten times as long; what is a scene here is neither so large nor so
+    small that a square is none.
+    """
+    return math.sqrt(x * x + y * y)
+
+
+@part
 def write(found: Array, nx: float, ny: float, x: float, y: float, gap: float) -> None:
     """Write a point of contact; see `FOUND`."""
     found[0], found[1], found[2], found[3], found[4] = nx, ny, x, y, gap
@@ -34,16 +44,15 @@ def write(found: Array, nx: float, ny: float, x: float, y: float, gap: float) ->
 def place(vertices: Array, x: float, y: float, angle: float) -> Array:
     """Return vertices (k, 2) of a body's frame in the world."""
     world = np.empty_like(vertices)
-    placed(vertices, 0, len(vertices), x, y, angle, world)
+    placed(vertices, 0, len(vertices), x, y, math.cos(angle), math.sin(angle), world)
     return world
 
 
 @part
 def placed(
-    vertices: Array, first: int, end: int, x: float, y: float, angle: float, world: Array
+    vertices: Array, first: int, end: int, x: float, y: float, c: float, s: float, world: Array
 ) -> None:
-    """Write some of the vertices (k, 2) of bodies' frames as they are in the world."""
-    c, s = math.cos(angle), math.sin(angle)
+    """Write some of the vertices (k, 2) of bodies' frames, turned, as they are in the world."""
     for i in range(first, end):
         world[i, 0] = x + c * vertices[i, 0] - s * vertices[i, 1]
         world[i, 1] = y + s * vertices[i, 0] + c * vertices[i, 1]
@@ -56,7 +65,7 @@ def _farthest(one: Array, other: Array) -> tuple[float, int]:
     for i in range(len(one)):
         j = (i + 1) % len(one)
         ex, ey = one[j, 0] - one[i, 0], one[j, 1] - one[i, 1]
-        length = math.hypot(ex, ey)
+        length = norm(ex, ey)
         nx, ny = ey / length, -ex / length
         least = math.inf
         for k in range(len(other)):
@@ -72,18 +81,18 @@ def _clipped(
 ) -> int:
     j = (edge + 1) % len(one)
     ex, ey = one[j, 0] - one[edge, 0], one[j, 1] - one[edge, 1]
-    length = math.hypot(ex, ey)
+    length = norm(ex, ey)
     ex, ey = ex / length, ey / length
     nx, ny = ey, -ex
     facing, least = 0, math.inf
     for k in range(len(other)):
         m = (k + 1) % len(other)
         dx, dy = other[m, 0] - other[k, 0], other[m, 1] - other[k, 1]
-        against = (dy * nx - dx * ny) / math.hypot(dx, dy)
+        against = (dy * nx - dx * ny) / norm(dx, dy)
         if against < least:
             least, facing = against, k
     m = (facing + 1) % len(other)
-    across = math.hypot(other[m, 0] - other[facing, 0], other[m, 1] - other[facing, 1])
+    across = norm(other[m, 0] - other[facing, 0], other[m, 1] - other[facing, 1])
     count, same = 0, _SAME * min(length, across)
     ax, ay, bx, by = other[facing, 0], other[facing, 1], other[m, 0], other[m, 1]
     sa = ex * (ax - one[edge, 0]) + ey * (ay - one[edge, 1])
@@ -105,7 +114,7 @@ def _clipped(
         gap = nx * (x - one[edge, 0]) + ny * (y - one[edge, 1])
         # Two points that are one but for rounding would share their impulse as they please: the
         # deeper one is taken, which is the deeper one in a mirror, too.
-        if count == 1 and math.hypot(x - found[0, 2], y - found[0, 3]) <= same:
+        if count == 1 and norm(x - found[0, 2], y - found[0, 3]) <= same:
             if gap >= found[0, 4]:
                 continue
             count = 0
@@ -123,7 +132,7 @@ def _corner(one: Array, other: Array, within: float, found: Array, features: Int
     best, a, b = math.inf, 0, 0
     for i in range(len(one)):
         for k in range(len(other)):
-            d = math.hypot(one[i, 0] - other[k, 0], one[i, 1] - other[k, 1])
+            d = norm(one[i, 0] - other[k, 0], one[i, 1] - other[k, 1])
             if d < best:
                 best, a, b = d, i, k
     if best > within or best == 0.0:
@@ -142,13 +151,13 @@ def _disc_and_polygon(
     for i in range(len(polygon)):
         j = (i + 1) % len(polygon)
         ex, ey = polygon[j, 0] - polygon[i, 0], polygon[j, 1] - polygon[i, 1]
-        length = math.hypot(ex, ey)
+        length = norm(ex, ey)
         away = (ey * (centre[0] - polygon[i, 0]) - ex * (centre[1] - polygon[i, 1])) / length
         if away > best:
             best, edge = away, i
     j = (edge + 1) % len(polygon)
     ex, ey = polygon[j, 0] - polygon[edge, 0], polygon[j, 1] - polygon[edge, 1]
-    length = math.hypot(ex, ey)
+    length = norm(ex, ey)
     s = (ex * (centre[0] - polygon[edge, 0]) + ey * (centre[1] - polygon[edge, 1])) / length
     part = min(max(s / length, 0.0), 1.0)
     x, y = polygon[edge, 0] + part * ex, polygon[edge, 1] + part * ey
@@ -156,7 +165,7 @@ def _disc_and_polygon(
     gap = best - radius
     # What has no thickness may have the centre on its line.
     if best >= 0.0 and (s < 0.0 or s > length):
-        away = math.hypot(centre[0] - x, centre[1] - y)
+        away = norm(centre[0] - x, centre[1] - y)
         # Of a centre on the corner any normal there will do.
         if away > 0.0:
             nx, ny, gap = (centre[0] - x) / away, (centre[1] - y) / away, away - radius
@@ -197,7 +206,7 @@ def between(
     features[0] = 0
     if len(one) == 0 and len(other) == 0:
         dx, dy = one_centre[0] - other_centre[0], one_centre[1] - other_centre[1]
-        away = math.hypot(dx, dy)
+        away = norm(dx, dy)
         gap = away - one_radius - other_radius
         if gap > within:
             return 0
@@ -224,8 +233,8 @@ def _polygons(
     second, edge_of_other = _farthest(other, one)
     if second > within:
         return 0
-    width = math.hypot(one[0, 0] - centre[0], one[0, 1] - centre[1])
-    width = min(width, math.hypot(other[0, 0] - beside[0], other[0, 1] - beside[1]))
+    width = norm(one[0, 0] - centre[0], one[0, 1] - centre[1])
+    width = min(width, norm(other[0, 0] - beside[0], other[0, 1] - beside[1]))
     if second > first + _PREFERRED * width:
         count = _clipped(other, edge_of_other, one, within, True, found, features)
     else:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.detection.body_numbers import BodyNumbers
-from contacts.detection.convex import FOUND, place
+from contacts.detection.convex import FOUND, norm, place
 from contacts.detection.look import Look
 from contacts.detection.surfaces import (
     HOLLOW,
@@ -75,6 +75,17 @@ def _moved(frames: Array, x: float, y: float, look: int) -> tuple[float, float]:
 
 
 @part
+def is_far(
+    surfaces: SurfaceNumbers, ground: Ground, look: Look, p: int, s: int, size: float
+) -> bool:
+    """Whether a piece is out of the reach of a surface that stands still."""
+    if surfaces.carriers[s] >= 0 or surfaces.moves[s]:
+        return False
+    x, y = look.centres[p, 0], look.centres[p, 1]
+    return distance(surfaces, s, ground.still[1], x, y) > size + look.reach[p]
+
+
+@part
 def on_surface(
     numbers: BodyNumbers, ground: Ground, look: Look, p: int, s: int, h: float, found: Array,
     features: Ints,
@@ -87,7 +98,7 @@ def on_surface(
     if moves:
         _swung(ground, s, carrier, look, h)
         u, v = _moved(frames, x, y, 2)
-        within += 2.0 * math.hypot(u - x, v - y)
+        within += 2.0 * norm(u - x, v - y)
     if distance(surfaces, s, frames[1], x, y) > pieces.sizes[p] + within:
         return 0, 0.0
     before = seen_from(frames[0], x - h * look.drifts[p, 0], y - h * look.drifts[p, 1])
@@ -99,7 +110,7 @@ def on_surface(
         pieces.radii[p], within, found, features,
     )  # fmt: skip
     turned = h * look.old[pieces.bodies[p], 2] - (frames[1, 2] - frames[0, 2])
-    way = math.hypot(after[0] - before[0], after[1] - before[1]) + pieces.spans[p] * abs(turned)
+    way = norm(after[0] - before[0], after[1] - before[1]) + pieces.spans[p] * abs(turned)
     if passed == 0.0 and way > _STRIDE * pieces.cores[p]:
         clear = True
         for at in range(points):
@@ -171,4 +182,4 @@ def carried_along(
         else:
             free[m, 0] -= nearing
             free[m, 1] -= along
-    return math.hypot(free[m, 0] - before[m, 0], free[m, 1] - before[m, 1])
+    return norm(free[m, 0] - before[m, 0], free[m, 1] - before[m, 1])

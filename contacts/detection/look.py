@@ -9,7 +9,7 @@ import numpy as np
 
 from contacts.detection.applied import ForceProgram, apply
 from contacts.detection.body_numbers import BodyNumbers
-from contacts.detection.convex import placed
+from contacts.detection.convex import norm, placed
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
 
@@ -70,7 +70,7 @@ def look_at(numbers: BodyNumbers, state: Array, h: float, past: float, look: Loo
     places, old, loose, centres, drifts, world, reach, gaps, pull = look
     count, pieces = len(numbers.sizes), numbers.pieces
     gx, gy = numbers.gravity
-    fall = math.hypot(gx, gy) * h
+    fall = norm(gx, gy) * h
     for b in range(count):
         for d in range(3):
             at = 3 * b + d
@@ -79,14 +79,16 @@ def look_at(numbers: BodyNumbers, state: Array, h: float, past: float, look: Loo
             places[b, d] = state[at]
         x, y, angle = places[b]
         first, end = pieces.begins[b], pieces.begins[b + 1]
-        placed(pieces.middles, first, end, x, y, angle, centres)
-        placed(pieces.vertices, pieces.firsts[first], pieces.firsts[end], x, y, angle, world)
+        c, s = math.cos(angle), math.sin(angle)
+        placed(pieces.middles, first, end, x, y, c, s, centres)
+        placed(pieces.vertices, pieces.firsts[first], pieces.firsts[end], x, y, c, s, world)
         loose[b, 0] += h * gx
         loose[b, 1] += h * gy
+        fast = norm(old[b, 0], old[b, 1])
         for p in range(first, end):
             drifts[p, 0] = old[b, 0] - old[b, 2] * (centres[p, 1] - y)
             drifts[p, 1] = old[b, 1] + old[b, 2] * (centres[p, 0] - x)
-            speed = math.hypot(old[b, 0], old[b, 1]) + pieces.spans[p] * abs(old[b, 2]) + fall
+            speed = fast + pieces.spans[p] * abs(old[b, 2]) + fall
             reach[p] = max(2.0 * h, 0.5 * (h + past)) * speed + TOUCHING * pieces.sizes[p]
         gaps[b], pull[b] = math.inf, fall
 
@@ -99,7 +101,7 @@ def pushed(
     """Let forces act on bodies in a step that are looked at."""
     apply(forces, registers, look.places, look.old, memory, time, numbers.inverse, h, look.loose)
     for b in forces.bodies:
-        sped = math.hypot(look.loose[b, 0] - look.old[b, 0], look.loose[b, 1] - look.old[b, 1])
+        sped = norm(look.loose[b, 0] - look.old[b, 0], look.loose[b, 1] - look.old[b, 1])
         turned, inverse = abs(look.loose[b, 2] - look.old[b, 2]), numbers.inverse[b]
         for p in range(numbers.pieces.begins[b], numbers.pieces.begins[b + 1]):
             look.reach[p] += 2.0 * h * (sped + numbers.pieces.spans[p] * turned)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from contacts.detection.body_numbers import BodyNumbers, PieceNumbers
-from contacts.detection.convex import between, place
+from contacts.detection.convex import between, norm, place
 from contacts.detection.look import Look
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
@@ -54,7 +54,7 @@ def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -
     """Whether two pieces cross less than the smaller one's size at this rate, beside each other."""
     x = velocities[one, 0] - velocities[other, 0]
     y = velocities[one, 1] - velocities[other, 1]
-    return math.hypot(x, y) < rate * min(sizes[one], sizes[other])
+    return norm(x, y) < rate * min(sizes[one], sizes[other])
 
 
 @part
@@ -159,7 +159,7 @@ def _swept(look: Look, pieces: PieceNumbers, p: int, q: int, core: float) -> tup
             corners, k = (one, i) if i < len(one) else (other, i - len(one))
             m = (k + 1) % len(corners)
             x, y = corners[m, 0] - corners[k, 0], corners[m, 1] - corners[k, 1]
-        length = math.hypot(x, y)
+        length = norm(x, y)
         nx, ny = y / length, -x / length
         here, half = _within(one, look.centres[p], pieces.radii[p], nx, ny)
         there, wide = _within(other, look.centres[q], pieces.radii[q], nx, ny)

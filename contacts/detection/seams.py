@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from contacts.detection.body_numbers import PieceNumbers
-from contacts.detection.convex import write
+from contacts.detection.convex import norm, write
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import late, part
 
@@ -23,13 +23,13 @@ _FLUSH = 1e-6
 def _away(pieces: PieceNumbers, centres: Array, world: Array, p: int, x: float, y: float) -> float:
     """Return how far a point is outside of a piece, along its normals; below zero in it."""
     if pieces.radii[p] > 0.0:
-        return math.hypot(x - centres[p, 0], y - centres[p, 1]) - pieces.radii[p]
+        return norm(x - centres[p, 0], y - centres[p, 1]) - pieces.radii[p]
     first, end = pieces.firsts[p], pieces.firsts[p + 1]
     most = -math.inf
     for i in range(first, end):
         j = i + 1 if i + 1 < end else first
         ex, ey = world[j, 0] - world[i, 0], world[j, 1] - world[i, 1]
-        beside = (ey * (x - world[i, 0]) - ex * (y - world[i, 1])) / math.hypot(ex, ey)
+        beside = (ey * (x - world[i, 0]) - ex * (y - world[i, 1])) / norm(ex, ey)
         most = max(most, beside)
     return most
 
@@ -50,7 +50,7 @@ def _between_normals(
     for i in range(first, end):
         j = i + 1 if i + 1 < end else first
         ex, ey = world[j, 0] - world[i, 0], world[j, 1] - world[i, 1]
-        length = math.hypot(ex, ey)
+        length = norm(ex, ey)
         ux, uy = ey / length, -ex / length
         if abs(ux * (x - world[i, 0]) + uy * (y - world[i, 1])) <= near:
             if many == 0:
@@ -81,7 +81,7 @@ def _along(
     for i in range(first, end):
         j = i + 1 if i + 1 < end else first
         ex, ey = world[j, 0] - world[i, 0], world[j, 1] - world[i, 1]
-        length = math.hypot(ex, ey)
+        length = norm(ex, ey)
         nx, ny = ey / length, -ex / length
         beside = nx * (x - world[i, 0]) + ny * (y - world[i, 1]) - near
         rate = nx * ux + ny * uy
@@ -107,7 +107,7 @@ def _goes_on(
     for i in range(first, end):
         j = i + 1 if i + 1 < end else first
         ex, ey = world[j, 0] - world[i, 0], world[j, 1] - world[i, 1]
-        length = math.hypot(ex, ey)
+        length = norm(ex, ey)
         beside = abs(uy * (world[i, 0] - x) - ux * (world[i, 1] - y))
         along = (ux * ex + uy * ey) / length
         if beside <= near and abs(ux * ey - uy * ex) <= _FLUSH * length and along > 0.0:
@@ -126,7 +126,7 @@ def _face(
     for i in range(first, end):
         j = i + 1 if i + 1 < end else first
         ex, ey = world[j, 0] - world[i, 0], world[j, 1] - world[i, 1]
-        length = math.hypot(ex, ey)
+        length = norm(ex, ey)
         ux, uy = ex / length, ey / length
         away = uy * (place[0] - world[i, 0]) - ux * (place[1] - world[i, 1])
         turned = uy * outward[1] + ux * outward[0]

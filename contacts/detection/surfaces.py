@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.detection.convex import between, write
+from contacts.detection.convex import between, norm, write
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.jit import late, part
 from statechart.kernels.tapes import run_tape
@@ -73,8 +73,8 @@ def distance(surfaces: SurfaceNumbers, s: int, pose: Array, x: float, y: float) 
     if kind == PLATE:
         along = ((x - a) * (c - a) + (y - b) * (d - b)) / ((c - a) ** 2 + (d - b) ** 2)
         along = min(max(along, 0.0), 1.0)
-        return math.hypot(x - a - along * (c - a), y - b - along * (d - b))
-    away = math.hypot(x - a, y - b) - c
+        return norm(x - a - along * (c - a), y - b - along * (d - b))
+    away = norm(x - a, y - b) - c
     return away if kind == ROUND else -away
 
 
@@ -114,7 +114,7 @@ def crossed(
     a, b, c, d = surfaces.numbers[s]
     u, v = after[0] - before[0], after[1] - before[1]
     if kind == PLATE:
-        length = math.hypot(c - a, d - b)
+        length = norm(c - a, d - b)
         nx, ny = (b - d) / length, (c - a) / length
         begin = nx * (before[0] - a) + ny * (before[1] - b)
         end = nx * (after[0] - a) + ny * (after[1] - b)
@@ -204,7 +204,7 @@ def against_surface(
             if kind == LINE:
                 nx, ny, away = c, d, c * (x - a) + d * (y - b)
             else:
-                far = math.hypot(x - a, y - b)
+                far = norm(x - a, y - b)
                 if far == 0.0:
                     continue
                 nx, ny, away = (a - x) / far, (b - y) / far, c - far
@@ -227,13 +227,13 @@ def _without_joins(
 ) -> int:
     """Leave out what plates that go on in each other do not touch with their common end."""
     a, b, c, d = surfaces.numbers[s]
-    length = math.hypot(c - a, d - b)
+    length = norm(c - a, d - b)
     tx, ty = (c - a) / length, (d - b) / length
     kept = 0
     for i in range(count):
         nx, ny, x, y, gap = found[i]
         side = 1.0 if ty * nx - tx * ny < 0.0 else -1.0
-        end = 0 if math.hypot(x - a, y - b) < math.hypot(x - c, y - d) else 1
+        end = 0 if norm(x - a, y - b) < norm(x - c, y - d) else 1
         mx, my = side * surfaces.beside[s, end, 0], side * surfaces.beside[s, end, 1]
         good = abs(tx * nx + ty * ny) <= _PARALLEL or (mx == 0.0 and my == 0.0)
         if not good:
@@ -345,7 +345,7 @@ def _polygon_on_graph(
         # Of counter-clockwise corners the lower edges go to the right.
         if not ex > 0.0:
             continue
-        length = math.hypot(ex, ey)
+        length = norm(ex, ey)
         nx, ny = ey / length, -ex / length
         away = np.empty(_PIECES + 1)
         for j in range(_PIECES + 1):

@@ -10,7 +10,7 @@ import numpy as np
 from contacts.detection.body_numbers import BodyNumbers, Memory
 from contacts.detection.broad_phase import Grid, near_pairs
 from contacts.detection.convex import FOUND, between
-from contacts.detection.ground import POINTS, Ground, carried_along, on_surface
+from contacts.detection.ground import POINTS, Ground, carried_along, is_far, on_surface
 from contacts.detection.joints import held
 from contacts.detection.look import TOUCHING, Look
 from contacts.detection.meeting import arrives, came, crossing, nearby, overlap
@@ -357,6 +357,8 @@ def touching(
             end += 1
         for i in range(begin, end + others - count):
             q = pairs[i, 1] if i < end else count + i - end
+            if q >= count and is_far(numbers.surfaces, ground, look, p, q - count, sizes[p]):
+                continue
             pair = _paired(numbers, look, p, q, times.since)
             if pair.material < 0:
                 continue

@@ -14,17 +14,18 @@ import numpy as np
 
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put_rows
+from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import late, part
 
 HELD, GUIDED = -1.0, -2.0
 """In the place of the first number of a cone: both directions of a row are held, whatever it takes;
 its first one is."""
 
+LAW = 9
+"""Numbers that `law_of` writes."""
+
 # What a contact's own impulses do to its velocity is known to this part.
 _ROUNDING = 1e-13
-# The residual, which takes half a sweep, is looked at after so many.
-_LOOKED = 8
 # Changes that are the same in every sweep, as where bodies wedge, are so but for rounding.
 _GROWN = 1.001
 
@@ -34,9 +35,11 @@ class ContactRows(NamedTuple):
 
     Attributes
     ----------
-    places : (m, w) array of int
-        Which rates a contact moves.
-    rows, columns : (m, 2, w)
+    bodies : (m, s) array of int
+        Which bodies a contact moves, of three rates each, that stand side by side.
+    moving : int
+        How many bodies there are; what nothing moves has this number.
+    rows, columns : (m, 2, 3 s)
         Its velocity, normal and tangential, per unit of these rates; and their change per unit
         impulse along each.
     own : (m, 3)
@@ -45,11 +48,24 @@ class ContactRows(NamedTuple):
         ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``; of joints see `HELD`.
     """
 
-    places: Ints
+    bodies: Ints
+    moving: int
     rows: Array
     columns: Array
     own: Array
     cones: Array
+
+    @classmethod
+    def room(cls, most: int) -> ContactRows:
+        """Return place for so many contacts of two bodies each."""
+        return cls(
+            np.empty((most, 2), np.int64),
+            0,
+            np.empty((most, 2, 6)),
+            np.empty((most, 2, 6)),
+            np.empty((most, 3)),
+            np.empty((most, 2)),
+        )
 
 
 @part
@@ -72,33 +88,52 @@ def slope(cone: Array) -> float:
 
 
 @part
-def rates_moved(contacts: ContactRows) -> int:
-    """Return how many rates there are."""
-    places, count = contacts.places, 0
-    for i in range(places.shape[0]):
-        for k in range(places.shape[1]):
-            count = max(count, places[i, k] + 1)
-    return count
+def rates_of(contacts: ContactRows) -> Array:
+    """Return rates of all bodies, and of what nothing moves: none."""
+    return np.zeros(3 * contacts.moving + 3)
 
 
 @part
 def add(contacts: ContactRows, i: int, normal: float, tangential: float, rates: Array) -> None:
     """Add to the rates what an impulse of contact i does to them."""
-    places, columns = contacts.places, contacts.columns
-    for k in range(places.shape[1]):
-        rates[places[i, k]] += columns[i, 0, k] * normal + columns[i, 1, k] * tangential
+    bodies, columns = contacts.bodies, contacts.columns
+    for side in range(bodies.shape[1]):
+        at, k = 3 * bodies[i, side], 3 * side
+        rates[at] += columns[i, 0, k] * normal + columns[i, 1, k] * tangential
+        rates[at + 1] += columns[i, 0, k + 1] * normal + columns[i, 1, k + 1] * tangential
+        rates[at + 2] += columns[i, 0, k + 2] * normal + columns[i, 1, k + 2] * tangential
+
+
+@part
+def without(contacts: ContactRows, i: int, rates: Array) -> None:
+    """Write that what contact i moves is at rest."""
+    for side in range(contacts.bodies.shape[1]):
+        for k in range(3):
+            rates[3 * contacts.bodies[i, side] + k] = 0.0
+
+
+@part
+def along(contacts: ContactRows, i: int, d: int, rates: Array) -> float:
+    """Return what rates are as a velocity of contact i, normal (0) or tangential (1)."""
+    bodies, rows, total = contacts.bodies, contacts.rows, 0.0
+    for side in range(bodies.shape[1]):
+        at, k = 3 * bodies[i, side], 3 * side
+        whole = rows[i, d, k] * rates[at] + rows[i, d, k + 1] * rates[at + 1]
+        total += whole + rows[i, d, k + 2] * rates[at + 2]
+    return total
 
 
 @part
 def seen(contacts: ContactRows, i: int, least: Array, rates: Array) -> tuple[float, float]:
     """Return the velocity of contact i, normal and tangential."""
-    places, rows = contacts.places, contacts.rows
-    normal, tangential = least[i, 0], least[i, 1]
-    for k in range(places.shape[1]):
-        rate = rates[places[i, k]]
-        normal += rows[i, 0, k] * rate
-        tangential += rows[i, 1, k] * rate
-    return normal, tangential
+    bodies, rows = contacts.bodies, contacts.rows
+    normal, slip = least[i, 0], least[i, 1]
+    for side in range(bodies.shape[1]):
+        at, k = 3 * bodies[i, side], 3 * side
+        x, y, turn = rates[at], rates[at + 1], rates[at + 2]
+        normal += rows[i, 0, k] * x + rows[i, 0, k + 1] * y + rows[i, 0, k + 2] * turn
+        slip += rows[i, 1, k] * x + rows[i, 1, k + 1] * y + rows[i, 1, k + 2] * turn
+    return normal, slip
 
 
 @part
@@ -112,30 +147,43 @@ def moved(contacts: ContactRows, impulses: Array, rates: Array) -> None:
 
 
 @part
-def one_contact(own: Array, mu: float, normal: float, slip: float) -> tuple[float, float]:
-    """Return the impulses of a single contact whose velocities are these without any."""
+def law_of(own: Array, mu: float, law: Array) -> None:
+    """Write what `one_contact` needs to solve a contact's law, whatever its velocity.
+
+    Parameters
+    ----------
+    own : (3,)
+        See `ContactRows`.
+    mu : float
+        See `slope`.
+    law : (LAW,)
+        ``mu``; of `own` the inverse, as a matrix; what slips beside a normal impulse; and for
+        either edge of the cone the impulse per velocity, and the edge.
+    """
     wn, wt, wx = own
-    if mu < 0.0:
-        if mu == GUIDED:
-            return -normal / wn, 0.0
-        det = wn * wt - wx * wx
-        return (wx * slip - wt * normal) / det, (wx * normal - wn * slip) / det
-    if not normal < 0.0:
-        return 0.0, 0.0
-    first = -normal / wn
-    if mu == 0.0:
-        return first, 0.0
     det = wn * wt - wx * wx
-    if det > 0.0:
-        pn, pt = (wx * slip - wt * normal) / det, (wx * normal - wn * slip) / det
-        if abs(pt) <= mu * pn:
-            return pn, pt
+    # Where both directions are one, nothing sticks.
+    law[0] = mu if det > 0.0 or mu < 0.0 else 0.0
+    law[1], law[2], law[3], law[4] = wt / det, wn / det, wx / det, wx / wn
+    for at, edge in ((5, max(mu, 0.0)), (7, -max(mu, 0.0))):
+        whole = wn + edge * wx
+        law[at], law[at + 1] = 1.0 / (whole if whole > 0.0 else wn), edge
+
+
+@part
+def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
+    """Return the impulses of a single contact whose velocities are these without any."""
+    mu = law[0]
+    if not (normal < 0.0 or mu < 0.0):
+        return 0.0, 0.0
+    pn, pt = law[3] * slip - law[1] * normal, law[3] * normal - law[2] * slip
+    if mu == HELD or (pn > 0.0 and abs(pt) <= mu * pn):
+        return pn, pt
     # Friction is against the slip that there would be without it (as mu grows from zero that
     # slows down, and comes to rest before the normal impulse that it makes is without bound).
-    edge = -mu if slip + wx * first > 0.0 else mu
-    whole = wn + edge * wx
-    pn = -normal / whole if whole > 0.0 else first
-    return pn, edge * pn
+    at = 7 if slip - law[4] * normal > 0.0 else 5
+    pn = -normal * law[at]
+    return pn, law[at + 1] * pn
 
 
 @part
@@ -171,26 +219,29 @@ def residual(contacts: ContactRows, least: Array, impulses: Array, rates: Array)
 
 @part
 def _sweep(
-    contacts: ContactRows, least: Array, impulses: Array, rates: Array, change: Array
-) -> float:
-    """Solve contact by contact; write the changes, and return their square as an energy."""
-    total = 0.0
-    own, cones = contacts.own, contacts.cones
+    contacts: ContactRows, laws: Array, least: Array, impulses: Array, rates: Array, change: Array
+) -> tuple[float, float]:
+    """Solve contact by contact; write the changes, and return their square as an energy.
+
+    And the largest change, as a velocity: that is what contacts missed when it was their turn.
+    """
+    total = most = 0.0
+    own = contacts.own
     for i in range(len(impulses)):
         normal, slip = seen(contacts, i, least, rates)
-        before, beside = impulses[i]
-        wn, wt, wx = own[i]
+        before, beside = impulses[i, 0], impulses[i, 1]
+        wn, wt, wx = own[i, 0], own[i, 1], own[i, 2]
         pn, pt = one_contact(
-            own[i], slope(cones[i]), normal - wn * before - wx * beside,
-            slip - wx * before - wt * beside,
-        )  # fmt: skip
+            laws[i], normal - wn * before - wx * beside, slip - wx * before - wt * beside
+        )
         dn, dt = pn - before, pt - beside
         impulses[i, 0], impulses[i, 1] = pn, pt
         change[i, 0], change[i, 1] = dn, dt
         if dn != 0.0 or dt != 0.0:
             add(contacts, i, dn, dt, rates)
             total += wn * dn * dn + wt * dt * dt
-    return total
+            most = max(most, wn * abs(dn), wt * abs(dt))
+    return total, most
 
 
 @late
@@ -211,21 +262,24 @@ def swept(
     most : int
         Sweeps; `count` are done before.
     """
-    rates = np.zeros(rates_moved(contacts))
+    rates, carried, earlier = rates_of(contacts), rates_of(contacts), rates_of(contacts)
     moved(contacts, impulses, rates)
-    best, lowest = impulses.copy(), residual(contacts, least, impulses, rates)
-    now, change = impulses.copy(), np.empty((len(impulses), 2))
-    along, carried = np.zeros((len(impulses), 2)), np.zeros(len(rates))
-    earlier = rates.copy()
-    before = 0.0
+    lowest = residual(contacts, least, impulses, rates)
+    best, now, change = impulses.copy(), impulses.copy(), np.empty((len(impulses), 2))
+    along, laws = np.zeros((len(impulses), 2)), np.empty((len(impulses), LAW))
+    before = size = 0.0
+    for i in range(len(impulses)):
+        mu = slope(contacts.cones[i])
+        law_of(contacts.own[i], mu, laws[i])
+        size = max(size, abs(least[i, 0]) if mu < 0.0 else -least[i, 0])
     for sweep in range(most):
         if lowest <= allowed:
             break
-        for k in range(len(rates)):
-            earlier[k] = rates[k]
-        energy = _sweep(contacts, least, now, rates, change)
+        put(rates, earlier)
+        energy, missed = _sweep(contacts, laws, least, now, rates, change)
         count += 1
-        if energy == 0.0 or sweep % _LOOKED == _LOOKED - 1 or sweep == most - 1:
+        # The residual takes half a sweep: it is looked at where it may do.
+        if energy == 0.0 or missed <= allowed * size or sweep == most - 1:
             left = residual(contacts, least, now, rates)
             if left < lowest:
                 lowest = left

@@ -14,14 +14,19 @@ import numpy as np
 
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS, impulses_of, pivots, solve_contacts
 from contacts.solvers.contact_rows import (
+    LAW,
     ContactRows,
     add,
+    along,
+    law_of,
     moved,
+    one_contact,
     own_compliances,
-    rates_moved,
+    rates_of,
     residual,
     slope,
     swept,
+    without,
 )
 from contacts.solvers.proximal_newton import by_proximal_points
 from contacts.solvers.status_newton import STEPS, by_status
@@ -39,8 +44,8 @@ _EXACT, _RESTS, _DENSE, _MANY, _LEMKE = 8, 24, 100, 1000, 48
 _FEW_STEPS = 2
 # A residual that is rounding, where less is asked for: impulses with it are those of the laws.
 _GOOD = 1e-8
-# Rates that a contact of bodies moves; those of a dense problem move all.
-_OF_BODIES = 6
+# Bodies that a contact of bodies moves; those of a dense problem move more, which are none.
+_OF_BODIES = 2
 # Sweeps of the trials, of which this one starts from nothing; what is sparse has so many.
 _SWEEPS, _ANEW, _SPARSE = (64, 64, 256, 1024), 1, 2
 
@@ -71,12 +76,20 @@ def solve_rows(
     if parting:
         impulses[:] = 0.0
         return 0.0, 0
-    rates = np.zeros(rates_moved(contacts))
+    rates = rates_of(contacts)
     moved(contacts, impulses, rates)
     left = residual(contacts, least, impulses, rates)
     if left <= _VERIFIED:
         return left, 0
-    done, bodies = 0, contacts.places.shape[1] == _OF_BODIES
+    if count == 1:
+        law = np.empty(LAW)
+        law_of(contacts.own[0], slope(contacts.cones[0]), law)
+        impulses[0, 0], impulses[0, 1] = one_contact(law, least[0, 0], least[0, 1])
+        moved(contacts, impulses, rates)
+        left = residual(contacts, least, impulses, rates)
+        if left <= _VERIFIED:
+            return left, 1
+    done, bodies = 0, contacts.bodies.shape[1] == _OF_BODIES
     sparse = bodies and count > _EXACT
     if count <= _EXACT or (rests and count <= _DENSE):
         most = STEPS if count <= _RESTS else _FEW_STEPS
@@ -124,17 +137,19 @@ def dense_impulses(
     allowed : float
     """
     count = len(cones)
-    places = np.empty((count, 2 * count), np.int64)
-    rows, columns = np.zeros((count, 2, 2 * count)), np.empty((count, 2, 2 * count))
+    threes = max((2 * count + 2) // 3, _OF_BODIES + 1)
+    bodies = np.empty((count, threes), np.int64)
+    rows, columns = np.zeros((count, 2, 3 * threes)), np.zeros((count, 2, 3 * threes))
     own, impulses = np.empty((count, 3)), np.zeros((count, 2))
     for i in range(count):
+        for side in range(threes):
+            bodies[i, side] = side
         for d in range(2):
             rows[i, d, 2 * i + d] = 1.0
             for k in range(2 * count):
-                places[i, k] = k
                 columns[i, d, k] = delassus[k, 2 * i + d]
     own_compliances(rows, columns, own)
-    contacts = ContactRows(places, rows, columns, own, cones)
+    contacts = ContactRows(bodies, threes, rows, columns, own, cones)
     left, _ = solve_rows(contacts, least, impulses, allowed, False)
     return left, impulses
 
@@ -142,19 +157,16 @@ def dense_impulses(
 @late
 def _by_lemke(contacts: ContactRows, least: Array, felt: Array, impulses: Array) -> None:
     """Write the impulses of the dense problem; zero where none are found."""
-    count, width = len(least), contacts.places.shape[1]
-    delassus = np.zeros((2 * count, 2 * count))
+    count = len(least)
+    delassus = np.empty((2 * count, 2 * count))
     for k in range(len(felt)):
         felt[k] = 0.0
     for b in range(2 * count):
-        j, along = b // 2, b % 2
-        add(contacts, j, 1.0 - along, 1.0 * along, felt)
+        j = b // 2
+        add(contacts, j, 1.0 - b % 2, 1.0 * (b % 2), felt)
         for a in range(2 * count):
-            i = a // 2
-            for k in range(width):
-                delassus[a, b] += contacts.rows[i, a % 2, k] * felt[contacts.places[i, k]]
-        for k in range(width):
-            felt[contacts.places[j, k]] = 0.0
+            delassus[a, b] = along(contacts, a // 2, a % 2, felt)
+        without(contacts, j, felt)
     nothing = np.zeros(UNKNOWNS * count, np.bool_)
     good, z, _ = solve_contacts(delassus, least, contacts.cones, nothing, pivots(count))
     put_rows(impulses_of(z) if good else np.zeros((count, 2)), impulses)
@@ -163,13 +175,12 @@ def _by_lemke(contacts: ContactRows, least: Array, felt: Array, impulses: Array)
 @part
 def _velocities(contacts: ContactRows, impulses: Array) -> Array:
     """Return how impulses change the velocities (m, 2) of the contacts."""
-    rates = np.zeros(rates_moved(contacts))
+    rates = rates_of(contacts)
     moved(contacts, impulses, rates)
-    result = np.zeros((len(impulses), 2))
+    result = np.empty((len(impulses), 2))
     for i in range(len(impulses)):
         for d in range(2):
-            for k in range(contacts.places.shape[1]):
-                result[i, d] += contacts.rows[i, d, k] * rates[contacts.places[i, k]]
+            result[i, d] = along(contacts, i, d, rates)
     return result
 
 
@@ -179,14 +190,17 @@ def _rebounding(
     impulses: Array, allowed: float, rests: bool,
 ) -> tuple[float, int, bool]:  # fmt: skip
     """Find impulses with restitution that adds no energy; see `island_impulses`."""
-    good, plastic = max(allowed, _GOOD), impulses.copy()
     least, some = free + wanted, False
+    for i in range(len(impulses)):
+        some = some or rebounds[i]
+    if not some:
+        left, done = solve_rows(contacts, least, impulses, allowed, rests)
+        return left, done, False
+    good, plastic = max(allowed, _GOOD), impulses.copy()
     left, done = solve_rows(contacts, least, impulses, allowed, rests)
     for i in range(len(impulses)):
         if rebounds[i]:
-            least[i, 0], some = free[i, 0], True
-    if not some:
-        return left, done, False
+            least[i, 0] = free[i, 0]
     changes = _velocities(contacts, impulses)
     if left <= good and part_within(impulses, before, free, changes, 0.0) >= 1.0:
         return left, done, False
@@ -198,6 +212,13 @@ def _rebounding(
     chosen, _ = capped(before, free, plastic, impulses, _velocities(contacts, plastic), changes)
     put_rows(chosen, impulses)
     return max(left, calm), done + further, False
+
+
+@part
+def _pushed(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bool:
+    """Whether a contact is to be pushed out, or back along its surface."""
+    asked = wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0
+    return asked and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
 
 
 @beside
@@ -233,16 +254,13 @@ def island_impulses(
     bound : float
         The work that impulses may do on bodies in a step: ``h^2/8 f^T M^-1 f``.
     """
-    count, calmer, pushed = len(impulses), wanted.copy(), False
+    count, pushed = len(impulses), False
     fastest = slowest = 0.0
     for i in range(count):
         slowest = max(slowest, abs(free[i, 0] - before[i, 0]))
         fastest = max(fastest, abs(before[i, 0]), abs(before[i, 1]))
-        if rebounds[i] or slope(contacts.cones[i]) < 0.0:
-            continue
-        if wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0:
-            calmer[i, 0], calmer[i, 1], pushed = max(wanted[i, 0], 0.0), 0.0, True
-    other = impulses.copy()
+        pushed = pushed or _pushed(contacts, wanted, rebounds, i)
+    other = impulses.copy() if pushed else impulses
     left, done, softened = _rebounding(
         contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest
     )
@@ -250,6 +268,10 @@ def island_impulses(
     if pushed and (left > allowed or share < 1.0):
         # What is pushed out may be pushed against others, and gains energy; or wedges, for which
         # there are no impulses: those that were tried press without bound, and are no start.
+        calmer = wanted.copy()
+        for i in range(count):
+            if _pushed(contacts, wanted, rebounds, i):
+                calmer[i, 0], calmer[i, 1] = max(wanted[i, 0], 0.0), 0.0
         calm, further, soft = _rebounding(
             contacts, before, free, calmer, rebounds, other, allowed, False
         )

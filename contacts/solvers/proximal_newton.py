@@ -19,7 +19,7 @@ from contacts.solvers.contact_rows import (
     HELD,
     ContactRows,
     moved,
-    rates_moved,
+    rates_of,
     residual,
     seen,
     slope,
@@ -128,7 +128,7 @@ def by_proximal_points(
         Residual.
     """
     count = len(impulses)
-    rates = np.zeros(rates_moved(contacts))
+    rates = rates_of(contacts)
     moved(contacts, impulses, rates)
     lowest = residual(contacts, least, impulses, rates)
     equations = equations_of(contacts)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.solvers.contact_rows import ContactRows, rates_moved
+from contacts.solvers.contact_rows import ContactRows
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel, part
 
@@ -48,8 +48,8 @@ class Pattern(NamedTuple):
 @part
 def _body(contacts: ContactRows, i: int, side: int) -> int:
     """Return a body of a contact by its number; -1 where nothing moves."""
-    place = contacts.places[i, 3 * side]
-    return place // 3 if place != contacts.places[i, 3 * side + 1] else -1
+    body = contacts.bodies[i, side]
+    return body if body < contacts.moving else -1
 
 
 @part
@@ -96,10 +96,9 @@ def pattern_of(contacts: ContactRows) -> Pattern:
     Parameters
     ----------
     contacts : ContactRows
-        Of bodies: of the six rates that a contact moves three are one body's; three that are one
-        stand for what nothing moves.
+        Of bodies: each moves two.
     """
-    bodies = (rates_moved(contacts) + 2) // 3
+    bodies = contacts.moving
     first, sizes = np.empty(bodies + 1, np.int64), np.empty(bodies, np.int64)
     mark = np.full(bodies, -1)
     pool = _neighbours(contacts, first, sizes, mark)

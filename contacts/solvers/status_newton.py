@@ -15,14 +15,18 @@ import numpy as np
 
 from contacts.solvers.contact_rows import (
     HELD,
+    LAW,
     ContactRows,
     add,
+    along,
+    law_of,
     moved,
     one_contact,
-    rates_moved,
+    rates_of,
     residual,
     seen,
     slope,
+    without,
 )
 from contacts.solvers.saddle_point import eliminated, substitute
 from contacts.solvers.status_equations import OPEN, SLIDES, STICKS
@@ -47,6 +51,7 @@ def _guess(
     contacts: ContactRows, least: Array, impulses: Array, rates: Array, status: Ints, edges: Array
 ) -> None:
     """Write the status of contacts, and the edges that impulses are on, from impulses."""
+    law = np.empty(LAW)
     for i in range(len(impulses)):
         pn, pt = impulses[i]
         mu = slope(contacts.cones[i])
@@ -56,7 +61,8 @@ def _guess(
             continue
         if not pn > 0.0:
             normal, slip = seen(contacts, i, least, rates)
-            pn, pt = one_contact(contacts.own[i], mu, normal, slip)
+            law_of(contacts.own[i], mu, law)
+            pn, pt = one_contact(law, normal, slip)
         if not pn > 0.0:
             status[i] = OPEN
         elif abs(pt) < mu * pn * (1.0 - _EDGE):
@@ -76,7 +82,7 @@ def _changed(
     rest: float,
 ) -> bool:
     """Write what the status is after a solution; False where it is as before."""
-    different = False
+    different, law = False, np.empty(LAW)
     for i in range(len(impulses)):
         pn, pt = impulses[i]
         mu = slope(contacts.cones[i])
@@ -86,7 +92,8 @@ def _changed(
         new = status[i]
         if new == OPEN:
             if normal < -rest:
-                first, beside = one_contact(contacts.own[i], mu, normal, slip)
+                law_of(contacts.own[i], mu, law)
+                first, beside = one_contact(law, normal, slip)
                 new = STICKS if abs(beside) < mu * first else SLIDES
                 edges[i] = mu if beside > 0.0 else -mu
         elif pn < 0.0:
@@ -127,7 +134,7 @@ def _solve(
     for a in range(count):
         order[a] = a
         scales[a] = 1.0 / np.sqrt(max(contacts.own[whose[a], which[a]], 1e-300))
-    matrix, felt, width = np.empty((count, count)), np.zeros(len(rates)), contacts.places.shape[1]
+    matrix, felt = np.empty((count, count)), rates_of(contacts)
     for b in range(count):
         j = whose[b]
         slides = status[j] == SLIDES
@@ -135,12 +142,8 @@ def _solve(
         tangential = edges[j] if slides else 1.0 if which[b] == 1 else 0.0
         add(contacts, j, normal, tangential, felt)
         for a in range(count):
-            i, total = whose[a], 0.0
-            for k in range(width):
-                total += contacts.rows[i, which[a], k] * felt[contacts.places[i, k]]
-            matrix[a, b] = scales[a] * total * scales[b]
-        for k in range(width):
-            felt[contacts.places[j, k]] = 0.0
+            matrix[a, b] = scales[a] * along(contacts, whose[a], which[a], felt) * scales[b]
+        without(contacts, j, felt)
         matrix[b, b] += _PROXIMAL
     right, step = np.empty(count), np.empty(count)
     if not eliminated(matrix, order):
@@ -208,7 +211,7 @@ def by_status(
     most : int
         Steps, `STEPS` of which are of use.
     """
-    rates = np.zeros(rates_moved(contacts))
+    rates = rates_of(contacts)
     moved(contacts, impulses, rates)
     lowest = residual(contacts, least, impulses, rates)
     best, now = impulses, impulses.copy()

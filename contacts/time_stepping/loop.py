@@ -54,7 +54,7 @@ from statechart.tabular import several
 # Steps at once, in which no signal is seen, and iterations times contacts in them, some tenths of
 # a second: after more, half as many steps are taken, after less than a quarter of it twice as many.
 # A clock would make the last bits of instants depend on what else the machine does.
-_CHUNK, _WORK = 512, 300_000
+_CHUNK, _WORK = 512, 3_000_000
 # Bytes of the polynomials of steps at once: more would be much beside what a run keeps.
 _ROOM = 2**23
 DEEPEST = 0.1

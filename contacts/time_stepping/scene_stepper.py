@@ -62,7 +62,9 @@ class SceneStepper(Stepper):
         self._numbers = SceneNumbers(mechanics, stops)
         self._regions = regions
 
-    def _begin(self, overrides: Mapping[str, float], step: float, allowed: float) -> Begun:
+    def _begin(
+        self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
+    ) -> Begun:
         try:
             return self._checked(overrides, allowed)
         except SimulationError as error:

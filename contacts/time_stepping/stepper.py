@@ -22,6 +22,7 @@ from statechart.automaton.regions import Margin
 from statechart.automaton.sampling import Sampling
 from statechart.automaton.time_stepper import USUAL, Impulses
 from statechart.automaton.trace import Arc, Jump, Key, Trace
+from statechart.documents.setting import Record
 from statechart.errors import DeclarationProblem
 
 _EPS = float(np.finfo(float).eps)
@@ -78,7 +79,7 @@ class Stepper(ABC):
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""
-        begun = self._begin(overrides, 0.0, USUAL.tolerance)
+        begun = self._begin(overrides, 0.0, USUAL.tolerance, False)
         if begun.failure is not None:
             raise begun.failure
         states = tuple(STATES[code] for code in begun.codes.tolist())
@@ -96,7 +97,9 @@ class Stepper(ABC):
         keeping: Keeping = EVERYTHING,
     ) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
-        begun = self._able(overrides, step, until, impulses.tolerance)
+        record, watch = keeping
+        forces = record is not Record.NOTHING or (watch is not None and watch.motion)
+        begun = self._able(overrides, step, until, impulses.tolerance, forces)
         span = Span(step, until, max_jumps, impulses, show, keeping=keeping)
         return made_ready(self._stepping, begun, span).whole()
 
@@ -116,10 +119,12 @@ class Stepper(ABC):
         return stream(self._stepping, begun, span, sampling, overrides)
 
     def _able(
-        self, overrides: Mapping[str, float], step: float, until: float, allowed: float
-    ) -> Begun:
+        self, overrides: Mapping[str, float], step: float, until: float, allowed: float,
+        forces: bool = True,
+    ) -> Begun:  # fmt: skip
         """Return a run by steps that are long enough to move anything."""
-        begun = self._begin(overrides, step, allowed)
+        read = forces or bool(self._stepping.stop_names) or bool(self._stepping.controls)
+        begun = self._begin(overrides, step, allowed, read)
         scales = begun.setup.scales
         least = _EPS * scales.length / scales.speed
         if step < min(least, until):
@@ -132,8 +137,13 @@ class Stepper(ABC):
         return begun
 
     @abstractmethod
-    def _begin(self, overrides: Mapping[str, float], step: float, allowed: float) -> Begun:
-        """Check the initial state; return a run by steps of this length, or why there is none."""
+    def _begin(
+        self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
+    ) -> Begun:
+        """Check the initial state; return a run by steps of this length, or why there is none.
+
+        Forces need not be found where nobody reads them.
+        """
 
     def _lacks(self, setup: SceneSetup) -> tuple[str, ...]:
         """Return what differs from the declaration."""

@@ -26,6 +26,9 @@ LOADING = 0.15
 """Seconds that Python may take for kernels before numba is imported, which takes as long; then what
 lies on disk is used."""
 
+LINKING = 0.02
+"""Seconds that Python may take for a kernel where numba is imported: to load one takes as long."""
+
 BRIEF = 0.25
 """Seconds that Python may take for a kernel that does not: to compile it takes one to ten."""
 
@@ -137,8 +140,9 @@ class Seldom(Kernel):
         if self._settled:
             return self.made(*arguments)
         left = BRIEF - self._spent
-        # Importing numba, to look what lies on disk, takes as long as that.
-        if left <= 0.0 or (_Deadline.spent >= LOADING and self._on_disk):
+        imported = "statechart.kernels.machine_code" in sys.modules
+        dear = self._spent >= LINKING if imported else _Deadline.spent >= LOADING
+        if left <= 0.0 or (dear and self._on_disk):
             self._settled = True
             return self.made(*arguments)
         given = {id(a): a for a in arguments if isinstance(a, np.ndarray)}
@@ -273,8 +277,10 @@ def entry(compiled: Any, *arguments: Any) -> Callable[..., Any]:
 
 
 def is_ready(compiled: Any) -> bool:
-    """Whether a kernel lies compiled on disk, in a process that has had to import numba."""
-    return "statechart.kernels.machine_code" in sys.modules and is_cached(compiled)
+    """Whether a kernel is compiled, or lies on disk, in a process that has had to import numba."""
+    if "statechart.kernels.machine_code" not in sys.modules:
+        return False
+    return bool(compiled.made.overloads) or is_cached(compiled)
 
 
 def is_cached(compiled: Any) -> bool:

@@ -44,7 +44,7 @@ def wall(rows, across, mu, generator):
                 normals.append((side, 0.0))
                 arms.append(((-2.0 * side, 0.3), (0.0, 0.0)))
     count, last = len(pairs), 3 * rows * across
-    places, lines = np.full((count, 6), last), np.zeros((count, 2, 6))
+    places, lines = np.tile(last + np.arange(3), (count, 2)), np.zeros((count, 2, 6))
     for i, (pair, (nx, ny), points) in enumerate(zip(pairs, normals, arms, strict=True)):
         for side, (body, (rx, ry)) in enumerate(zip(pair, points, strict=True)):
             if body < 0:
@@ -54,20 +54,27 @@ def wall(rows, across, mu, generator):
                 row = np.array([ux, uy, rx * uy - ry * ux])
                 lines[i, d, 3 * side : 3 * side + 3] = row if side == 0 else -row
     inverse = np.tile([1.0, 1.0, 2.0], rows * across)
-    columns = lines * np.append(inverse, 0.0)[places][:, None]
+    columns = lines * np.append(inverse, np.zeros(3))[places][:, None]
     own = np.stack([(lines[:, a] * columns[:, b]).sum(-1) for a, b in ((0, 0), (1, 1), (0, 1))], 1)
-    contacts = ContactRows(places, lines, columns, own, np.tile([1.0, mu], (count, 1)))
+    contacts = ContactRows(
+        places[:, ::3] // 3, rows * across, lines, columns, own, np.tile([1.0, mu], (count, 1))
+    )
     rates = np.tile([0.0, -1.0, 0.0], rows * across) + 0.1 * generator.normal(size=last)
-    free = np.einsum("idk,ik->id", lines, np.append(rates, 0.0)[places])
+    free = np.einsum("idk,ik->id", lines, np.append(rates, np.zeros(3))[places])
     free[:, 0] += 1e-3 * generator.random(count)
     return contacts, free
 
 
+def places_of(contacts):
+    """Return which rates (m, 6) contacts move."""
+    return (3 * contacts.bodies[:, :, None] + np.arange(3)).reshape(-1, 6)
+
+
 def missed(contacts, free, impulses):
     """Return by how much impulses miss the contact laws, of the fastest approach."""
-    count, width = len(free), contacts.places.max() + 1
+    count, width = len(free), 3 * contacts.moving + 3
     felt, moves = np.zeros((2, 2 * count, width))
-    for i, places in enumerate(contacts.places):
+    for i, places in enumerate(places_of(contacts)):
         for k, place in enumerate(places):
             felt[2 * i : 2 * i + 2, place] += contacts.rows[i, :, k]
             moves[2 * i : 2 * i + 2, place] += contacts.columns[i, :, k]

@@ -23,25 +23,26 @@ from statechart.kernels.jit import kernel
 def contacts_of(pairs, seed):
     """Return contacts between bodies; -1: with what nothing moves."""
     generator = np.random.default_rng(seed)
-    last = 3 * (max(max(pair) for pair in pairs) + 1)
-    places = np.array(
-        [[3 * b + k if b >= 0 else last for b in pair for k in range(3)] for pair in pairs]
-    )
-    rows = generator.normal(size=(len(pairs), 2, 6)) * (places < last)[:, None]
-    columns = rows * generator.uniform(0.5, 2.0, last + 1)[places][:, None]
+    bodies = np.array(pairs)
+    last = bodies.max() + 1
+    bodies[bodies < 0] = last
+    places = (3 * bodies[:, :, None] + np.arange(3)).reshape(-1, 6)
+    rows = generator.normal(size=(len(pairs), 2, 6)) * (places < 3 * last)[:, None]
+    columns = rows * generator.uniform(0.5, 2.0, 3 * last + 3)[places][:, None]
     own = np.stack([(rows[:, a] * columns[:, b]).sum(-1) for a, b in ((0, 0), (1, 1), (0, 1))], 1)
-    return ContactRows(places, rows, columns, own, np.full((len(pairs), 2), np.sqrt(0.5)))
+    return ContactRows(bodies, last, rows, columns, own, np.full((len(pairs), 2), np.sqrt(0.5)))
 
 
 def dense(contacts):
     """Return the velocities (2 m, 2 m) per unit impulses."""
     count = len(contacts.own)
-    felt = np.zeros((2 * count, contacts.places.max() + 1))
+    felt = np.zeros((2 * count, 3 * contacts.moving + 3))
     moved = np.zeros_like(felt)
     for i in range(count):
-        for k, place in enumerate(contacts.places[i]):
-            felt[2 * i : 2 * i + 2, place] += contacts.rows[i, :, k]
-            moved[2 * i : 2 * i + 2, place] += contacts.columns[i, :, k]
+        for side, body in enumerate(contacts.bodies[i]):
+            at, k = slice(3 * body, 3 * body + 3), slice(3 * side, 3 * side + 3)
+            felt[2 * i : 2 * i + 2, at] += contacts.rows[i, :, k]
+            moved[2 * i : 2 * i + 2, at] += contacts.columns[i, :, k]
     return felt @ moved.T
 
 
