@@ -274,7 +274,7 @@ def _number(text: str) -> float:
     try:
         return parse(text).value({})
     except FormulaError as error:
-        raise argparse.ArgumentTypeError(f"{text!r}: {error}") from None
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _assignment(text: str) -> tuple[str, float]:

@@ -230,12 +230,16 @@ def _interval(name: str, spacing: str, first: str, last: str) -> Interval:
 
 
 def _number(name: str, text: str) -> float:
+    word = text.strip()
+    if not word:
+        raise _wrong(name, "a number is missing", _FORMS)
     try:
-        found = parse(text).value({})
+        found = parse(word).value({})
     except FormulaError as error:
-        raise _wrong(name, f"{text.strip()!r}: {error}", _FORMS) from None
+        # Without its advice: it speaks of formulas, and this is a range.
+        raise _wrong(name, error.message, _FORMS) from None
     if math.isnan(found):
-        raise _wrong(name, f"{text.strip()!r} is not a number", _FORMS)
+        raise _wrong(name, f"{word!r} is not a number", _FORMS)
     return found
 
 

@@ -57,8 +57,10 @@ def test_lists_are_formulas_of_numbers() -> None:
         ("lin:0:1", "'lin:0:1' is no range"),
         ("geo:1:2:3", "'geo:1:2:3' is no range"),
         ("lin:0:inf:3", "the ends of a range must be finite"),
-        ("1,,2", "''"),
-        ("1,x", "'x'"),
+        ("1,,2", "a number is missing"),
+        ("lin::1:3", "a number is missing"),
+        ("1,x", "formula 'x': unknown name 'x'"),
+        ("1/0", "formula '1/0': division by zero"),
         ("__import__('os')", "mu"),
     ],
 )
@@ -69,6 +71,8 @@ def test_what_is_no_range_is_refused_with_the_parameter_and_the_reason(
         values("mu", text)
     assert str(caught.value).startswith("mu: ")
     assert words in str(caught.value)
+    # One thing is wrong, and one thing is to be done.
+    assert str(caught.value).count("; ") == 1
 
 
 def test_a_sobol_sequence_is_in_its_intervals_balanced_and_the_same_again() -> None:
@@ -136,5 +140,5 @@ def test_a_cell_of_a_table_that_is_no_number_is_told_with_its_row(tmp_path: Path
     table.write_text("mu,I_G\n1,1/3\n2,\n")
     with pytest.raises(DeclarationError) as caught:
         read_table(table)
-    assert str(caught.value).startswith(f"{table}, row 3: I_G: ''")
+    assert str(caught.value).startswith(f"{table}, row 3: I_G: a number is missing")
     assert "lin:" not in str(caught.value)
