@@ -85,9 +85,12 @@ def end(counts: bool = True) -> None:
             _say(f"compiled {_now.name} in {now - _now.began:.0f} s; this happens once")
     elif now - _now.said >= _AFTER:
         _now.said, _now.told = now, True
+        # What was counted on as compiled may be of no use, since another process compiled what it
+        # calls; the outermost function is still to come.
+        total = max(_now.total, _now.done + 1)
         _say(
-            f"compiling {_now.name}: {min(_now.done, _now.total)} of "
-            f"{several(_now.total, 'function')}, {now - _now.began:.0f} s"
+            f"compiling {_now.name}: {_now.done} of {several(total, 'function')}, "
+            f"{now - _now.began:.0f} s"
         )
 
 

@@ -88,6 +88,18 @@ def test_what_lies_on_disk_is_not_counted(kernels, clock, lines, monkeypatch):
     assert not lines
 
 
+def test_what_lies_on_disk_and_is_of_no_use_is_counted(kernels, clock, lines, monkeypatch):
+    kernels().upper_kernel(1.0)
+    slow(monkeypatch, clock, 1.0)
+    # For another type all are compiled again, as where another process compiled some meanwhile;
+    # one part for both types.
+    kernels().upper_kernel(1)
+    assert lines == [
+        *(f"compiling upper_kernel: {n} of {n + 1} functions, {n} s" for n in range(1, 5)),
+        "compiled upper_kernel in 5 s; this happens once",
+    ]
+
+
 def test_what_takes_less_than_a_second_is_not_said(kernels, clock, lines, monkeypatch):
     slow(monkeypatch, clock, 0.2)
     kernels().upper_kernel(1.0)
