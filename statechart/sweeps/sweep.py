@@ -26,6 +26,7 @@ from statechart.sweeps.claim import claimed
 from statechart.sweeps.plan import Plan, Tile, of_table
 from statechart.sweeps.progress import told
 from statechart.sweeps.store import Store
+from statechart.sweeps.workers import Watch, unguarded
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -346,7 +347,7 @@ def _run_here(work: _Work) -> None:
 def _hand_out(work: _Work, executor: Executor) -> None:
     """Let an executor run blocks; what is handed out grows with what returns."""
     pending: dict[Future[Block], _Job] = {}
-    room = _FIRST
+    room, watch = _FIRST, Watch(executor)
     try:
         while True:
             while len(pending) < room and (job := work.next()) is not None:
@@ -355,6 +356,7 @@ def _hand_out(work: _Work, executor: Executor) -> None:
                 return
             returned, _ = wait_for(pending, timeout=_LOOK, return_when=FIRST_COMPLETED)
             interrupts.check()
+            watch.look(bool(returned))
             for future in returned:
                 work.take(pending.pop(future), future.result())
                 room = min(room + 1, _MOST)
@@ -368,8 +370,9 @@ def _hand_out(work: _Work, executor: Executor) -> None:
             )
         ) from None
     except (BrokenExecutor, CancelledError) as error:
-        words = str(error).strip() or "the connection to them was lost"
-        raise _Lost(StatechartError(f"workers died: {words}")) from None
+        words = str(error).strip().rstrip(".") or "the connection to them was lost"
+        advice = "" if work.done else unguarded(error)
+        raise _Lost(StatechartError(f"workers died: {words}{advice}")) from None
     except Exception as error:  # whatever an executor makes of workers that fail
         problem = f"workers failed, {type(error).__name__}: {error}"
         raise _Lost(StatechartError(problem)) from None

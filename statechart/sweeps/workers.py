@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import multiprocessing
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from statechart import compiling
 from statechart.errors import DeclarationError
@@ -25,6 +29,9 @@ if TYPE_CHECKING:
 _ANSWER = 10.0
 # Processes for each processor: further ones cost 150 MB each and gain nothing.
 _EACH = 16
+# Seconds between looks whether a cluster has workers while nothing returns, and without any until
+# it is given up: one that died is started again in a few.
+_LOOK, _PATIENCE = 5.0, 60.0
 _NAME = "contact-statecharts"
 
 
@@ -85,6 +92,26 @@ def processes(count: int) -> Iterator[Executor]:
             child.terminate()
 
 
+def unguarded(error: Exception) -> str:
+    """Return advice where processes died since each runs the script that makes them; else none.
+
+    Parameters
+    ----------
+    error : Exception
+        What their executor made of it, before any of them did something.
+    """
+    file = getattr(sys.modules["__main__"], "__file__", None)
+    if not isinstance(error, BrokenProcessPool) or file is None:
+        return ""
+    with suppress(OSError, UnicodeDecodeError):
+        if "__name__" not in Path(file).read_text(encoding="utf-8"):
+            return (
+                f'; processes import the script that makes them: write `if __name__ == "__main__":`'
+                f" in {Path(file).name} before what it does, and indent that"
+            )
+    return ""
+
+
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
     """Connect to the scheduler of a Dask cluster.
@@ -121,6 +148,40 @@ def cluster(address: str) -> Iterator[Executor]:
         yield client.get_executor()
     finally:
         client.close(timeout=_ANSWER)
+
+
+class Watch:
+    """Looks whether a cluster that had workers has some still; Dask waits for new ones for ever.
+
+    Parameters
+    ----------
+    executor : Executor
+        Of that cluster; others tell themselves of workers that die.
+    """
+
+    def __init__(self, executor: Executor) -> None:
+        self._client: Any = getattr(executor, "_client", None)
+        self._looked, self._seen = -math.inf, math.inf
+
+    def look(self, returned: bool) -> None:
+        """Raise `BrokenExecutor` if for a minute nothing `returned` and no worker was there."""
+        now = time.monotonic()
+        if returned:
+            self._seen = now
+        elif "distributed" in sys.modules and now - self._looked > _LOOK:
+            self._looked = now
+            self._ask()
+
+    def _ask(self) -> None:
+        from distributed import Client
+
+        if not isinstance(self._client, Client):
+            return
+        with suppress(OSError):  # its scheduler does not answer
+            if self._client.sync(self._client.scheduler.ncores, callback_timeout=_ANSWER):
+                self._seen = self._looked
+        if self._looked - self._seen > _PATIENCE:
+            raise BrokenExecutor(f"the cluster has had none for {_PATIENCE:g} s")
 
 
 async def _identity(address: str) -> str:

@@ -17,8 +17,9 @@ import pytest
 import xarray as xr
 
 from statechart import sweep
-from statechart.errors import DeclarationError
+from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps import sweep as sweeps
+from statechart.sweeps import workers
 from statechart.sweeps.workers import cluster, crew, processes
 
 distributed = pytest.importorskip("distributed")
@@ -69,6 +70,40 @@ def test_a_cluster_loses_nothing_with_a_worker(
     assert killed
     assert found.attrs["complete"] == 1
     same(found, sweep(STICK, GRID))
+
+
+def test_a_cluster_that_lost_all_workers_is_told_of_and_the_sweep_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweeps, "_FIRST", 2)
+    monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
+    monkeypatch.setattr(workers, "_LOOK", 0.1)
+    monkeypatch.setattr(workers, "_PATIENCE", 1.0)
+    store = tmp_path / "a.zarr"
+    with (
+        distributed.LocalCluster(n_workers=1, dashboard_address=":0", processes=False) as made,
+        distributed.Client(made, set_as_default=False) as client,
+    ):
+
+        class Leaving(Executor):
+            """Closes all workers of a cluster when some blocks are done."""
+
+            def __init__(self) -> None:
+                self._client, self._calls = client, 0
+
+            def submit(self, work: Any, /, *values: Any, **options: Any) -> Any:
+                self._calls += 1
+                if self._calls == 5:
+                    made.scale(0)
+                    while client.nthreads():
+                        pass
+                return client.get_executor().submit(work, *values, **options)
+
+        with pytest.raises(StatechartError, match="workers died: the cluster has had none for 1 s"):
+            sweep(STICK, GRID, executor=Leaving(), store=store)
+    with xr.open_zarr(store, chunks=None) as part:
+        assert 0 < (part["outcome"] != "").sum() < 18
+    same(sweep(STICK, GRID, store=store, resume=True), sweep(STICK, GRID))
 
 
 def test_a_cluster_is_found_by_its_address(machines: Any) -> None:
@@ -204,6 +239,45 @@ def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
     said = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
     assert said.returncode == -signal.SIGKILL
     _gone(int(said.stdout))
+
+
+_UNGUARDED = """
+from statechart import sweep
+from statechart.errors import StatechartError
+from statechart.sweeps.workers import processes
+
+with processes(1) as executor:
+    try:
+        sweep("toppling_stick", {"mu": [0.2, 0.4]}, executor=executor)
+    except StatechartError as error:
+        print(error)
+"""
+_GUARDED = """
+import os
+from statechart import sweep
+from statechart.errors import StatechartError
+from statechart.sweeps.workers import processes
+
+if __name__ == "__main__":
+    with processes(1) as executor:
+        executor.submit(os._exit, 1)
+        try:
+            sweep("toppling_stick", {"mu": [0.2, 0.4]}, executor=executor)
+        except StatechartError as error:
+            print(error)
+"""
+
+
+@pytest.mark.parametrize(("script", "advised"), [(_UNGUARDED, True), (_GUARDED, False)])
+def test_a_script_that_its_processes_run_again_is_advised(
+    tmp_path: Path, script: str, advised: bool
+) -> None:
+    file = tmp_path / "maps.py"
+    file.write_text(script)
+    said = subprocess.run([sys.executable, file], capture_output=True, text=True, check=True)
+    assert said.stdout.startswith("workers died: ")
+    advice = 'write `if __name__ == "__main__":` in maps.py before what it does, and indent that'
+    assert (advice in said.stdout) == advised
 
 
 def test_no_workers_are_asked_for_by_default() -> None:
