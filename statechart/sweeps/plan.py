@@ -28,7 +28,7 @@ from statechart.sweeps.ranges import numbers
 if TYPE_CHECKING:
     import pandas as pd
 
-_FORMAT = "statechart sweep 1"
+_FORMAT = "statechart sweep 2"
 # Cells of a sweep: which of them are done is known in memory.
 _MOST = 100_000_000
 # Cells of a chunk: so many numbers are read at once by whoever looks at one of them.

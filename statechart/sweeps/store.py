@@ -7,10 +7,11 @@ anew in the order of the cells, so that nothing in a store tells in what order i
 
 from __future__ import annotations
 
+import itertools
 import math
 import shutil
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import EllipsisType
@@ -20,20 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
-from statechart.documents.declaration import TIME
 from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps.block import Block
+from statechart.sweeps.chunks import ALL, lost
 from statechart.sweeps.claim import Claim
 from statechart.sweeps.plan import Plan, Slices, Tile
-from statechart.sweeps.variables import CODE, COUNT, NUMBER, OWN, TEXT, Kind
+from statechart.sweeps.variables import OWN, SEQUENCE, UNFINISHED, create
 
 if TYPE_CHECKING:
     import xarray as xr
     import zarr
 
-_SEQUENCE, _UNFINISHED = "sequence", "unfinished"
-# Values of a list along its own dimension, and sequences, that one chunk holds.
-_LIST_CHUNK, _TABLE_CHUNK = 16, 256
 # What zarr writes before it has a name.
 _PARTIAL = "*.partial"
 
@@ -72,11 +70,18 @@ class Store:
         self._path = None if path is None else Path(path)
         self._fresh = False
         self._codes: dict[str, int] = {}
+        self._written = 0  # of their texts
         self._arrays: dict[str, zarr.Array[Any]] = {}
         with self._explained():
             self._group = self._opened(resume)
             self._done = np.array(self._read("outcome") != "", dtype=bool)
+            if not self._fresh:
+                self._check_whole()
         self._longest = {name: self._array(plan.variables[name]).shape[-1] for name in plan.lists}
+
+    @property
+    def _complete(self) -> bool:
+        return bool(self._group.attrs.get("complete"))
 
     @property
     def left(self) -> int:
@@ -117,29 +122,29 @@ class Store:
                 self._list(name, tile, rows)
             for name, column in self._named(block):
                 if name == "modes":
-                    self._array(f"{_UNFINISHED}/modes")[where] = column.reshape(tile.shape)
+                    self._array(f"{UNFINISHED}/modes")[where] = column.reshape(tile.shape)
                 self._array(name)[where] = column.reshape(tile.shape)
         self._done[where] = (block.outcome != "").reshape(tile.shape)
 
     def finish(self) -> None:
         """Code modes in the order of the cells, if all cells are done."""
-        if self.left or _UNFINISHED not in self._group:
+        if self.left or self._complete:
             return
         with self._explained():
-            raw = self._read(f"{_UNFINISHED}/modes").ravel()
+            raw = self._read(f"{UNFINISHED}/modes").ravel()
             found, first = np.unique(raw, return_index=True)
             order = found[np.argsort(first)]
             order = order[order >= 0]
             texts = list(self._codes)
             codes = np.full(len(texts) + 1, -1, dtype=np.int32)
             codes[order] = np.arange(len(order))
-            self._fill(self._array(_SEQUENCE), [texts[k] for k in order])
+            self._fill(self._array(SEQUENCE), [texts[k] for k in order])
             # Chunk by chunk: what is written is what stays in memory.
             for tile in self._plan.tiles():
-                part = self._read(f"{_UNFINISHED}/modes", tile.slices)
+                part = self._read(f"{UNFINISHED}/modes", tile.slices)
                 self._array("modes")[tile.slices] = codes[part]
             self._group.attrs["complete"] = 1
-            del self._group[_UNFINISHED]
+            del self._group[UNFINISHED]
             self._consolidate()
 
     def discard(self) -> None:
@@ -212,15 +217,37 @@ class Store:
         for name, column in self._plan.columns.items():
             if not np.array_equal(self._read(self._plan.coordinates[name]), column):
                 raise self._damaged(name)
-        self._read(_SEQUENCE)
-        if _UNFINISHED in self._group:
-            self._array(f"{_UNFINISHED}/modes")
-            texts = [str(text) for text in self._read(f"{_UNFINISHED}/{_SEQUENCE}")]
-            self._codes = {text: code for code, text in enumerate(texts)}
-            if "" in self._codes:
-                raise self._damaged(_SEQUENCE)
-        elif not self._group.attrs.get("complete"):
-            raise self._damaged(_UNFINISHED)
+        texts = self._read(SEQUENCE)
+        if not self._complete:
+            if UNFINISHED not in self._group:
+                raise self._damaged(UNFINISHED)
+            texts = self._read(f"{UNFINISHED}/{SEQUENCE}")
+        # There may be room for more, of a process that ended before it wrote them.
+        known = itertools.takewhile(bool, map(str, texts))
+        self._codes = {text: code for code, text in enumerate(known)}
+
+    def _check_whole(self) -> None:
+        """Raise `DeclarationError` where what cells gave is not there, or a text of their modes."""
+        plan, root, complete = self._plan, self._path, self._complete
+        assert root is not None
+        modes = "modes" if complete else f"{UNFINISHED}/modes"
+        names = [name for name, _ in self._named(Block.empty(0, plan.numbers, ()))]
+        counts = {plan.variables[name]: f"{plan.variables[name]}_count" for name in plan.lists}
+        for tile in plan.tiles():
+            if not (complete or self._done[tile.slices].any()):
+                continue
+            parts = dict.fromkeys([modes, *names, *sorted(counts.values())], tile.slices)
+            for name, count in sorted(counts.items()):
+                longest = int(self._read(count, tile.slices).max())
+                parts[name] = (*tile.slices, slice(0, longest))
+            for name, where in parts.items():
+                if file := lost(root, self._array(name), where):
+                    raise self._damaged(file, "is missing")
+            if self._read(modes, tile.slices).max() >= len(self._codes):
+                raise self._damaged(SEQUENCE)
+        if complete and (root / UNFINISHED).exists():  # of a process that was removing it
+            shutil.rmtree(root / UNFINISHED)
+            self._consolidate()
 
     def _check(self, group: zarr.Group) -> None:
         """Raise `DeclarationError` where a store holds another sweep."""
@@ -252,54 +279,12 @@ class Store:
         import zarr
 
         self._fresh = True
-        plan = self._plan
-        self._group = group = zarr.create_group(
-            where, attributes={**plan.attributes(), "complete": 0}
-        )
-        for name, column in plan.columns.items():
-            told = {**plan.named(name), "declared": str(plan.model.parameters[name])}
-            dims = (plan.coordinates[name],) if plan.grid else plan.dims
-            shape = column.shape
-            self._make(plan.coordinates[name], NUMBER, shape, shape, dims, told)[:] = column
-        shape, chunk, dims = plan.shape, plan.chunk, plan.dims
-        for name in plan.task.outputs:
-            variable, told = plan.variables[name], {**plan.named(name), **plan.declared(name)}
-            if name in plan.lists:
-                own = ((*shape, 0), (*chunk, _LIST_CHUNK), (*dims, f"{variable}_index"))
-                self._make(variable, NUMBER, *own, told)
-                told = {"long_name": f"number of {name}"}
-                self._make(f"{variable}_count", COUNT, shape, chunk, dims, told)
-            else:
-                self._make(variable, NUMBER, shape, chunk, dims, told)
-        for place in (_SEQUENCE, f"{_UNFINISHED}/{_SEQUENCE}"):
-            told = {"long_name": "modes in the order in which they were entered"}
-            self._make(place, TEXT, (0,), (_TABLE_CHUNK,), (_SEQUENCE,), told)
-        self._make(f"{_UNFINISHED}/modes", CODE, shape, chunk, dims, {})
-        for name, (kind, told_of_all) in OWN.items():
-            if name != "error_estimate" or plan.accurate:
-                unit = plan.named(TIME) if name == "t_end" else {}
-                self._make(name, kind, shape, chunk, dims, {**unit, **told_of_all})
+        told = {**self._plan.attributes(), "complete": 0}
+        self._group = group = zarr.create_group(where, attributes=told)
+        with zarr.config.set(ALL):
+            create(group, self._plan)
         self._consolidate()
         return group
-
-    def _make(
-        self,
-        name: str,
-        kind: Kind,
-        shape: tuple[int, ...],
-        chunk: tuple[int, ...],
-        dims: tuple[str, ...],
-        told: Mapping[str, str],
-    ) -> zarr.Array[Any]:
-        return self._group.create_array(
-            name,
-            shape=shape,
-            chunks=chunk,
-            dtype=kind.dtype,
-            fill_value=kind.fill,
-            dimension_names=dims,
-            attributes=dict(told),
-        )
 
     def _named(self, block: Block) -> Iterator[tuple[str, NDArray[Any]]]:
         """Yield variables of one value a cell with their values (n,), the outcome last."""
@@ -311,12 +296,12 @@ class Store:
 
     def _table(self) -> None:
         """Write the texts of sequences that are new."""
-        known = self._array(_SEQUENCE).shape[0]
-        if len(self._codes) == known:
+        if len(self._codes) == self._written:
             return
         # First where a sweep goes on from: a code without a text would be lost there.
-        for place in (f"{_UNFINISHED}/{_SEQUENCE}", _SEQUENCE):
-            self._fill(self._array(place), list(self._codes), known)
+        for place in (f"{UNFINISHED}/{SEQUENCE}", SEQUENCE):
+            self._fill(self._array(place), list(self._codes), self._written)
+        self._written = len(self._codes)
         self._consolidate()
 
     @staticmethod
@@ -346,7 +331,7 @@ class Store:
         if found is None:
             import zarr
 
-            with self._whole(name):
+            with self._whole(name), zarr.config.set(ALL):
                 found = zarr.open_array(self._group.store, path=name, mode="r+")
             self._arrays[name] = found
         return found
@@ -385,9 +370,9 @@ class Store:
         except (FileNotFoundError, ValueError, KeyError, RuntimeError):
             raise self._damaged(name) from None
 
-    def _damaged(self, name: str) -> DeclarationError:
+    def _damaged(self, name: str, words: str = "cannot be read") -> DeclarationError:
         return DeclarationError(
-            f"{self._path} is damaged: {name} cannot be read",
+            f"{self._path} is damaged: {name} {words}",
             advice="remove it, and begin the sweep anew",
         )
 

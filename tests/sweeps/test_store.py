@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 
 from statechart import sweep
 from statechart.cli.main import main
@@ -270,3 +271,62 @@ def test_a_complete_store_that_is_cut_off_is_told_of(
     assert capsys.readouterr().err.endswith(
         f"{store} is damaged: t_impact cannot be read; remove it, and begin the sweep anew\n"
     )
+
+
+@pytest.mark.parametrize("tile", [4096, 2])
+@pytest.mark.parametrize(
+    ("model", "over"),
+    [(STICK, {"mu": [0.2, 0.4], "I_G": [0.0, 1.0]}), ("bouncing_ball_hills", LISTS)],
+)
+def test_a_store_that_lost_a_chunk_is_refused_with_its_name(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tile: int,
+    model: str,
+    over: dict[str, list[float]],
+) -> None:
+    monkeypatch.setattr(plans, "_CHUNK", tile)
+    store = tmp_path / "a.zarr"
+    sweep(model, over, store=store)
+    chunks = [file for file in sorted(store.rglob("c/**/*")) if file.is_file()]
+    held = {file.relative_to(store).parts[0] for file in chunks}
+    # Those that hold nothing but what stands for nothing are there, too.
+    assert held == {one.name for one in store.iterdir() if one.is_dir()}
+    for file in chunks:
+        content = file.read_bytes()
+        file.unlink()
+        with pytest.raises(DeclarationError, match="is damaged") as caught:
+            sweep(model, over, store=store, resume=True)
+        array, *_ = file.relative_to(store).parts
+        named = array if array in {*over, "sequence"} else file.relative_to(store)
+        assert f"{store} is damaged: {named} " in str(caught.value)
+        file.write_bytes(content)
+    sweep(model, over, store=store, resume=True)
+
+
+def test_room_for_texts_that_were_not_written_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, store = sweep(STICK, GRID), tmp_path / "a.zarr"
+    monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(sweeps, "run_block", interrupting(9))
+        sweep(STICK, GRID, store=store)
+    for name in ("sequence", "unfinished/sequence"):
+        array = zarr.open_array(store, path=name)
+        array.resize((array.shape[0] + 3,))
+    same(sweep(STICK, GRID, store=store, resume=True), whole)
+
+
+@pytest.mark.parametrize("left", ["modes", "zarr.json"])
+def test_what_a_process_that_was_killed_at_its_end_left_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left: str
+) -> None:
+    whole, store = sweep(STICK, GRID), tmp_path / "a.zarr"
+    sweep(STICK, GRID, store=store)
+    (store / "unfinished").mkdir()
+    shutil.copy(store / "zarr.json", store / "unfinished" / "zarr.json")
+    if left == "modes":
+        shutil.copytree(store / "modes", store / "unfinished" / "modes")
+    same(sweep(STICK, GRID, store=store, resume=True), whole)
+    assert not (store / "unfinished").exists()
