@@ -72,11 +72,15 @@ class Store:
         self._codes: dict[str, int] = {}
         self._written = 0  # of their texts
         self._arrays: dict[str, zarr.Array[Any]] = {}
-        with self._explained():
-            self._group = self._opened(resume)
-            self._done = np.array(self._read("outcome") != "", dtype=bool)
-            if not self._fresh:
-                self._check_whole()
+        try:
+            with self._explained():
+                self._group = self._opened(resume)
+                self._done = np.array(self._read("outcome") != "", dtype=bool)
+                if not self._fresh:
+                    self._check_whole()
+        except StatechartError:
+            self.discard()
+            raise
         self._longest = {name: self._array(plan.variables[name]).shape[-1] for name in plan.lists}
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import signal
@@ -21,7 +22,9 @@ from statechart import sweep
 from statechart.cli.main import main
 from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps import plan as plans
+from statechart.sweeps import store as stores
 from statechart.sweeps import sweep as sweeps
+from statechart.sweeps import variables
 from statechart.sweeps.block import Block, run_block
 from statechart.sweeps.claim import claimed
 from statechart.sweeps.plan import Task
@@ -330,3 +333,16 @@ def test_what_a_process_that_was_killed_at_its_end_left_is_removed(
         shutil.copytree(store / "modes", store / "unfinished" / "modes")
     same(sweep(STICK, GRID, store=store, resume=True), whole)
     assert not (store / "unfinished").exists()
+
+
+def test_of_a_store_that_could_not_be_made_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def create(group: zarr.Group, plan: plans.Plan) -> None:
+        variables.create(group, plan)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(stores, "create", create)
+    with pytest.raises(StatechartError, match="No space left on device"):
+        sweep(STICK, GRID, store=tmp_path / "a.zarr")
+    assert not list(tmp_path.iterdir())
