@@ -10,10 +10,10 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.polynomials import TERMS, defined, smooth, struck
 from contacts.time_stepping.stops import cut
 from statechart.arrays import Array, Bools
+from statechart.automaton.blocks import Blocks
 from statechart.automaton.clock import Clock
 from statechart.automaton.deferred import Recorded
 from statechart.automaton.laws import roles_in
-from statechart.automaton.recording import IN_MEMORY, on_disk
 from statechart.automaton.trace import Arc, Key
 
 # A block is written when it holds so many bytes; an arc made of one takes some times as many.
@@ -49,10 +49,10 @@ class Track:
 
     def __init__(self, coordinates: int) -> None:
         self._coordinates = coordinates
-        self._blocks: list[_Block] = []
+        self._blocks = Blocks[_Block]()
         self._begun: _Begun | None = None
         self._open: list[Chunk] = []
-        self._size = self._bytes = 0
+        self._size = 0
 
     def add(self, chunk: Chunk, start: Clock, j: int, key: Key) -> None:
         """Append steps that begin at `start`, after `j` jumps."""
@@ -94,10 +94,7 @@ class Track:
             np.concatenate([chunk.solved for chunk in chunks]),
             np.concatenate([chunk.struck.any(axis=1) for chunk in chunks]),
         ]
-        self._bytes += sum(array.nbytes for array in arrays)
-        if self._bytes > IN_MEMORY:
-            arrays = on_disk(arrays, self._bytes)
-        self._blocks.append(_Block(begun, *arrays))
+        self._blocks.add(_Block(begun, *arrays))
         self._begun, self._open, self._size = None, [], 0
 
     def _arc(self, block: _Block) -> Arc:

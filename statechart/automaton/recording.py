@@ -6,21 +6,20 @@ whenever it is full, and at the end of the run.
 
 from __future__ import annotations
 
-import tempfile
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array
+from statechart.automaton.blocks import Blocks
 from statechart.automaton.clock import Clock
 from statechart.automaton.deferred import Recorded
 from statechart.automaton.trace import Arc, Jump, Key, Roles
-from statechart.errors import TooLong
 
 Kind = tuple[Key, Roles]
 """The mode that a flow shows, and whose equations apply."""
@@ -29,8 +28,6 @@ ARCS, TIMES, TERMS, EVENTS = range(4)
 """Places in `Block.used`."""
 MADE = -1
 """As the kind of an event's source: the jump is kept as it was made."""
-IN_MEMORY = 2**26
-"""Bytes of a trace beyond which it is written to disk."""
 
 # What a pad holds: so many arcs and events, times, coefficients.
 _ARCS, _TIMES, _TERMS = 1 << 13, 1 << 14, 1 << 19
@@ -204,10 +201,9 @@ class Recording:
         self._kinds, self._jump = kinds, jump
         self._places: dict[Kind, int] = {}
         self.made: dict[int, Jump] = {}
-        self._blocks: list[Block] = []
+        self._blocks = Blocks[Block]()
         # How many arcs and events stand in the blocks before each.
         self._arcs, self._events = [0], [0]
-        self._bytes = 0
         if not begun:
             memory.used[:] = 0
 
@@ -296,10 +292,7 @@ class Recording:
         return all(w <= most for w, most in zip(wanted, room, strict=True))
 
     def _keep(self, block: Block) -> None:
-        self._bytes += sum([array.nbytes for array in block])
-        if self._bytes > IN_MEMORY:
-            block = Block._make(on_disk(block, self._bytes))
-        self._blocks.append(block)
+        self._blocks.add(block)
         self._arcs.append(self._arcs[-1] + int(block.used[ARCS]))
         self._events.append(self._events[-1] + int(block.used[EVENTS]))
 
@@ -330,36 +323,3 @@ def _width(terms: Array) -> int:
     while width > 1 and not terms[:, :, width - 1].any():
         width -= 1
     return width
-
-
-def on_disk(held: Iterable[NDArray[Any]], size: int) -> list[NDArray[Any]]:
-    """Write arrays to a file that is gone once nobody reads them; return them as they lie there.
-
-    Parameters
-    ----------
-    held : iterable of arrays
-    size : int
-        Bytes of the trace that they belong to.
-
-    Raises
-    ------
-    TooLong
-        If the disk does not take them.
-    """
-    arrays = []
-    try:
-        with tempfile.TemporaryFile(prefix="statechart-") as file:
-            for array in held:
-                at = file.tell()
-                file.write(array.tobytes())
-                file.flush()
-                # Nothing cannot be mapped.
-                if array.size:
-                    array = np.memmap(file, array.dtype, "r", at, array.shape)
-                arrays.append(array)
-    except OSError as error:
-        raise TooLong(
-            f"a trace of {size >> 20} MB is more than is kept in memory, and the disk does not "
-            f"take it ({error.strerror}); end the run earlier"
-        ) from None
-    return arrays

@@ -124,6 +124,52 @@ def _following(
 
 
 @part
+def _tolerances(program: Program, row: NDArray[np.int64], watch: Watch, tolerances: Array) -> None:
+    """Write what every margin may fall below zero by: its own, or that of its kind."""
+    for i in range(row[MARGINS]):
+        own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
+        tolerances[i] = own if own >= 0.0 else watch.kinds[program.ints[row[MARGINS_AT] + 2 * i]]
+
+
+@part
+def _level(ready: Ready, registers: int, jets: Array) -> None:
+    """Write ranges of what does not change along a flow: all their slopes are zero."""
+    for r in range(registers):
+        jets[r, 0], jets[r, 1] = ready[4][r, 0], ready[4][r, 1]
+        jets[r, 2] = jets[r, 3] = jets[r, 4] = jets[r, 5] = 0.0
+
+
+@part
+def _off(program: Program, watch: Watch, state: Array, time: float) -> bool:
+    """Whether a state is so far off its constraints that it has to be brought back."""
+    code, constants, outputs, _, _ = tape_of(program, watch.off)
+    return (
+        off_by(
+            code, constants, outputs, watch.targets, watch.weights, state, watch.parameters, time
+        )
+        > NEAR
+    )
+
+
+@part
+def _begins_at(
+    program: Program,
+    row: NDArray[np.int64],
+    watch: Watch,
+    initial: Array,
+    start: float,
+    guard: int,
+    tolerances: Array,
+) -> bool:
+    """Whether a flow begins where a margin is zero, so that it may not have fallen since."""
+    code, constants, outputs, _, _ = tape_of(program, row[WATCHED : WATCHED + TAPE])
+    margins = np.empty(row[MARGINS])
+    guards = outputs[: row[MARGINS]]
+    tape_values(code, constants, guards, initial, watch.parameters, start, margins)
+    return bool(abs(margins[guard]) <= tolerances[guard])
+
+
+@part
 def flow_to_event(
     program: Program,
     mode: int,
@@ -164,16 +210,11 @@ def flow_to_event(
     state, clock, series = memory.state, memory.clock, memory.series
     parameters, address = watch.parameters, row[ADDRESS]
     code, constants, outputs, reads, n_fixed = tape_of(program, row[WATCHED : WATCHED + TAPE])
-    off_code, off_constants, off_outputs, _, _ = tape_of(program, watch.off)
     pars, h = memory.pars[: row[PARS]], memory.length
     margins, n = row[MARGINS], initial.shape[0]
     guards, rates = outputs[:margins], outputs[margins:]
-    tolerances, offs, sizes = memory.tolerances, memory.offs, memory.sizes
-    powers, doubtful, jets = memory.powers, memory.doubtful, memory.whole
-    for i in range(margins):
-        own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
-        tolerances[i] = own if own >= 0.0 else watch.kinds[program.ints[row[MARGINS_AT] + 2 * i]]
-    allowed = max(STRAY, ORDERS * pace.tolerance)
+    tolerances, powers, jets = memory.tolerances, memory.powers, memory.whole
+    _tolerances(program, row, watch, tolerances)
     made, boxes, pending, length = 0, 0, False, 0.0
     end = min(horizon, duration)
     chunk, chunk_end, base, total, left = FIRST_CHUNK, FIRST_CHUNK, 0.0, 0.0, end
@@ -183,9 +224,7 @@ def flow_to_event(
     ready = ready_along(
         code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start, memory.searched
     )  # fmt: skip
-    for r in range(ready[0][1] + code.shape[0]):
-        jets[r, 0], jets[r, 1] = ready[4][r, 0], ready[4][r, 1]
-        jets[r, 2] = jets[r, 3] = jets[r, 4] = jets[r, 5] = 0.0
+    _level(ready, ready[0][1] + code.shape[0], jets)
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:
@@ -193,12 +232,8 @@ def flow_to_event(
         h[0] = min(left, pace.max_step)
         lift_any(follows, state, start + times[made])
         call_step(address, state, pars, clock, h, series)
-        if pending:
-            if stray(coeffs[made - 1], length, series, offs, sizes) > allowed:
-                return UNUSUAL, -1, 0, boxes
-            doubtful[made - 1] = not _followed(
-                ready[0], rates, watch, pace, offs, sizes, length, jets
-            )
+        if pending and _strays(ready[0], rates, watch, pace, memory, made - 1, length):
+            return UNUSUAL, -1, 0, boxes
         length = h[0]
         expand(series, length, coeffs[made], powers)
         let_pass(clock, length)
@@ -213,13 +248,7 @@ def flow_to_event(
             for v in range(n):
                 ended[v] = horner(coeffs, made - 1, v, 1.0)
             lift_any(follows, ended, start + times[made])
-            if (
-                off_by(
-                    off_code, off_constants, off_outputs, watch.targets, watch.weights, ended,
-                    parameters, start + times[made],
-                )
-                > NEAR
-            ):  # fmt: skip
+            if _off(program, watch, ended, start + times[made]):
                 return UNUSUAL, -1, 0, boxes
         if clear_whole(ready, guards, tolerances, made - 1, jets):
             boxes += 1
@@ -229,11 +258,8 @@ def flow_to_event(
         if last or found[0] != NONE:
             # No step follows whose series would begin with the rates.
             _rates_at_end(ready, rates, made - 1, series)
-            if stray(coeffs[made - 1], length, series, offs, sizes) > allowed:
+            if _strays(ready[0], rates, watch, pace, memory, made - 1, length):
                 return UNUSUAL, -1, 0, boxes
-            doubtful[made - 1] = not _followed(
-                ready[0], rates, watch, pace, offs, sizes, length, jets
-            )
             if found[0] != NONE or end == duration:
                 break
             horizon *= GROWTH
@@ -249,22 +275,39 @@ def flow_to_event(
     verdict, guard, step, _, at, crossed, _ = found
     if verdict not in (NONE, CROSSING) or _missed(
         program, row, pace, watch, times, coeffs, start,
-        doubtful[: made if verdict == NONE else step + 1],
+        memory.doubtful[: made if verdict == NONE else step + 1],
     ):  # fmt: skip
         return UNUSUAL, -1, 0, boxes
     if verdict == NONE:
         put(ended, initial)
         return ENDED, -1, made, boxes
     kind = program.ints[row[MARGINS_AT] + 2 * guard]
-    if kind == PLAIN:
-        begun = np.empty(margins)
-        tape_values(code, constants, guards, initial, parameters, start, begun)
-        if abs(begun[guard]) <= tolerances[guard]:
-            return UNUSUAL, -1, 0, boxes
+    if kind == PLAIN and _begins_at(program, row, watch, initial, start, guard, tolerances):
+        return UNUSUAL, -1, 0, boxes
     cut = crossed if kind == FORCE else at
     count = cut_steps(times, coeffs, made, cut, initial)
     lift_any(follows, initial, start + times[count])
     return EVENT, guard, count, boxes
+
+
+@part
+def _strays(
+    along: Along,
+    rates: Ints32,
+    watch: Watch,
+    pace: Pace,
+    memory: Scratch,
+    step: int,
+    length: float,
+) -> bool:
+    """Whether a step ends off its rates; note whether it may have been off them on its way."""
+    offs, sizes = memory.offs, memory.sizes
+    off = stray(memory.coefficients[step], length, memory.series, offs, sizes)
+    if off > max(STRAY, ORDERS * pace.tolerance):
+        return True
+    followed = _followed(along, rates, watch, pace, offs, sizes, length, memory.whole)
+    memory.doubtful[step] = not followed
+    return False
 
 
 @part

@@ -168,7 +168,21 @@ class Seldom(Kernel):
         return _plain(result)
 
 
-class Late(Kernel):
+class Inner(Kernel):
+    """A kernel that only kernels call: its machine code has no way in from Python."""
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the function as it is written, where all are."""
+        if not _Deadline.all_written:
+            name = self.py_func.__name__
+            raise TypeError(
+                f"only kernels call {name}: Python has no way into its machine code; "
+                f"{name}.as_written(...) runs it in Python"
+            )
+        return super().__call__(*arguments)
+
+
+class Late(Inner):
     """A kernel that is compiled when a run enters it, also where another kernel calls it."""
 
     @cached_property
@@ -224,12 +238,12 @@ def beside(function: F) -> F:
     That it cannot be called from Python, with arrays to unpack, saves up to a third of its
     compilation.
     """
-    return cast(F, Kernel(function, "beside"))
+    return cast(F, Inner(function, "beside"))
 
 
 def part(function: F) -> F:
     """Compile a function that only kernels call, into each of them."""
-    return cast(F, Kernel(function, "part"))
+    return cast(F, Inner(function, "part"))
 
 
 def native(as_written: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:

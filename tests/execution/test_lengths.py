@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
+from typing import Any
 
 import numpy as np
 import pytest
 
-from statechart.automaton import recording, trace
+from statechart.automaton import blocks, recording, trace
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
 from statechart.engines import path
@@ -101,17 +103,43 @@ def test_a_trace_that_memory_does_not_hold_is_kept_on_disk(
 ) -> None:
     runner = Runner("stick_slip_block", engine="taylor")
     kept = runner.run(until=200.0).trace
-    monkeypatch.setattr(recording, "IN_MEMORY", 2**10)
+    monkeypatch.setattr(blocks, "IN_MEMORY", 2**10)
     monkeypatch.setattr(recording, "_ARCS", 40)
     spilled = Runner("stick_slip_block", engine="taylor").run(until=200.0).trace
     assert len(spilled.arcs) == len(kept.arcs) > 50
-    assert isinstance(spilled.arcs[30].coefficients.base, np.memmap)
+    assert _mapped(spilled.arcs[30].coefficients)
     for here, there in zip(kept.arcs, spilled.arcs, strict=True):
         assert (here.mode, here.start, here.j) == (there.mode, there.start, there.j)
         assert np.array_equal(here.coefficients, there.coefficients)
     for one, other in zip(kept.jumps, spilled.jumps, strict=True):
         assert (one.t, one.cause, one.fired) == (other.t, other.cause, other.fired)
         assert np.array_equal(one.after, other.after)
+
+
+def test_a_trace_of_many_blocks_takes_few_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    resource = pytest.importorskip("resource")
+    opened = len(os.listdir("/dev/fd"))
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    kept = Runner("stick_slip_block", engine="taylor").run(until=2000.0).trace
+    monkeypatch.setattr(blocks, "IN_MEMORY", 2**18)
+    monkeypatch.setattr(recording, "_TERMS", 2**11)
+    runner = Runner("stick_slip_block", engine="taylor")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (opened + 60, most[1]))
+    try:
+        spilled = runner.run(until=2000.0).trace
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, most)
+    assert spilled.outcome is kept.outcome
+    assert _mapped(spilled.arcs[0].coefficients)
+    for here, there in zip(kept.arcs, spilled.arcs, strict=True):
+        assert np.array_equal(here.coefficients, there.coefficients)
+
+
+def _mapped(array: Any) -> bool:
+    """Whether an array lies in a file."""
+    while isinstance(array, np.ndarray) and not isinstance(array, np.memmap):
+        array = array.base
+    return isinstance(array, np.memmap)
 
 
 @pytest.mark.parametrize("name", ["taylor", "scipy"])
