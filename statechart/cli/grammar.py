@@ -21,9 +21,8 @@ Exit code: 0 done, 1 the run or the check failed, 2 the input is wrong.
 """
 
 
-# A grammar reads best in one piece, in the order in which --help shows it.
 def parser() -> argparse.ArgumentParser:
-    """Return the grammar of the command line."""
+    """Return the grammar of the command line: verbs in the order in which --help shows them."""
     whole = argparse.ArgumentParser(
         prog="statechart",
         description="Statecharts of rigid bodies in contact: declare, draw, run, check.",
@@ -47,129 +46,14 @@ def parser() -> argparse.ArgumentParser:
     verb("validate", "read a model and check it, its initial state too")
     run = verb("run", "run a model and report what happened")
     _settable(run)
-    run.add_argument("--until", metavar="T", type=_number, help="end of the run")
-    _engine(run)
-    run.add_argument(
-        "--impulse-tolerance", metavar="R", type=_number,
-        help="of the impulses of a step of the engine impulse, in parts of its fastest approach",
-    )  # fmt: skip
-    run.add_argument(
-        "--impulse-bound",
-        metavar="R",
-        type=_number,
-        help="of the same: what is above it ends the run",
-    )
-    run.add_argument(
-        "--record",
-        choices=("modes", "poses", "nothing"),
-        help="what is kept of a run of the engine impulse: modes and their events, the states at "
-        "every step, or start, end and outputs alone",
-    )
-    run.add_argument(
-        "--max-step", metavar="H", type=_number, help="longest step of the other engines, in time"
-    )
-    run.add_argument(
-        "--method", metavar="M",
-        help="RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)",
-    )  # fmt: skip
-    error = run.add_mutually_exclusive_group()
-    error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
-    error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")
-    error.add_argument(
-        "--budget", metavar="S", type=_number, help="best accuracy within so many seconds"
-    )
-    run.add_argument(
-        "--certify", action="store_true",
-        help="prove of every step how far it is off, and estimate the error of the whole",
-    )  # fmt: skip
-    run.add_argument(
-        "--alternatives", action="store_true",
-        help="run under the other choices of simultaneous: too, and show where that matters",
-    )  # fmt: skip
-    run.add_argument(
-        "--explain", action="store_true",
-        help="of every event: what fired, the margins, what else was considered, the energy",
-    )  # fmt: skip
-    run.add_argument(
-        "-o", "--output", metavar="DIR",
-        help="write tables, data set and figure there; to STORE.zarr the states at every step",
-    )  # fmt: skip
-    run.add_argument(
-        "--samples", action=argparse.BooleanOptionalAction,
-        help="write samples.csv there, too, which says what trace.nc says",
-    )  # fmt: skip
-    run.add_argument(
-        "--animate", metavar="FILM", help="draw the bodies in motion: .gif, or .mp4 with ffmpeg"
-    )
-    run.add_argument(
-        "--speed", metavar="V", type=_number,
-        help="of the film: units of the run's time that pass in a second",
-    )  # fmt: skip
-    run.add_argument(
-        "--size", metavar="PIXELS", type=_count, help="of the film: its longer side; 720"
-    )
-    run.add_argument(
-        "--trail", metavar="T", type=_number,
-        help="of the film: how far back in time trails reach; 0 for none",
-    )  # fmt: skip
-    run.add_argument(
-        "--report", metavar="PAGE", help="write the run as one page to look at and to send: .html"
-    )
-    run.add_argument("--json", action="store_true", help="print one JSON object")
-    view = verb("view", "run a model, write the run as a page and open it in the browser")
-    _settable(view)
-    view.add_argument("--until", metavar="T", type=_number, help="end of the run")
-    view.add_argument(
-        "-o", "--output", metavar="PAGE", help="write the page there, and not to a passing folder"
-    )  # fmt: skip
-    trade = verb("trade", "measure what speed costs in accuracy")
-    trade.add_argument("--json", action="store_true", help="print one JSON object")
-    trade.add_argument(
-        "-o", "--output", metavar="DIR",
-        help="keep table, data and figure there; what was interrupted goes on from there",
-    )  # fmt: skip
-    sweep = verb("sweep", "run a model over its parameters: grids, tables, samples")
-    _sweeping(sweep)
-    modes = verb("modes", "list a model's modes, which are possible, and their transitions")
-    _settable(modes)
-    where = modes.add_mutually_exclusive_group()
-    where.add_argument(
-        "--at", metavar="NAME=VALUE", action="append", default=[], type=_place,
-        help="judge another configuration than the initial one, such as bar.angle=0.3",
-    )  # fmt: skip
-    where.add_argument("--until", metavar="T", type=_number, help="judge where a run is then")
-    modes.add_argument("--json", action="store_true", help="print one JSON object")
-    modes.add_argument(
-        "--equations", metavar="MODE",
-        help="print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'",
-    )  # fmt: skip
-    modes.add_argument("--latex", action="store_true", help="print them in LaTeX")
-    draw = verb("draw", "draw the statechart of a model, or its scene")
-    draw.add_argument(
-        "-o",
-        "--output",
-        metavar="PATH",
-        required=True,
-        help=".svg .png .pdf .dot .mmd .scxml .graphml",
-    )
-    what = draw.add_mutually_exclusive_group()
-    what.add_argument(
-        "--visited", action="store_true", help="run, and draw the modes and the path it took"
-    )
-    what.add_argument(
-        "--scene", action="store_true",
-        help="draw bodies, surfaces and contacts where a run starts: .svg .png .pdf",
-    )  # fmt: skip
-    draw.add_argument(
-        "--guards", choices=("legend", "inline"), default="legend",
-        help="guards and resets once below, or at every arrow; legend",
-    )  # fmt: skip
-    check = verb("check", "test a model's invariants over its ranges of parameters")
-    check.add_argument(
-        "--examples", metavar="N", type=_positive, default=50, help="per property; 50"
-    )
-    check.add_argument("--seed", metavar="S", type=_count, help="repeats a check exactly")
-    check.add_argument("--json", action="store_true", help="print one JSON object")
+    _running(run)
+    _reporting(run)
+    _viewing(verb("view", "run a model, write the run as a page and open it in the browser"))
+    _trading(verb("trade", "measure what speed costs in accuracy"))
+    _sweeping(verb("sweep", "run a model over its parameters: grids, tables, samples"))
+    _listing(verb("modes", "list a model's modes, which are possible, and their transitions"))
+    _drawing(verb("draw", "draw the statechart of a model, or its scene"))
+    _checking(verb("check", "test a model's invariants over its ranges of parameters"))
     schema = verb("schema", "print the JSON Schema of the documents", file=False)
     schema.add_argument("kind", nargs="?", metavar="KIND", help="scene or chart; else both")
     new = verb("new", "write a commented scene to start from", file=False)
@@ -205,6 +89,143 @@ def _unknown(argument: str, verb: argparse.ArgumentParser) -> str:
         return f"{name} stands behind the verb"
     advice = close_matches(name, verb._option_string_actions)
     return f"no option {name}; {advice}"
+
+
+def _running(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--until", metavar="T", type=_number, help="end of the run")
+    _engine(parser)
+    parser.add_argument(
+        "--impulse-tolerance", metavar="R", type=_number,
+        help="of the impulses of a step of the engine impulse, in parts of its fastest approach",
+    )  # fmt: skip
+    parser.add_argument(
+        "--impulse-bound",
+        metavar="R",
+        type=_number,
+        help="of the same: what is above it ends the run",
+    )
+    parser.add_argument(
+        "--record",
+        choices=("modes", "poses", "nothing"),
+        help="what is kept of a run of the engine impulse: modes and their events, the states at "
+        "every step, or start, end and outputs alone",
+    )
+    parser.add_argument(
+        "--max-step", metavar="H", type=_number, help="longest step of the other engines, in time"
+    )
+    parser.add_argument(
+        "--method", metavar="M",
+        help="RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)",
+    )  # fmt: skip
+    error = parser.add_mutually_exclusive_group()
+    error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
+    error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")
+    error.add_argument(
+        "--budget", metavar="S", type=_number, help="best accuracy within so many seconds"
+    )
+
+
+def _reporting(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--certify", action="store_true",
+        help="prove of every step how far it is off, and estimate the error of the whole",
+    )  # fmt: skip
+    parser.add_argument(
+        "--alternatives", action="store_true",
+        help="run under the other choices of simultaneous: too, and show where that matters",
+    )  # fmt: skip
+    parser.add_argument(
+        "--explain", action="store_true",
+        help="of every event: what fired, the margins, what else was considered, the energy",
+    )  # fmt: skip
+    parser.add_argument(
+        "-o", "--output", metavar="DIR",
+        help="write tables, data set and figure there; to STORE.zarr the states at every step",
+    )  # fmt: skip
+    parser.add_argument(
+        "--samples", action=argparse.BooleanOptionalAction,
+        help="write samples.csv there, too, which says what trace.nc says",
+    )  # fmt: skip
+    parser.add_argument(
+        "--animate", metavar="FILM", help="draw the bodies in motion: .gif, or .mp4 with ffmpeg"
+    )
+    parser.add_argument(
+        "--speed", metavar="V", type=_number,
+        help="of the film: units of the run's time that pass in a second",
+    )  # fmt: skip
+    parser.add_argument(
+        "--size", metavar="PIXELS", type=_count, help="of the film: its longer side; 720"
+    )
+    parser.add_argument(
+        "--trail", metavar="T", type=_number,
+        help="of the film: how far back in time trails reach; 0 for none",
+    )  # fmt: skip
+    parser.add_argument(
+        "--report", metavar="PAGE", help="write the run as one page to look at and to send: .html"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _viewing(parser: argparse.ArgumentParser) -> None:
+    _settable(parser)
+    parser.add_argument("--until", metavar="T", type=_number, help="end of the run")
+    parser.add_argument(
+        "-o", "--output", metavar="PAGE", help="write the page there, and not to a passing folder"
+    )  # fmt: skip
+
+
+def _trading(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR",
+        help="keep table, data and figure there; what was interrupted goes on from there",
+    )  # fmt: skip
+
+
+def _listing(parser: argparse.ArgumentParser) -> None:
+    _settable(parser)
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--at", metavar="NAME=VALUE", action="append", default=[], type=_place,
+        help="judge another configuration than the initial one, such as bar.angle=0.3",
+    )  # fmt: skip
+    where.add_argument("--until", metavar="T", type=_number, help="judge where a run is then")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument(
+        "--equations", metavar="MODE",
+        help="print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'",
+    )  # fmt: skip
+    parser.add_argument("--latex", action="store_true", help="print them in LaTeX")
+
+
+def _drawing(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="PATH",
+        required=True,
+        help=".svg .png .pdf .dot .mmd .scxml .graphml",
+    )
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
+        "--visited", action="store_true", help="run, and draw the modes and the path it took"
+    )
+    what.add_argument(
+        "--scene", action="store_true",
+        help="draw bodies, surfaces and contacts where a run starts: .svg .png .pdf",
+    )  # fmt: skip
+    parser.add_argument(
+        "--guards", choices=("legend", "inline"), default="legend",
+        help="guards and resets once below, or at every arrow; legend",
+    )  # fmt: skip
+
+
+def _checking(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--examples", metavar="N", type=_positive, default=50, help="per property; 50"
+    )
+    parser.add_argument("--seed", metavar="S", type=_count, help="repeats a check exactly")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def _engine(parser: argparse.ArgumentParser) -> None:
