@@ -72,6 +72,11 @@ class SceneSetup(Setup):
         """Up to this, in the scales, what breaks an inequality of a mode is a boundary case."""
         return TIE * self.tolerances["force"] / self.scales.force
 
+    @property
+    def doubtful(self) -> float:
+        """Forces no nearer to a bound, in the scales, are on that side of it for sure."""
+        return self.capture / self.scales.speed
+
 
 class SceneNumbers:
     """Evaluates the numbers of a run from its parameters.
@@ -194,7 +199,7 @@ class SceneNumbers:
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
-            capture=math.sqrt(max(relative, ROUNDING)) * scales.speed,
+            capture=doubtful(relative) * scales.speed,
             bands={
                 **{
                     n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
@@ -298,6 +303,11 @@ class SceneNumbers:
 def tolerated(relative: float) -> tuple[float, float, float]:
     """Return the tolerances of gap, speed and force in the scene's scales."""
     return max(10.0 * relative, ROUNDING), max(10.0 * relative, 10.0 * ROUNDING), _FORCE_BAND
+
+
+def doubtful(relative: float) -> float:
+    """Return what errors that are magnified stay below, in the scales: the root of a tolerance."""
+    return math.sqrt(max(relative, ROUNDING))
 
 
 def _known(memory: Array, values: Array) -> Array:

@@ -12,6 +12,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.jamming import Jam, jammed
 from contacts.modes.classification import Choice, choose
+from contacts.modes.doubt import Doubt
 from contacts.modes.fast_classification import ENDLESS
 from contacts.modes.painleve import paradoxes
 from contacts.scene.parts import Resolution
@@ -26,6 +27,7 @@ def decide(
     touching: Sequence[bool],
     paradox: Resolution,
     kept: Key | None = None,
+    doubt: Doubt | None = None,
 ) -> Choice | Jam:
     """Return the mode that the touching contacts take, or the jam that has to come first.
 
@@ -33,6 +35,8 @@ def decide(
     ----------
     kept : Key, optional
         The mode that the state comes from.
+    doubt : Doubt, optional
+        What the state may be off by, where contacts may have come to rest.
 
     Raises
     ------
@@ -42,7 +46,9 @@ def decide(
     check_listed(setup, snapshot, touching)
     still = 2.0 * setup.tolerances["speed"]
     try:
-        choice = choose(snapshot, setup.contacts, touching, setup.scales, setup.tie, still, kept)
+        choice = choose(
+            snapshot, setup.contacts, touching, setup.scales, setup.tie, still, kept, doubt
+        )
     except NoConsistentMode as error:
         jam = jammed(snapshot, setup.contacts, touching, still)
         if paradox == "impact" and jam is not None:
@@ -54,7 +60,7 @@ def decide(
         jam = jammed(snapshot, setup.contacts, touching, still)
         if paradox == "impact" and jam is not None:
             return replace(jam, considered=choice.considered)
-    if choice.warning:
+    if choice.warning and not choice.doubted:
         found = paradoxes(snapshot, setup.contacts, touching, still)
         warning = "; ".join([choice.warning, *map(str, found.values())])
         choice = choice._replace(warning=warning)

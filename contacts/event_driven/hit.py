@@ -36,7 +36,7 @@ class SceneWatch(NamedTuple):
     restitution : (c,) array
     meanings : (c,) array of int64
         What it means; -1 where the impact is none of a path.
-    near, creep, gap, speed, tie, force, acceleration, short : float
+    near, creep, gap, speed, tie, doubtful, force, acceleration, short : float
     fast : float
         Rebounds slower than this may stand for those that follow.
     """
@@ -54,6 +54,7 @@ class SceneWatch(NamedTuple):
     gap: float
     speed: float
     tie: float
+    doubtful: float
     force: float
     acceleration: float
     short: float
@@ -84,6 +85,7 @@ def classified(
         scene.gap,
         scene.speed,
         scene.tie,
+        scene.doubtful,
         scene.force,
         scene.acceleration,
         taken,

@@ -17,6 +17,7 @@ from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, closed_state, listed, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts
+from contacts.modes.doubt import Doubt
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
@@ -31,6 +32,29 @@ class Rules(NamedTuple):
     tape: SnapshotTape
     simultaneous: Simultaneous
     paradox: Resolution
+
+    def doubt(self, here: Landing, after: Array | None = None) -> Doubt | None:
+        """Return what a state may be off by where a flow has just ended, or after an impact there.
+
+        None where a mode has been chosen meanwhile.
+        """
+        at, names = here.at, [law.name for law in here.setup.contacts]
+        if not at.fired and not at.flow.doubted:
+            return None
+
+        def numbers(state: Array, later: float) -> Snapshot:
+            found = self.tape.at(here.setup.values, state, at.clock.high + later)
+            return hidden(found, at.flow.mode)
+
+        sure = tuple(["free"] * len(names)) if at.flow.doubted else here.moving
+        others = tuple(f"{name}.{kind}" for name in names for kind in ("gap", "slip", OFF))
+        fell = [
+            i
+            for i, name in enumerate(names)
+            if any(f.startswith(f"{name}.") and f not in others for f in at.fired)
+        ]
+        state = at.state if after is None else after
+        return Doubt(numbers, here.setup, state, sure, fell)
 
 
 class Landing(NamedTuple):
@@ -94,6 +118,7 @@ class _Entered(NamedTuple):
     considered: Mapping[str, str] = MappingProxyType({})
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    doubted: bool = False
 
 
 def flow_in(
@@ -177,6 +202,7 @@ def impact_jump(
     told = ("" if jam is None else str(jam), struck.result.warning, *entered.warnings)
     warning = "; ".join(filter(None, told))
     flow = flow_in(setup, target, entered.roles, rest, warning, entered.settled, entered.notes)
+    flow = flow._replace(doubted=entered.doubted)
     # Where a long flight's rounding has left a gap below its tolerance, it opens from there.
     below = {
         f"{law.name}.gap": -2.0 * contact.gap
@@ -237,7 +263,8 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     if not any(touching):
         flying = tuple(OFF if name == OFF else "free" for name in here.at.flow.mode)
         return _Entered(flying, roles_in(flying), struck.state, settled)
-    choice = decide(setup, following, touching, rules.paradox)
+    doubt = rules.doubt(here, struck.state)
+    choice = decide(setup, following, touching, rules.paradox, doubt=doubt)
     roles = roles_in(choice.sliding) if isinstance(choice, Jam) else choice.taken.roles
     moving = moving_mode(roles)
     state = landed(moving, following, struck.state, setup.tolerances)
@@ -245,7 +272,7 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     target = tuple("free" if i in struck.rests else name for i, name in enumerate(moving))
     if isinstance(choice, Jam):
         return _Entered(target, roles, state, settled=False)
-    said = choice.considered, (choice.warning,), choice.notes
+    said = choice.considered, (choice.warning,), choice.notes, choice.doubted
     return _Entered(target, roles, state, settled, *said)
 
 

@@ -147,20 +147,15 @@ class SceneLaws:
         """Classify every contact from the state; see `contacts.modes.classification`."""
         setup, clock, _, flow, state, fired = at
         assert isinstance(setup, SceneSetup)
-        if self._plain and flow.roles == roles_in(flow.mode) and fired != (UNBOUNDED,):
+        usual = self._plain and not flow.doubted and flow.roles == roles_in(flow.mode)
+        if usual and fired != (UNBOUNDED,):
             mode = fast_mode(setup, self._tape, state, clock.high, flow.mode)
             if mode is not None:
                 return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
+        where = setup.values, state, clock.high
         switched = self._conditions.switched(
-            flow.mode,
-            snapshot,
-            setup.values,
-            state,
-            clock.high,
-            fired,
-            setup.tolerances["gap"],
-            setup.bands,
+            flow.mode, snapshot, *where, fired, setup.tolerances["gap"], setup.bands
         )
         if switched:
             return self._switch(at, snapshot, switched)
@@ -172,7 +167,8 @@ class SceneLaws:
         if hitting:
             return self._impact(here, hitting)
         touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
-        choice = decide(setup, here.snapshot, touching, self._paradox, here.moving)
+        doubt = self._rules.doubt(here)
+        choice = decide(setup, here.snapshot, touching, self._paradox, here.moving, doubt)
         if isinstance(choice, Jam):
             if all(choice.sliding[i] == here.moving[i] for i in choice.places):
                 # A contact that slid on to where none can: p fell to zero on the way.
@@ -240,9 +236,9 @@ class SceneLaws:
             considered=choice.considered,
             energy=(snapshot.energy, left.energy),
         )
-        return jump, flow_in(
-            setup, target, choice.taken.roles, warning=choice.warning, notes=choice.notes
-        )
+        roles, warning, notes = choice.taken.roles, choice.warning, choice.notes
+        following = flow_in(setup, target, roles, warning=warning, notes=notes)
+        return jump, following._replace(doubted=choice.doubted)
 
     def _rested(
         self, flow: Flow, moving: Key, snapshot: Snapshot, fired: tuple[str, ...], still: float

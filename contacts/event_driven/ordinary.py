@@ -101,7 +101,7 @@ class SceneInstants:
         """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
         assert isinstance(setup, SceneSetup)
         usual = flow.tolerances is setup.bands or flow.tolerances == setup.bands
-        return usual and flow.remaining == math.inf and not flow.held
+        return usual and flow.remaining == math.inf and not flow.held and not flow.doubted
 
     def within(self, mode: Key) -> Tape | None:
         """Return what tells that a step passed over a bump of a surface, or a dip, unseen."""
@@ -141,6 +141,7 @@ class SceneInstants:
             tolerances["gap"],
             tolerances["speed"],
             setup.tie,
+            setup.doubtful,
             setup.scales.force,
             setup.scales.acceleration,
             setup.short,

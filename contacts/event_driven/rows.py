@@ -9,7 +9,7 @@ import numpy as np
 
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
 from contacts.dynamics.run_numbers import Rules, room
-from contacts.dynamics.setup import LOOK_AHEAD, SHORT, TIE, SceneNumbers, tolerated
+from contacts.dynamics.setup import LOOK_AHEAD, SHORT, TIE, SceneNumbers, doubtful, tolerated
 from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.run_on import CAUSES
 from contacts.event_driven.run_rows import SceneRows, run_rows
@@ -91,6 +91,7 @@ class RowCall:
             CREEP,
             UNSEEN,
             TIE,
+            doubtful(relative),
             FAST,
             SHORT,
             LOOK_AHEAD,
@@ -116,7 +117,7 @@ class RowCall:
             np.empty((contacts, 2)),
             np.empty(contacts),
             means,
-            *[0.0] * 9,
+            *[0.0] * 10,
         )
         self.series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
         self._given = loop.program, loop.pace, loop.memory, scene, *tape.program

@@ -87,7 +87,7 @@ class SceneRows(NamedTuple):
         Whether a contact may start in the state of that code.
     gap, speed, force : float
         Tolerances, in the scene's scales.
-    near, creep, unseen, tie, fast, short, ahead : float
+    near, creep, unseen, tie, doubtful, fast, short, ahead : float
         Likewise; see `SceneWatch`, `Watch.room` and `Setup.horizon`.
     """
 
@@ -106,6 +106,7 @@ class SceneRows(NamedTuple):
     creep: float
     unseen: float
     tie: float
+    doubtful: float
     fast: float
     short: float
     ahead: float
@@ -143,8 +144,8 @@ def _watches(
     ), SceneWatch(
         instants.numbers, instants.conditions, instants.owners, instants.bands, instants.allowed,
         instants.cones, instants.restitution, instants.meanings, scene.near * gap,
-        scene.creep * slow, gap, slow, scene.tie * weak / force, force, acceleration, scene.short,
-        scene.fast * speed,
+        scene.creep * slow, gap, slow, scene.tie * weak / force, scene.doubtful, force,
+        acceleration, scene.short, scene.fast * speed,
     )  # fmt: skip
 
 

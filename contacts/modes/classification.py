@@ -29,6 +29,7 @@ from contacts.modes.candidates import (
     openness,
     same_motion,
 )
+from contacts.modes.doubt import Doubt
 from contacts.modes.load_sharing import Share
 from contacts.scene.modes import OWN
 from contacts.states import OFF, OPEN, SLIDING, declared_state, undetermined
@@ -56,7 +57,8 @@ def _verdicts(
     taken: Candidate | None,
     tie: float,
 ) -> dict[str, str]:
-    return {_label(laws, c): "taken" if c is taken else _verdict(c, tie) for c in tried}
+    found = {_label(laws, c): _verdict(c, tie) for c in tried}
+    return found if taken is None else {**found, _label(laws, taken): "taken"}
 
 
 class Choice(NamedTuple):
@@ -71,12 +73,15 @@ class Choice(NamedTuple):
         "" or a sentence, such as for an indeterminate contact.
     notes : tuple of str
         What is to be known of the mode whenever it is taken.
+    doubted : bool
+        Whether its forces may be beyond their bounds by what the run is off by.
     """
 
     taken: Candidate
     considered: Mapping[str, str]
     warning: str = ""
     notes: tuple[str, ...] = ()
+    doubted: bool = False
 
 
 def choose(
@@ -87,6 +92,7 @@ def choose(
     tie: float,
     still_below: float,
     kept: tuple[str, ...] | None = None,
+    doubt: Doubt | None = None,
 ) -> Choice:
     """Return the mode that the state calls for.
 
@@ -101,6 +107,8 @@ def choose(
     kept : tuple of str, optional
         The mode that the state comes from: where its contacts share a load it goes on as long as
         some forces explain it, whatever else agrees.
+    doubt : Doubt, optional
+        What the state may be off by, where contacts may have come to rest.
 
     Raises
     ------
@@ -138,6 +146,13 @@ def choose(
         )
         raise NoConsistentMode("; ".join(filter(None, words)), considered=refused)
     taken, warning = _rivals(agreeing, case, kept)
+    doubted = None if many or doubt is None else doubt.sticking(case, options, taken)
+    if doubted is not None:
+        taken, spread = doubted
+        warning = (
+            f"undecided to the tolerance: the forces of {_label(laws, taken)}, taken, are on their "
+            f"bounds to {spread:.2g} of the scene's"
+        )
     # What a mode left open closes besides must not move away.
     if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken)} taken"
@@ -146,7 +161,7 @@ def choose(
         notes += _indeterminate(laws, taken.share)
     notes += _carried(snapshot, laws, closed, taken.states)
     considered = Deferred(partial(_verdicts, laws, tried, taken, tie))
-    return Choice(taken, considered, warning, notes)
+    return Choice(taken, considered, warning, notes, doubted is not None)
 
 
 def _rivals(

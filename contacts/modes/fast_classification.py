@@ -59,6 +59,7 @@ def fast_mode(
         tolerances["gap"],
         tolerances["speed"],
         setup.tie,
+        setup.doubtful,
         setup.scales.force,
         setup.scales.acceleration,
         numbers,
@@ -112,6 +113,7 @@ def usual(
     close: float,
     slow: float,
     tie: float,
+    doubtful: float,
     force_scale: float,
     acceleration_scale: float,
     numbers: Array,
@@ -127,8 +129,8 @@ def usual(
         Where.
     numbers : (o,) array
         To be filled with the scene's numbers.
-    allowed, cones, under_way, kept, near, creep, close, slow, tie, force_scale, acceleration_scale
-        See `classify`, as for `taken`.
+    allowed, cones, under_way, kept, near, creep, close, slow, tie, doubtful
+        See `classify`, as for the scales and `taken`.
     """
     tape_values(code, constants, outputs, state, parameters, time, numbers)
     lowest = np.empty(taken.shape[0])
@@ -147,10 +149,24 @@ def usual(
         close,
         slow,
         tie,
+        doubtful,
         force_scale,
         acceleration_scale,
         taken,
     )
+
+
+@part
+def _doubted(
+    codes: Ints, kept: Ints, closed: Bools, still: Bools, verdicts: Array, doubtful: float
+) -> bool:
+    """Whether a mode in which a contact comes to rest is close to the bounds of its forces."""
+    for k in range(codes.shape[0]):
+        if abs(verdicts[k, 0]) <= doubtful:
+            for c in range(codes.shape[1]):
+                if codes[k, c] == PIN and kept[c] != PIN and closed[c] and still[c]:
+                    return True
+    return False
 
 
 @part
@@ -167,6 +183,7 @@ def classify(
     close: float,
     slow: float,
     tie: float,
+    doubtful: float,
     force_scale: float,
     acceleration_scale: float,
     taken: Ints,
@@ -193,6 +210,8 @@ def classify(
         Tolerances of gap and speed.
     tie, force_scale, acceleration_scale : float
         See `contacts.solvers.mode_solver.solve_modes`.
+    doubtful : float
+        Forces of a contact that comes to rest are no nearer to a bound (`contacts.modes.doubt`).
     taken : (c,) array
         To be filled: the state of every contact.
     """
@@ -262,6 +281,8 @@ def classify(
         tie,
     )
     if redundant > 0 or agreeing < 0 or not verdicts[agreeing, 0] < -tie:
+        return False
+    if _doubted(codes, kept, closed, still, verdicts, doubtful):
         return False
     for c in range(contacts):
         for force in forces[agreeing, c]:

@@ -125,6 +125,9 @@ class Flow(NamedTuple):
     start : (n,) array or None
         Where to flow on from, where a mode holds but its state is brought back onto its
         constraints; None where it is the state that the laws were asked about.
+    doubted : bool
+        Whether forces may begin beyond their bounds, by what the run is off by: then they fall
+        from where they begin.
     """
 
     mode: Key
@@ -139,6 +142,7 @@ class Flow(NamedTuple):
     summed: Array | None = None
     pending: Mapping[str, tuple[Jump, ...]] = _NOTHING
     start: Array | None = None
+    doubted: bool = False
 
     @property
     def sizes(self) -> Array | None:

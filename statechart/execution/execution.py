@@ -19,7 +19,7 @@ from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.execution.ahead import AHEAD, Ahead, Begun
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
-from statechart.execution.finding import closing
+from statechart.execution.finding import closing, from_here
 from statechart.execution.flow import UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
 from statechart.execution.outcome import Progress
@@ -168,6 +168,8 @@ class Execution:
         compiled = self._enter(flow.roles)
         if self.ahead is not None:
             self.ahead.modes.add(flow.mode, flow.roles, compiled)
+        if flow.doubted:
+            flow = self.flow = from_here(compiled, flow, self.setup, self.state, self.clock.high)
         watch = self._watch(flow, compiled)
         reached = Advance(
             self.engine,
@@ -201,9 +203,8 @@ class Execution:
 
     def _watch(self, flow: Flow, compiled: CompiledMode) -> FlowWatch:
         """Return what a flow from here is watched for."""
-        setup, start = self.setup, self.clock.high
-        tolerances, special = setup.tolerances, flow.tolerances
-        allowed = [special.get(name, tolerances[kind]) for name, kind in compiled.watched]
+        setup, start, special = self.setup, self.clock.high, flow.tolerances
+        allowed = [special.get(name, setup.tolerances[kind]) for name, kind in compiled.watched]
         laws = self.automaton.laws_of_events
         constraints = laws.constraints(setup, flow.roles, start, self.state)
         lift = compiled.lifting.begun(self.state, setup.values, start)
@@ -231,8 +232,8 @@ class Execution:
             since = self.record.jumps[-1].t if self.record.jumps else 0.0
             self.horizon = AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
-        remaining, special = flow.remaining - elapsed, flow.tolerances
-        self.flow = Flow(flow.mode, flow.roles, remaining, "", False, (), flow.held, special, terms)
+        following = Flow(flow.mode, flow.roles, flow.remaining - elapsed, doubted=flow.doubted)
+        self.flow = following._replace(held=flow.held, tolerances=flow.tolerances, terms=terms)
 
     def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:
         """Return what fired where a margin fell; a stop ends the run."""

@@ -110,3 +110,13 @@ def closing(
             tolerances[name] = max(tolerances[name], engine.tolerance * terms[place])
             closed |= margin <= tolerances[name]
     return closed, tolerances
+
+
+def from_here(compiled: CompiledMode, flow: Flow, setup: Setup, state: Array, time: float) -> Flow:
+    """Return a flow in which forces that begin beyond their bounds fall from where they begin."""
+    usual, tolerances = setup.tolerances["force"], {**flow.tolerances}
+    margins = compiled.guards.values(state, setup.values, time).tolist()
+    for (name, kind), margin in zip(compiled.watched, margins, strict=True):
+        if kind == "force" and margin < 0.0 and name not in tolerances:
+            tolerances[name] = usual - margin
+    return flow._replace(tolerances=tolerances)

@@ -1,0 +1,137 @@
+"""Contacts that come to rest where rest takes just the force that friction gives, by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import pi, sin, sqrt
+from typing import Any
+
+import pytest
+
+import statechart
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+
+pytestmark = pytest.mark.parametrize("engine", ["taylor", "scipy"])
+
+_BEGIN = """
+kind: scene
+name: sprung
+parameters: {m: 2, k: 100, mu: 0.3, g: 10, f: mu*m*g, w: sqrt(k/m)}
+gravity: g
+surfaces: {floor: {height: 0}}
+outputs: {x: {value: b.x}, H: {value: c.H}, reversals: {count: c.reverse}, slips: {count: c.slip}}
+"""
+# Each swing ends 2 f/k nearer to the middle; the last where the spring pulls by f.
+_SPRUNG = """
+bodies: {b: {mass: m, start: {x: 3*f/k}}}
+contacts: {c: {point: {body: b}, surface: floor, friction: mu, restitution: 0}}
+forces: {spring: {body: b, force: ["-k*b.x", 0]}}
+stop: {time: 4*pi/w}
+"""
+_FEET = """
+bodies: {b: {mass: m, inertia: 0.1, start: {x: 3*f/k, y: 0.1}}}
+contacts:
+  c: {point: {body: b, at: [-0.3, -0.1]}, surface: floor, friction: mu, restitution: 0}
+  d: {point: {body: b, at: [0.3, -0.1]}, surface: floor, friction: mu, restitution: 0}
+forces: {spring: {body: b, force: ["-k*b.x", 0]}}
+stop: {time: 4*pi/w}
+"""
+# It swings in the air by half a period, and lands where it turns.
+_LANDED = """
+bodies: {b: {mass: m, start: {x: f/k, y: g*(pi/w)**2/2}}}
+contacts: {c: {point: {body: b}, surface: floor, friction: mu, restitution: 0}}
+forces: {spring: {body: b, force: ["-k*b.x", 0]}}
+stop: {time: 4*pi/w}
+"""
+# The slip ends at T, where the spring pulls by f, and what pushes passes through zero.
+_PUSHED = """
+bodies:
+  b:
+    mass: m
+    start:
+      x: f/k - 2*f/k*cos(w*T) + a/(k*w)*sin(w*T) - a*T/k
+      dx: -2*f*w/k*sin(w*T) - a/k*cos(w*T) + a/k
+contacts: {c: {point: {body: b}, surface: floor, friction: mu, restitution: 0}}
+forces: {spring: {body: b, force: ["-k*b.x + a*(time - T)", 0]}}
+stop: {time: 1}
+"""
+TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14)
+W, REST = sqrt(50.0), -0.06
+
+
+def ran(text: str, engine: str, tolerance: float, stiffness: float = 100.0) -> Any:
+    begin = _BEGIN.replace("k: 100", f"k: {stiffness}")
+    scene = interpret(read_text(begin + text, "scene.yaml"))
+    return statechart.run(scene, engine=engine, tolerance=tolerance)
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+@pytest.mark.parametrize("stiffness", [100.0, 1e6])
+@pytest.mark.parametrize("text", [_SPRUNG, _FEET, _LANDED], ids=["sprung", "feet", "landed"])
+def test_what_comes_to_rest_on_the_bound_of_friction_sticks(
+    text: str, stiffness: float, engine: str, tolerance: float
+) -> None:
+    result = ran(text, engine, tolerance, stiffness)
+    found = result.outputs
+    assert (found["reversals"], found["slips"]) == (0, 0)
+    assert found["x"] == pytest.approx(-6.0 / stiffness, rel=20.0 * max(tolerance, 1e-13))
+    assert len(result.trace.jumps) == 1
+    told = [warning for warning in result.trace.warnings if "undecided to the tolerance" in warning]
+    # Where the run is off by rounding alone, that is a tie and no doubt.
+    assert len(told) == 1 or (tolerance < 1e-12 and not told)
+
+
+def _on(t: float) -> float:
+    """Return where it is that slips on from the middle between a spring and friction."""
+    return REST + 0.3 * (t - sin(W * t) / W)
+
+
+def _back(t: float) -> float:
+    """Return where it is that sticks until it is pushed the other way."""
+    return REST - (0.3 * (t - sin(W * t) / W) if t > 0.0 else 0.0)
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+@pytest.mark.parametrize(
+    ("push", "at", "slips", "ends"),
+    [(30.0, 0.2, 0.0, _on), (-30.0, 0.4, 0.4, _back)],
+    ids=["on", "back"],
+)
+def test_what_rests_on_the_bound_slips_when_it_is_pushed_beyond(
+    push: float,
+    at: float,
+    slips: float,
+    ends: Callable[[float], float],
+    engine: str,
+    tolerance: float,
+) -> None:
+    text = _PUSHED.replace("a*", f"({push})*").replace("a/", f"({push})/").replace("T", str(at))
+    result = ran(text, engine, tolerance)
+    allowed = 20.0 * max(tolerance, 1e-13)
+    assert [jump.cause for jump in result.trace.jumps] == ["stick", "slip"]
+    assert result.trace.jumps[0].t == pytest.approx(at, abs=allowed)
+    assert result.trace.jumps[1].t == pytest.approx(at + slips, abs=allowed)
+    assert result.outputs["x"] == pytest.approx(ends(1.0 - at - slips), abs=allowed)
+
+
+@pytest.mark.parametrize("beyond", [1e-3, 1e-6, 1e-9])
+def test_what_is_beyond_the_bound_by_more_than_the_run_is_off_turns(
+    beyond: float, engine: str
+) -> None:
+    text = _SPRUNG.replace("3*f/k", f"(3 + {beyond})*f/k").replace("4*pi/w", "1.9*pi/w")
+    result = ran(text, engine, 1e-12)
+    assert [jump.cause for jump in result.trace.jumps] == ["reverse"]
+    assert not result.trace.warnings
+
+
+@pytest.mark.parametrize("short", [1e-3, 1e-6, 1e-9])
+def test_what_is_short_of_the_bound_sticks_and_nothing_is_told(short: float, engine: str) -> None:
+    result = ran(_SPRUNG.replace("3*f/k", f"(3 - {short})*f/k"), engine, 1e-12)
+    assert [jump.cause for jump in result.trace.jumps] == ["stick"]
+    assert not result.trace.warnings
+
+
+def test_half_a_swing_takes_half_a_period(engine: str) -> None:
+    result = ran(_SPRUNG, engine, 1e-12)
+    assert result.trace.jumps[0].t == pytest.approx(pi / W, abs=1e-11)
