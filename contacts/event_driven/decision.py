@@ -60,7 +60,7 @@ def decide(
         jam = jammed(snapshot, setup.contacts, touching, still)
         if paradox == "impact" and jam is not None:
             return replace(jam, considered=choice.considered)
-    if choice.warning and not choice.doubted:
+    if choice.warning:
         found = paradoxes(snapshot, setup.contacts, touching, still)
         warning = "; ".join([choice.warning, *map(str, found.values())])
         choice = choice._replace(warning=warning)

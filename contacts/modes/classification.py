@@ -148,11 +148,7 @@ def choose(
     taken, warning = _rivals(agreeing, case, kept)
     doubted = None if many or doubt is None else doubt.sticking(case, options, taken)
     if doubted is not None:
-        taken, spread = doubted
-        warning = (
-            f"undecided to the tolerance: the forces of {_label(laws, taken)}, taken, are on their "
-            f"bounds to {spread:.2g} of the scene's"
-        )
+        taken, warning = doubted, ""
     # What a mode left open closes besides must not move away.
     if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
         warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken)} taken"
@@ -160,6 +156,11 @@ def choose(
     if taken.share is not None:
         notes += _indeterminate(laws, taken.share)
     notes += _carried(snapshot, laws, closed, taken.states)
+    if doubted is not None:
+        notes += (
+            f"the forces of {_label(laws, taken)} begin on their bounds, as far as the tolerance "
+            "tells: whether it slips on is open",
+        )
     considered = Deferred(partial(_verdicts, laws, tried, taken, tie))
     return Choice(taken, considered, warning, notes, doubted is not None)
 

@@ -48,8 +48,8 @@ class Doubt(NamedTuple):
 
     def sticking(
         self, case: Case, options: Sequence[Sequence[str]], taken: Candidate
-    ) -> tuple[Candidate, float] | None:
-        """Return the mode that may hold as well as not, and by how much its forces may be off.
+    ) -> Candidate | None:
+        """Return the mode that may hold as well as not.
 
         None where what the run is off by decides nothing.
 
@@ -69,10 +69,9 @@ class Doubt(NamedTuple):
             if openness(one)[:2] > openness(taken)[:2]:
                 break
             rests = any(map(_comes_to_rest, one.states, self.sure))
-            if rests and abs(one.violation) <= near and not self._passed(case, one):
-                spread = self._spread(case, one)
-                if max(abs(one.violation), case.tie) <= spread:
-                    return one, spread
+            close = rests and abs(one.violation) <= near and not self._passed(case, one)
+            if close and max(abs(one.violation), case.tie) <= self._spread(case, one):
+                return one
         return None
 
     def _passed(self, case: Case, one: Candidate) -> bool:

@@ -14,6 +14,7 @@ from statechart.automaton.dense_output import lowest
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
+from statechart.observation.grazes import grazes, told
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import outputs
 from statechart.reporting.inventory import built, left_out
@@ -76,10 +77,12 @@ def report(
     found_outputs: dict[str, Any] = done.attempt("outputs", lambda: outputs(observer, trace), {})
     found_margins: dict[str, float] = {}
     # Of many events it takes long to say why they were what they were.
+    left_open: tuple[str, ...] = ()
     if done.hurried:
         done.leave("margins")
     else:
         found_margins = done.attempt("margins", lambda: margins(observer, trace), {})
+        left_open = done.attempt("grazes", lambda: told(grazes(observer, trace)), ())
     found_invariants: dict[str, float] = done.attempt(
         "invariants", lambda: invariants(observer, trace), {}
     )
@@ -117,7 +120,7 @@ def report(
         "outputs": found_outputs,
         "margins": found_margins,
         "invariants": found_invariants,
-        "warnings": trace.warnings,
+        "warnings": trace.warnings + left_open,
         "counts": trace.counts,
         "timings": timings or {},
         "parameters": trace.parameters,

@@ -131,8 +131,14 @@ class Result:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a reader must know."""
-        return self.trace.warnings
+        """What a reader must know: of the run, and of guards that it leaves open."""
+        return self.trace.warnings + self._left_open
+
+    @cached_property
+    def _left_open(self) -> tuple[str, ...]:
+        from statechart.observation.grazes import grazes, told
+
+        return told(grazes(self.observer, self.trace))
 
     @cached_property
     def outputs(self) -> Mapping[str, Any]:

@@ -1,0 +1,205 @@
+"""Guards that touch their boundary, or pass it by less than a run is off: told, not decided.
+
+A guard that only touches fires nothing. Whether one does is open where its least value, or how far
+it would have passed before it turned back, is no more than what the guard changes by when every
+variable is moved by what the run may be off by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from statechart.arrays import Array, Ints
+from statechart.automaton.trace import Arc, Jump, Roles, Trace, sizes
+from statechart.execution.compiled_modes import CompiledMode
+from statechart.execution.simulator import Simulator
+from statechart.formulas.tape import contiguous
+from statechart.kernels.polynomials import sample_states
+from statechart.observation.observer import Observer
+
+# Places in a step that are looked at, and arcs at once.
+_GRID, _ARCS = 16, 1024
+# Variables may be off by so many tolerances, or by that part of their size, as where it is asked
+# whether gaps are closed.
+_TOLERANCES, _ROUNDING = 10.0, 1e-13
+# Each round divides what a least value lies in by 8; after 9 it is 1e-8 of that.
+_ROUNDS = 9
+# The last part of a step, which tells how a guard would have gone on.
+_LAST = 1.0 / 64.0
+
+
+class Graze(NamedTuple):
+    """Where a guard comes to its boundary, and what is open there.
+
+    Attributes
+    ----------
+    guard : str
+        Its name.
+    t : float
+        When.
+    least : float
+        Its least value there; where it has fired, what it would have been.
+    room : float
+        What it may be off by.
+    fired : bool
+        Whether it has.
+    """
+
+    guard: str
+    t: float
+    least: float
+    room: float
+    fired: bool
+
+
+def told(found: Sequence[Graze]) -> tuple[str, ...]:
+    """Return what a reader is told: a sentence for every guard."""
+    groups: dict[str, list[Graze]] = {}
+    for graze in found:
+        groups.setdefault(graze.guard, []).append(graze)
+    return tuple([_sentence(several) for several in groups.values()])
+
+
+def _sentence(several: Sequence[Graze]) -> str:
+    graze, more = several[0], len(several) - 1
+    how = "fires" if graze.fired else "comes to its boundary"
+    would = "would have been" if graze.fired else "is"
+    again = f"; so {more} time{'s' if more > 1 else ''} more" if more else ""
+    return (
+        f"{graze.guard} {how} at t = {graze.t:.6g}, where its least value {would} "
+        f"{graze.least:.2g} and the run leaves {graze.room:.2g} open: whether it passes is not "
+        f"known{again}"
+    )
+
+
+def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
+    """Return where it is open whether guards of a run pass their boundary, or touch it.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of the simulator that made the run.
+    trace : Trace
+        The run.
+
+    Returns
+    -------
+    tuple of Graze
+        In the order of time, the closest of every flow; none of a run by steps. Least values are
+        looked for between 16 places of every step.
+    """
+    simulator = observer.simulator
+    if not isinstance(simulator, Simulator):
+        return ()
+    groups: dict[tuple[Roles, int], list[Arc]] = {}
+    for arc in trace.arcs:
+        groups.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
+    last = {arc.j: arc for arc in trace.arcs}
+    ended = {id(last[jump.j]): jump for jump in trace.jumps if jump.fired and jump.j in last}
+    found: list[Graze] = []
+    for (roles, _), arcs in groups.items():
+        look = _Look(trace, simulator.compiled(roles, trace.zeros))
+        for first in range(0, len(arcs), _ARCS):
+            some = arcs[first : first + _ARCS]
+            found += look.between(some)
+            found += look.beyond([(arc, ended[id(arc)]) for arc in some if id(arc) in ended])
+    return tuple(sorted(found, key=lambda one: one.t))
+
+
+class _Look:
+    """Looks at the guards of one mode."""
+
+    def __init__(self, trace: Trace, compiled: CompiledMode) -> None:
+        self._guards, self._watched = compiled.guards, compiled.watched
+        self._values = contiguous(trace.values)
+        self._kinds = trace.tolerances
+        part = max(_TOLERANCES * trace.tolerance, _ROUNDING)
+        self._off = np.diag(part * sizes(trace))
+        # What is farther off, in parts of what a guard is in its flows, is not looked at closely.
+        self._near = float(np.sqrt(part))
+
+    def _table(self, states: Array, times: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return self._guards.table(states, self._values, times)
+
+    def between(self, arcs: Sequence[Arc]) -> Iterator[Graze]:
+        """Yield what is open between the ends of flows."""
+        tau, rows, of = self._grid(arcs)
+        here, edges = rows[1:-1], np.searchsorted(of, np.arange(len(arcs) + 1))
+        with np.errstate(invalid="ignore"):
+            low = (here <= rows[:-2]) & (here <= rows[2:]) & (of[:-2] == of[2:])[:, None]
+            bends = rows[:-2] - 2.0 * here + rows[2:]
+            low &= here <= bends + self._near * np.fmax.reduce(np.abs(rows), initial=0.0)
+        lowest: dict[tuple[int, int], int] = {}
+        for i, k in np.argwhere(low).tolist():
+            place = lowest.setdefault((int(of[i]), k), i + 1)
+            if rows[i + 1, k] < rows[place, k]:
+                lowest[int(of[i]), k] = i + 1
+        for (place, k), i in lowest.items():
+            arc, column = arcs[place], rows[:, k]
+            at = self._least(arc, k, tau.item(i - 1), tau.item(i + 1))
+            graze = self._open(arc, k, at, 0.0, fired=False)
+            before, after = column[edges[place] : i], column[i + 1 : edges[place + 1]]
+            if graze and min(np.fmax.reduce(before), np.fmax.reduce(after)) > graze.room:
+                yield graze
+
+    def _grid(self, arcs: Sequence[Arc]) -> tuple[Array, Array, Ints]:
+        """Return local times in steps, the guards there, and of which arc they are."""
+        s = np.arange(_GRID) / _GRID
+        spans = np.concatenate([np.diff(arc.times) for arc in arcs])
+        tau = (
+            np.concatenate([arc.times[:-1] for arc in arcs])[:, None] + s * spans[:, None]
+        ).ravel()
+        of = np.repeat(np.arange(len(arcs)), [_GRID * (len(arc.times) - 1) for arc in arcs])
+        terms = np.concatenate([arc.coefficients for arc in arcs])
+        states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)
+        times = np.array([arc.start.high for arc in arcs])[of] + tau
+        return tau, self._table(states.reshape(-1, terms.shape[1]), times), of
+
+    def _least(self, arc: Arc, k: int, left: float, right: float) -> float:
+        """Return the local time of the least value of a guard, between two."""
+        for _ in range(_ROUNDS):
+            tau = np.linspace(left, right, _GRID + 1)
+            states = sample_states(arc.coefficients, arc.times, tau)
+            values = self._table(states, arc.start.high + tau)[:, k]
+            i = int(np.argmin(values))
+            left, right = tau.item(max(i - 1, 0)), tau.item(min(i + 1, _GRID))
+        return 0.5 * (left + right)
+
+    def beyond(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
+        """Yield what is open of guards that have fired, by the parabolas on which they fell."""
+        names = [name for name, _ in self._watched]
+        ends = [(arc, jump) for arc, jump in ends if jump.fired[0] in names]
+        if not ends:
+            return
+        s = 1.0 - _LAST * np.arange(3)
+        terms = np.array([arc.coefficients[-1] for arc, _ in ends])
+        spans = np.array([arc.times[-1] - arc.times[-2] for arc, _ in ends])
+        states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)
+        times = np.array([arc.start.high + arc.times[-1] for arc, _ in ends])
+        at = (times[:, None] - (1.0 - s) * spans[:, None]).ravel()
+        rows = self._table(states.reshape(-1, terms.shape[1]), at).reshape(len(ends), 3, -1)
+        for (arc, jump), guards in zip(ends, rows, strict=True):
+            k = names.index(jump.fired[0])
+            now, before, first = guards[:, k].tolist()
+            bend, fall = now - 2.0 * before + first, 0.5 * (3.0 * now - 4.0 * before + first)
+            if bend > 0.0 > fall:
+                graze = self._open(
+                    arc, k, arc.times.item(-1), -0.5 * fall * fall / bend, fired=True
+                )
+                if graze:
+                    yield graze
+
+    def _open(self, arc: Arc, k: int, tau: float, further: float, *, fired: bool) -> Graze | None:
+        """Return what is open of a guard that is least at a local time, but for what is added."""
+        state = sample_states(arc.coefficients, arc.times, np.array([tau]))[0]
+        t = arc.start.high + tau
+        states = np.vstack([state, state + self._off])
+        values = self._table(states, np.full(len(states), t))[:, k]
+        name, kind = self._watched[k]
+        least = values.item(0) + further
+        room = float(np.abs(values[1:] - values[0]).sum()) + self._kinds.get(kind, 0.0)
+        return Graze(name, t, least, room, fired) if abs(least) <= room else None

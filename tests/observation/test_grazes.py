@@ -1,0 +1,146 @@
+"""Guards that touch their boundary, or nearly: by hand it is known whether they pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import statechart
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+
+pytestmark = pytest.mark.parametrize("engine", ["taylor", "scipy"])
+
+TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14)
+# It rises to 5 + e, with a ceiling at 5.
+_THROWN = """
+kind: scene
+name: thrown
+parameters: {g: 10, e: 0}
+gravity: g
+bodies: {b: {mass: 1, start: {dx: 3, dy: sqrt(2*g*(5 + e))}}}
+surfaces: {ceiling: {line: [[9, 5], [-9, 5]]}}
+contacts: {c: {point: {body: b}, surface: ceiling, friction: 0.3, restitution: 0.5}}
+stop: {time: 2}
+outputs: {hits: {count: c.touchdown}}
+"""
+# Its x is sin(2 t).
+_SWINGS = """
+kind: scene
+name: swings
+parameters: {e: 0}
+gravity: 0
+bodies: {b: {mass: 1, start: {dx: 2}}}
+surfaces: {}
+contacts: {}
+forces: {spring: {body: b, force: [-4*b.x, 0]}}
+stop: {time: 3, conditions: {top: b.x >= 1 - e}}
+"""
+# What swings pulls at what rests on a rough floor: by 1 + e of what friction bears, at most.
+_PULLED = """
+kind: scene
+name: pulled
+parameters: {e: 0, f: 5}
+gravity: 10
+bodies: {b: {mass: 1, start: {}}, d: {mass: 1, start: {y: 1, dx: 2}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0.5, restitution: 0}}
+forces:
+  pull: {body: b, force: [f*(1 + e)*d.x, 0]}
+  spring: {body: d, force: [-4*d.x, 10]}
+stop: {time: 3}
+outputs: {x: {value: b.x}, slips: {count: c.slip}}
+"""
+# x falls from 1 + e to e, and rises again.
+_CHART = """
+kind: chart
+name: dips
+parameters: {e: 0}
+variables: {x: 1 + e, v: -2}
+regions:
+  r:
+    initial: "on"
+    states: {"on": {flows: {x: v, v: 2}}, "off": {}}
+    transitions: [{name: low, from: "on", to: "off", guard: x < 0}]
+stop: {time: 2}
+outputs: {fired: {count: low}}
+"""
+
+
+def ran(text: str, engine: str, tolerance: float, e: float = 0.0) -> Any:
+    scene = interpret(read_text(text.replace("e: 0", f"e: {e!r}", 1), "model.yaml"))
+    return statechart.run(scene, engine=engine, tolerance=tolerance)
+
+
+def told(result: Any) -> list[str]:
+    return [warning for warning in result.warnings if "whether it passes is not known" in warning]
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_what_touches_fires_nothing_and_is_told(engine: str, tolerance: float) -> None:
+    result = ran(_THROWN, engine, tolerance)
+    assert result.outputs["hits"] == 0
+    assert [warning.split(",")[0] for warning in told(result)] == [
+        "c.gap comes to its boundary at t = 1"
+    ]
+    assert result.to_dict()["warnings"] == list(result.warnings)
+
+
+@pytest.mark.parametrize("e", [1e-9, -1e-9])
+def test_what_nearly_touches_is_told_where_the_tolerance_leaves_it_open(
+    engine: str, e: float
+) -> None:
+    assert len(told(ran(_THROWN, engine, 1e-8, e))) == 1
+    result = ran(_THROWN, engine, 1e-12, e)
+    assert not told(result)
+    assert result.outputs["hits"] == (e > 0.0)
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_a_stop_that_is_only_touched_is_told_whether_it_ends_the_run_or_not(
+    engine: str, tolerance: float
+) -> None:
+    (warning,) = told(ran(_SWINGS, engine, tolerance))
+    assert warning.startswith("top ")
+
+
+@pytest.mark.parametrize(("e", "outcome"), [(1e-9, "STOPPED"), (-1e-9, "HORIZON")])
+def test_a_stop_that_is_passed_or_not_by_more_than_the_run_is_off(
+    engine: str, e: float, outcome: str
+) -> None:
+    result = ran(_SWINGS, engine, 1e-12, e)
+    assert (result.trace.outcome.name, told(result)) == (outcome, [])
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_a_pull_that_grazes_friction_is_told_and_moves_nothing(
+    engine: str, tolerance: float
+) -> None:
+    result = ran(_PULLED, engine, tolerance)
+    # Slips under what a force is off by last as long as its root, and go by its square.
+    assert abs(result.outputs["x"]) <= (10.0 * tolerance) ** 1.5 + 1e-15
+    assert {warning.split()[0] for warning in told(result)} == {"c.mu"}
+
+
+def test_a_pull_beyond_friction_slips_and_nothing_is_told(engine: str) -> None:
+    beyond, within = (ran(_PULLED, engine, 1e-12, e) for e in (1e-6, -1e-6))
+    assert (beyond.outputs["slips"], within.outputs["slips"]) == (2, 0)
+    assert not told(beyond) + told(within)
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_guards_of_charts_that_are_touched_are_told(engine: str, tolerance: float) -> None:
+    assert len(told(ran(_CHART, engine, tolerance))) == 1
+    passed, missed = (ran(_CHART, engine, 1e-12, e) for e in (-1e-9, 1e-9))
+    assert (passed.outputs["fired"], missed.outputs["fired"]) == (1, 0)
+    assert not told(passed) + told(missed)
+
+
+def test_what_rests_on_its_bound_grazes_nothing(engine: str) -> None:
+    assert not told(ran(_PULLED.replace("f*(1 + e)*d.x", "f"), engine, 1e-10))
+
+
+@pytest.mark.parametrize("model", ["bouncing_ball", "stick_slip_block", "toppling_stick"])
+def test_events_of_shipped_models_are_in_no_doubt(engine: str, model: str) -> None:
+    assert not told(statechart.run(model, engine=engine))
