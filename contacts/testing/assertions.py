@@ -1,11 +1,17 @@
-"""What properties of scenes share: cones, the growth of energy, the ends of steps."""
+"""What properties of scenes share: cones, the growth of energy, steps and what is between."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
+import numpy as np
+import sympy as sp
+
+from statechart.arrays import Array
 from statechart.automaton.trace import Arc, Trace
+from statechart.execution.simulator import Simulator
+from statechart.testing.subject import Subject
 
 _ROUNDING, _EPSILON = 1e-13, 2.0**-52
 
@@ -95,3 +101,34 @@ def no_growth(points: Sequence[tuple[float, float, str]], allowed: float, rate: 
                 f"errors explain {allowed:.1e}"
             )
         least = min(least, value - rate * t)
+
+
+def missed_by_slopes(
+    subject: Subject, trace: Trace, arc: Arc, tau: Array, gaps: Sequence[sp.Expr]
+) -> Array:
+    """Return by how much gaps (m, c) change where a step is moved by what its slopes miss.
+
+    Its ends are on the constraints, so it is off by less than its length times what slopes miss,
+    and what rates change by that in as long.
+    """
+    simulator = subject.observers[trace.engine.split()[0]].simulator
+    if not isinstance(simulator, Simulator):
+        return np.zeros((len(tau), len(gaps)))
+    states, times = arc.states(tau), arc.start.high + (arc.start.low + tau)
+    spans, orders = np.diff(arc.times), np.arange(1, arc.coefficients.shape[2])
+    steps = np.repeat(np.arange(len(spans)), len(tau) // len(spans))
+    h = spans[steps][:, None]
+    powers = ((tau - arc.times[steps])[:, None] / h) ** (orders - 1)
+    rates = simulator.compiled(arc.roles, trace.zeros).rates
+    found = rates.table(states, trace.values, times)
+    off = np.einsum("mvk,mk->mv", arc.coefficients[steps][:, :, 1:] * orders, powers) - h * found
+    off = np.abs(off) + h * np.abs(rates.table(states + off, trace.values, times) - found)
+    most = np.zeros((len(spans), states.shape[1]))
+    np.maximum.at(most, steps, off)
+    here = subject.values(trace, gaps, states, times)
+    moved = np.zeros(here.shape)
+    for i in range(states.shape[1]):
+        there = states.copy()
+        there[:, i] += most[steps, i]
+        moved += np.abs(subject.values(trace, gaps, there, times) - here)
+    return moved

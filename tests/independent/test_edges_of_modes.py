@@ -100,3 +100,33 @@ def test_what_turns_exactly_at_the_ceiling_does_not_hit_it(engine: str) -> None:
     found = outputs(_THROWN, engine)
     assert [found["x"], found["y"], found["dy"]] == pytest.approx([6.0, 0.0, -10.0], abs=1e-12)
     assert found["hits"] == 0
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-10, 1e-12, 1e-14])
+@pytest.mark.parametrize("speed", [1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-7])
+def test_what_is_thrown_bounces_where_the_tolerance_tells_its_speed_from_none(
+    engine: str, speed: float, tolerance: float
+) -> None:
+    # Speeds are those of a fall by g/2 s^2, and below ten tolerances of it, or rounding, none.
+    text = _PUSHED.replace("start: {}", f"start: {{dy: {speed}}}").replace("FORCE", "0")
+    text = text.replace("restitution: 0", "restitution: 0.5")
+    least = 10.0 * max(10.0 * tolerance, 1e-12)
+    result = statechart.run(
+        interpret(read_text(text, "s.yaml")), engine=engine, tolerance=tolerance
+    )
+    causes = [jump.cause for jump in result.trace.jumps]
+    assert causes == ([] if speed <= least else ["touchdown", "zeno"][: 1 + (speed > 2.0 * least)])
+    assert [jump.t for jump in result.trace.jumps] == pytest.approx(
+        [speed / 5.0, speed / 2.5][: len(causes)], rel=1e-6
+    )
+
+
+@pytest.mark.parametrize("rate", [1e3, 1.0, 1e-3])
+def test_a_slip_begins_where_its_force_has_passed_the_bound_by_1e12_of_the_weight(
+    engine: str, rate: float
+) -> None:
+    # The weight is 10, and friction bears 5; the margin is a distance from the edge of its cone.
+    text = _PUSHED.replace("FORCE", f"{rate}*time").replace("time: 1", f"time: {6.0 / rate}")
+    result = statechart.run(interpret(read_text(text, "scene.yaml")), engine=engine)
+    (slip,) = result.trace.jumps
+    assert slip.t * rate - 5.0 == pytest.approx(1e-11 * 1.25**0.5, abs=1e-13)

@@ -339,6 +339,22 @@ def test_a_point_that_slides_is_not_inside_its_surface_by_an_interpolant():
             assert_gaps(scene, subject, sunk)
 
 
+def test_a_contact_that_sinks_between_steps_is_inside_its_surface():
+    # It sinks by some tolerances of the gap in a step, and comes back at its end.
+    def sinking(name, state):
+        if name == "free":
+            return state
+        return dataclasses.replace(
+            state, equations=(state.equations[0] + 1e-8, *state.equations[1:])
+        )
+
+    scene = model(ROD)
+    subject = with_states(scene, sinking)
+    trace = subject.case({"v0": 2.0, "vy": -1.0, "e": 0.0}).traces["scipy"]
+    with pytest.raises(AssertionError, match="deep in its surface"):
+        assert_gaps(scene, subject, trace)
+
+
 def test_adhesion_is_caught():
     def sticky(name, state):
         margins = tuple(
