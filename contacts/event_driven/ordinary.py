@@ -146,6 +146,7 @@ class SceneInstants:
             setup.scales.acceleration,
             setup.short,
             FAST * setup.scales.speed,
+            setup.capture,
         )
         return partial(run_on, loop.program, loop.pace, watch, loop.memory, scene)
 

@@ -117,7 +117,7 @@ class RowCall:
             np.empty((contacts, 2)),
             np.empty(contacts),
             means,
-            *[0.0] * 10,
+            *[0.0] * 11,
         )
         self.series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
         self._given = loop.program, loop.pace, loop.memory, scene, *tape.program

@@ -7,7 +7,7 @@ import numpy as np
 from contacts.event_driven.hit import SceneWatch, classified, hit, switched
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.recording import ARCS, EVENTS, TERMS, TIMES, Block
+from statechart.automaton.recording import ARCS, EVENTS, MADE, TERMS, TIMES, Block
 from statechart.engines.engine import Pace
 from statechart.engines.mode_table import (
     ADDRESS,
@@ -151,6 +151,33 @@ def _record_arc(
 
 
 @part
+def _in_turn(block: Block, row: int, jumps: int) -> bool:
+    """Whether other contacts may have been hit since a contact last was: the laws are to know.
+
+    Parameters
+    ----------
+    block : Block
+        Its last event is the one that is looked at.
+    row : int
+        Of the series of that event.
+    jumps : int
+        Of this run, as far as they are in the block.
+
+    See `contacts.event_driven.laws.SceneLaws.accumulate`.
+    """
+    if row % _PER_CAUSE != TOUCHDOWN:
+        return False
+    contact, last = row // _PER_CAUSE, block.used[EVENTS] - 1
+    for event in range(last, max(last - jumps, -1), -1):
+        struck, group = block.events[event, 4], block.events[event, 5]
+        if block.events[event, 0] == MADE or group != 0 or (struck >= 0 and struck != contact):
+            return True
+        if event < last and struck == contact:
+            return False
+    return True
+
+
+@part
 def _instant(
     program: Program,
     watch: Watch,
@@ -237,7 +264,7 @@ def _instant(
     for c in range(kept.shape[0]):
         kept[c] = taken[c]
     rest = follow(series[row], high, now[T_LOW], margin >= 0, scene.short)
-    if rest >= 0.0:
+    if rest >= 0.0 and _in_turn(block, row, place[N_JUMPS]):
         return ACCUMULATES, row, rest
     count = place[N_JUMPS]
     steady = count >= STEADY and count & (count - 1) == 0

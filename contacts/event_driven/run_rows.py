@@ -145,7 +145,7 @@ def _watches(
         instants.numbers, instants.conditions, instants.owners, instants.bands, instants.allowed,
         instants.cones, instants.restitution, instants.meanings, scene.near * gap,
         scene.creep * slow, gap, slow, scene.tie * weak / force, scene.doubtful, force,
-        acceleration, scene.short, scene.fast * speed,
+        acceleration, scene.short, scene.fast * speed, scene.doubtful * speed,
     )  # fmt: skip
 
 

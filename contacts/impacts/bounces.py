@@ -13,10 +13,11 @@ from contacts.modes.classification import choose
 from statechart.arrays import Array
 from statechart.errors import SimulationError
 
-_EPS = float(np.finfo(float).eps)
-# Bounces lower than this many roundings of the gap are summed. The sum's error is of the third
-# order in their speed: 1e-12 of the scene's time where coordinates are of its size.
-_DIGITS = 1e8
+EPS = float(np.finfo(float).eps)
+"""What a number is known to, in parts of it."""
+DIGITS = 1e8
+"""Bounces lower than this many roundings of the gap are summed. The sum's error is of the third
+order in their speed: 1e-12 of the scene's time where coordinates are of its size."""
 FAST = 1e-3
 """No bounce this fast, in the scene's own speed, is summed."""
 # Of the fastest rebound: what taking it away changes elsewhere.
@@ -55,7 +56,7 @@ def rests_of_bounces(
         if not falling[i] > 0.0:
             continue
         blur = _blur(snapshot, state, i, float(falling[i]))
-        if rebound <= setup.capture or _DIGITS * blur >= 1.0:
+        if rebound <= setup.capture or DIGITS * blur >= 1.0:
             rests[i] = 2.0 * rebound / (float(falling[i]) * (1.0 - e))
     return rests
 
@@ -144,7 +145,7 @@ def _blur(snapshot: Snapshot, state: Array, contact: int, falling: float) -> flo
     """Return what rounding of the coordinates does to the gap, against how high it bounces."""
     height = snapshot.contacts[contact].gap_rate ** 2 / (2.0 * falling)
     coordinates = np.abs(state[: len(state) // 2])
-    rounding = _EPS * float(np.abs(snapshot.whole.jacobians[contact, 0]) @ coordinates)
+    rounding = EPS * float(np.abs(snapshot.whole.jacobians[contact, 0]) @ coordinates)
     return rounding / height
 
 

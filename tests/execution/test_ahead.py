@@ -23,6 +23,8 @@ CASES = [
     ("stick_slip_block", {}),
     ("dragged_stick", {}),
     ("bouncing_ball", {"k": 0.7}),
+    ("bouncing_ball", {"k": 0.3, "x0": 7.0}),
+    ("bouncing_ball", {"k": 0.95}),
     ("bouncing_ball_hills", {}),
     ("double_contact_bar", {}),
     ("block_on_incline", {}),
@@ -81,3 +83,10 @@ def assert_same(one: Trace, other: Trace) -> None:
         assert np.array_equal(jump.after, same.after)
         assert dict(jump.impulse) == dict(same.impulse)
         assert dict(jump.considered) == dict(same.considered)
+
+
+def test_low_bounces_are_made_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    ball = traced("bouncing_ball", {"k": 0.5}, -1, monkeypatch)
+    # The last two bounces are looked at closely, what they come to, and the end of the run.
+    assert len(ball.jumps) > 20
+    assert ball.counts["python_instants"] <= 4
