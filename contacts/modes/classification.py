@@ -156,10 +156,12 @@ def choose(
     if taken.share is not None:
         notes += _indeterminate(laws, taken.share)
     notes += _carried(snapshot, laws, closed, taken.states)
-    if doubted is not None:
-        notes += (
-            f"the forces of {_label(laws, taken)} begin on their bounds, as far as the tolerance "
-            "tells: whether it slips on is open",
+    if doubt is not None and doubted is not None:
+        notes += tuple(
+            f"{law.name} comes to rest where that takes just the force that friction gives, as far "
+            "as the tolerance tells: it sticks, and might slip on"
+            for law, state, was in zip(laws, taken.states, doubt.sure, strict=True)
+            if state == "pin" and was != "pin"
         )
     considered = Deferred(partial(_verdicts, laws, tried, taken, tie))
     return Choice(taken, considered, warning, notes, doubted is not None)

@@ -89,11 +89,9 @@ class Doubt(NamedTuple):
     def _spread(self, case: Case, one: Candidate) -> float:
         """Return by how much, in the scales, what a mode breaks may be off."""
         setup, near, total = self.setup, self.setup.doubtful, 0.0
-        half = len(self.state) // 2
-        parts = np.full(len(self.state), setup.tolerances["gap"] / setup.scales.length)
-        parts[half:] = setup.tolerances["speed"] / setup.scales.speed
-        off = parts * np.maximum(setup.scales.sizes, np.abs(self.state))
-        later = setup.tolerances["speed"] / setup.scales.acceleration
+        slow = setup.tolerances["speed"]
+        off = slow / setup.scales.speed * np.maximum(setup.scales.sizes, np.abs(self.state))
+        later = slow / setup.scales.acceleration
         moved = [(self.state + step, 0.0) for step in np.diag(off)]
         for state, time in [*moved, (self.state, later)]:
             there = case._replace(snapshot=self.at(state, time), tie=near)
