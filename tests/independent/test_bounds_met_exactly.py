@@ -131,6 +131,26 @@ def test_what_is_short_of_the_bound_sticks_and_nothing_is_told(short: float, eng
     assert not result.trace.warnings
 
 
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-12])
+def test_what_rests_on_the_bound_stays_while_others_jump(engine: str, tolerance: float) -> None:
+    text = (
+        _SPRUNG
+        + """
+regions:
+  clock:
+    initial: tick
+    states: {tick: {}, tock: {}}
+    transitions:
+      - {name: up, from: tick, to: tock, after: 0.1}
+      - {name: down, from: tock, to: tick, after: 0.1}
+"""
+    )
+    result = ran(text, engine, tolerance)
+    assert (result.outputs["reversals"], result.outputs["slips"]) == (0, 0)
+    assert [jump.t for jump in result.trace.jumps if jump.region == "c"] == pytest.approx([pi / W])
+    assert len(result.trace.jumps) > 10
+
+
 def test_half_a_swing_takes_half_a_period(engine: str) -> None:
     result = ran(_SPRUNG, engine, 1e-12)
     assert result.trace.jumps[0].t == pytest.approx(pi / W, abs=1e-11)
