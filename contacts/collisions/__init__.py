@@ -5,5 +5,6 @@ it, `mechanics` what its formulas are over, `outlines` its bodies as numbers, `d
 what they stand on, `declared_joints` what holds them, `starts` where they are, `inside` in what.
 `surroundings` are known ahead of the steps: `paths` of surfaces, what controllers `recall`, and
 forces. A `body_step` asks `contacts.detection` which bodies touch; `islands` of them are solved one
-by one, and `mass_ratios` says where that cannot do.
+by one in an `island_step`, where `order` says which impact is first, and `mass_ratios` where that
+cannot do.
 """

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import get_args
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.checks import check_physical
 from contacts.scene.collision_checks import check_shapes
+from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
@@ -223,10 +225,10 @@ class BodyStepper(Stepper):
             return Surroundings(self._bodies, self._paths, self._recall, known, values)
 
         # A step of no length finds who overlaps.
-        plastic = scene.simultaneous == "plastic"
+        law = get_args(Simultaneous).index(scene.simultaneous)
 
         def tried() -> SteppedHeap:
-            trial = SteppedHeap(names, touched(scene), bodies, around(), plastic, allowed)
+            trial = SteppedHeap(names, touched(scene), bodies, around(), law, allowed)
             trial.steps(0.0, 1e-9 * length / speed, initial, 1)
             return trial
 
@@ -242,6 +244,6 @@ class BodyStepper(Stepper):
                     loc=("bodies", owners[names.index(body)], "start"),
                 )
         return setup, SteppedHeap(
-            names, touched(scene), bodies, around(), plastic, allowed, DEEPEST * length,
+            names, touched(scene), bodies, around(), law, allowed, DEEPEST * length,
             forces,
         )  # fmt: skip

@@ -8,207 +8,30 @@ that `contacts.solvers.island_impulses` finds.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.islands import gathered, grouped, push
-from contacts.collisions.mass_ratios import note_worst
+from contacts.collisions.island_step import Room, solved
+from contacts.collisions.islands import push
 from contacts.detection.applied import Ahead
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
-from contacts.detection.broad_phase import Grid
 from contacts.detection.ground import Ground
 from contacts.detection.joints import joined
-from contacts.detection.look import Look, look_at, pushed
-from contacts.detection.touches import Touches, velocity
+from contacts.detection.look import look_at, pushed
+from contacts.detection.touches import velocity
 from contacts.detection.touching import Seen, touching
-from contacts.solvers.contact_rows import ContactRows
-from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
-from statechart.arrays import Array, Bools, Ints
+from statechart.arrays import Array
 from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import beside, kernel, late, part
 from statechart.kernels.tapes import BLOCK, filled
 
 # What is no farther from the edge of its cone than this part of its impulse slides.
 _EDGE = 1e-9
-# Forces beside impacts are found to this part of what falls in a step at least.
-_NEAR = 1e-2
 # In a step in which no body goes so far, in parts of the smallest one's size, none passes another
 # or is deep in it.
 _FAR = 0.1
-
-
-class Room(NamedTuple):
-    """Where steps work; of it `worst` alone lasts.
-
-    Attributes
-    ----------
-    look : Look
-    touches : Touches
-    grid : Grid
-    pressed : (c, 2), steady : (c, 2)
-        Impulses of the step, and those of them that are forces.
-    bounces : (c,) array of int
-        1: restitution is asked for.
-    contacts : ContactRows
-        Those of an island.
-    island : (4, c, 2)
-        Their velocities before the step and without impulses, what is wanted, and impulses.
-    rebounds : (c,) array of bool
-        Which of them do.
-    parents, local : (b,) array of int, begins : (b + 1,), order : (c,)
-        See `contacts.collisions.islands`.
-    worst : (4,)
-        What lasts: of all islands whose impulses missed what was allowed, that with the largest
-        ratio of masses: this ratio, its lightest and its heaviest body, the residual.
-    earlier : Memory
-        What was remembered before the last step.
-    """
-
-    look: Look
-    touches: Touches
-    grid: Grid
-    pressed: Array
-    steady: Array
-    bounces: Ints
-    contacts: ContactRows
-    island: Array
-    rebounds: Bools
-    parents: Ints
-    local: Ints
-    begins: Ints
-    order: Ints
-    worst: Array
-    earlier: Memory
-
-    @classmethod
-    def of(cls, numbers: BodyNumbers, memory: Memory) -> Room:
-        """Return room for as many contacts as are remembered."""
-        count, most = len(numbers.sizes), len(memory.keys)
-        return cls(
-            Look.room(numbers),
-            Touches.room(most),
-            Grid.room(len(numbers.pieces.sizes), most),
-            np.empty((most, 2)),
-            np.empty((most, 2)),
-            np.empty(most, np.int64),
-            ContactRows.room(most),
-            np.empty((4, most, 2)),
-            np.empty(most, np.bool_),
-            np.empty(count, np.int64),
-            np.empty(count, np.int64),
-            np.empty(count + 1, np.int64),
-            np.empty(most, np.int64),
-            np.zeros(4),
-            memory.copy(),
-        )
-
-
-@beside
-def _solved(
-    numbers: BodyNumbers, plastic: bool, forces: bool, room: Room, count: int, allowed: float,
-    effort: Array,
-) -> None:  # fmt: skip
-    """Find the impulses of a step, island by island.
-
-    Parameters
-    ----------
-    numbers, plastic, forces, allowed
-        See `step_bodies`.
-    room : Room
-        Its impulses are written, and where the next step starts to look for its own.
-    count : int
-        Contacts.
-    effort : (4,)
-        See `Chunk.efforts`.
-    """
-    touches, inverse, local, order = room.touches, numbers.inverse, room.local, room.order
-    bodies, rows, materials = touches.bodies, touches.rows, touches.materials
-    effort[0] = effort[1] = effort[3] = 0.0
-    effort[2] = count
-    grouped(bodies, count, room.parents, room.begins, order)
-    for island in range(len(numbers.sizes)):
-        members = order[room.begins[island] : room.begins[island + 1]]
-        size = len(members)
-        if size == 0:
-            continue
-        contacts = gathered(members, bodies, rows, inverse, materials, local, room.contacts)
-        start, unforced = room.island[0, :size], room.island[1, :size]
-        asked, chosen = room.island[2, :size], room.island[3, :size]
-        rebounds, quiet = room.rebounds[:size], 0
-        for a in range(size):
-            i = members[a]
-            put(touches.before[i], start[a])
-            put(touches.free[i], unforced[a])
-            put(touches.pushes[i], chosen[a])
-            rebounds[a] = touches.hit[i] and materials[i, 2] > 0.0
-            if plastic and size > 1 and rebounds[a]:
-                rebounds[a], touches.wanted[i, 0] = False, 0.0
-            put(touches.wanted[i], asked[a])
-            room.bounces[i] = rebounds[a]
-            quiet += 0 if touches.hit[i] else 1
-        bound = 0.0
-        for a in range(size):
-            for side in range(2):
-                b = bodies[members[a], side]
-                # Once for each body.
-                if b >= 0 and local[b] >= 0:
-                    bound += 0.125 * room.look.pull[b] ** 2 / inverse[b, 0]
-                    local[b] = -1
-        missed, done, softened = island_impulses(
-            contacts, start, unforced, asked, rebounds, chosen, allowed, bound
-        )
-        if missed > allowed:
-            note_worst(numbers.inverse, touches.bodies, members, missed, room.worst)
-        for a in range(size):
-            i = members[a]
-            put(chosen[a], room.pressed[i])
-            put(chosen[a], room.steady[i])
-            # What lasts is nearer to what it was than to what others' impacts made it bear.
-            if quiet == size or touches.hit[i]:
-                put(chosen[a], touches.pushes[i])
-        if forces and quiet < size:
-            _forces(numbers, room, members, quiet, allowed)
-        effort[0] = max(effort[0], missed)
-        effort[1] += done
-        effort[3] = max(effort[3], 1.0 if softened else 0.0)
-
-
-@beside
-def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed: float) -> None:
-    """Write what is force of an island's impulses: those without what strikes.
-
-    `quiet` of its contacts are not struck.
-    """
-    touches = room.touches
-    others, last = np.empty(quiet, np.int64), 0
-    for i in members:
-        room.steady[i, 0] = room.steady[i, 1] = 0.0
-        if not touches.hit[i]:
-            others[last] = i
-            last += 1
-    if quiet == 0:
-        return
-    alone, least = np.empty((quiet, 2)), np.empty((quiet, 2))
-    slow = fast = 0.0
-    for a in range(quiet):
-        for d in range(2):
-            least[a, d] = touches.free[others[a], d] + touches.wanted[others[a], d]
-        put(touches.pushes[others[a]], alone[a])
-        slow = max(slow, -least[a, 0])
-    for i in members:
-        fast = max(fast, -touches.free[i, 0] - touches.wanted[i, 0])
-    # No nearer, as velocities, than the impulses of the step are.
-    near = min(allowed * fast / slow, max(allowed, _NEAR)) if slow > 0.0 else allowed
-    contacts = gathered(
-        others, touches.bodies, touches.rows, numbers.inverse, touches.materials, room.local,
-        room.contacts,
-    )  # fmt: skip
-    solve_rows(contacts, least, alone, near, False)
-    for a in range(quiet):
-        put(alone[a], room.steady[others[a]])
 
 
 @beside
@@ -317,7 +140,7 @@ def step_bodies(
     numbers: BodyNumbers,
     around: Ahead,
     instant: float,
-    plastic: bool,
+    law: int,
     forces: bool,
     memory: Memory,
     room: Room,
@@ -333,8 +156,8 @@ def step_bodies(
         What acts on the bodies.
     instant : float
         When the first step begins.
-    plastic : bool
-        Whether what is hit together does not rebound.
+    law : int
+        What is hit together follows; see `contacts.collisions.order`.
     forces : bool
         Whether somebody reads the unknowns, which else are not those of what lasts.
     memory : Memory
@@ -385,7 +208,7 @@ def step_bodies(
         if joins:
             places = around.places[k : k + 3]
             count = joined(numbers, places, memory, room.look, h, count, touches)
-        _solved(numbers, plastic, forces, room, count, allowed, chunk.efforts[k])
+        solved(numbers, law, forces, h, room, count, allowed, chunk.efforts[k])
         rates, forced = loose.copy(), loose.copy()
         for i in range(count):
             for d in range(2):

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from contacts.collisions.body_step import Room, step_bodies
+from contacts.collisions.body_step import step_bodies
+from contacts.collisions.island_step import Room
 from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
@@ -32,8 +33,8 @@ class SteppedHeap:
     numbers : BodyNumbers
     around : Surroundings
         What acts on them.
-    plastic : bool
-        Whether what is hit together does not rebound.
+    law : int
+        What is hit together follows; see `contacts.collisions.order`.
     allowed : float
         Residual of impulses that are good enough.
     deepest : float
@@ -48,13 +49,13 @@ class SteppedHeap:
         surfaces: Sequence[str],
         numbers: BodyNumbers,
         around: Surroundings,
-        plastic: bool,
+        law: int,
         allowed: float,
         deepest: float = math.inf,
         forces: bool = True,
     ) -> None:
         self._surfaces = surfaces
-        self.numbers, self._names, self._around, self._plastic = numbers, names, around, plastic
+        self.numbers, self._names, self._around, self._law = numbers, names, around, law
         count = len(names)
         self._memory = self._kept = Memory.room(numbers)
         self._room = Room.of(self.numbers, self._memory)
@@ -170,7 +171,7 @@ class SteppedHeap:
         done, status = 0, FULL
         while status == FULL:
             taken, status = step_bodies(
-                self.numbers, ahead.after(done), start + done * h, self._plastic,
+                self.numbers, ahead.after(done), start + done * h, self._law,
                 self._forces, self._memory, self._room, (self._allowed, deepest), chunk.after(done),
             )  # fmt: skip
             done += taken

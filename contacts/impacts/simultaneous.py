@@ -23,12 +23,10 @@ from contacts.impacts.impulses import Impulses, collisions, coupled
 from contacts.impacts.path import RAISES
 from contacts.impacts.work import work_of
 from contacts.scene.parts import MOREAU, Simultaneous
-from contacts.solvers.step_impulses import shares
+from contacts.solvers.step_impulses import LONGEST_SEQUENCE, shares
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
 
-# A ball between the floor and one a thousand times as heavy is hit so often.
-_LONGEST_SEQUENCE = 10_000
 # Of the first approach: what is left of a sequence then is the tail of a geometric one.
 _SPENT = 1e-12
 _ROUNDING = 64 * float(np.finfo(np.float64).eps)
@@ -249,7 +247,7 @@ def _in_sequence(snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int
         k = min(hit, key=lambda k: moving[k].gap_rate)
         approach = -moving[k].gap_rate
         first = first or approach
-        endless = len(path) >= _LONGEST_SEQUENCE or approach < _SPENT * first
+        endless = len(path) >= LONGEST_SEQUENCE or approach < _SPENT * first
         if endless:
             names = ", ".join(laws[i].name for i in group)
             told = [

@@ -112,8 +112,9 @@ class SceneFields(Declaration):
     )
     simultaneous: Simultaneous = Field(
         default="capped",
-        description="What contacts do that are hit together: plastic, Moreau's law as far as the "
-        "energy allows (capped), or one after another by their own laws (sequential).",
+        description="What contacts, also of bodies with shapes, do that are hit together: plastic, "
+        "Moreau's law as far as the energy allows (capped), or one after another by their own laws "
+        "(sequential).",
         examples=["sequential"],
     )
     paradox: Resolution = Field(

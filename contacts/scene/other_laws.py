@@ -21,7 +21,7 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
     """
     found = {}
     hit = {name: c for name, c in scene.contacts.items() if "free" in c.kinds}
-    if scene.simultaneous == "sequential" and (scene.collisions or (hit and _meet(scene))):
+    if scene.simultaneous == "sequential" and hit and _meet(scene):
         found["simultaneous: sequential"] = (
             "time stepping resolves what is hit together at once, by Moreau's law, as with capped"
         )

@@ -38,7 +38,7 @@ class Scene(SceneFields):
 
     def alternatives(self) -> Mapping[str, Self]:
         """Return the scene under the other meanings of simultaneous impacts."""
-        if len(self.contacts) < 2:
+        if len(self.contacts) < 2 and not self.collisions:
             return {}
         return {
             f"simultaneous: {choice}": self.model_copy(update={"simultaneous": choice})

@@ -22,6 +22,10 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import beside, kernel, late, part
 
+LONGEST_SEQUENCE = 10_000
+"""So many impacts follow each other at an instant: a ball between the floor and one a thousand
+times as heavy is hit so often."""
+
 # Of the terms of a work: what it is known to.
 _WORK_ROUNDING = 64.0 * 2.0**-52
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.time_stepping.chunk import Chunk
+from contacts.solvers.step_impulses import LONGEST_SEQUENCE
+from contacts.time_stepping.chunk import LIVELY, Chunk
 from statechart.automaton.time_stepper import Impulses
 from statechart.errors import SimulationError, UnsolvedImpulses
 from statechart.tabular import several
@@ -26,7 +27,8 @@ class Effort:
     def __init__(self, asked: Impulses) -> None:
         self._tolerance, self._bound = asked
         self._iterations = self._contacts = self._most = self._missed = self._softened = 0
-        self.residual = self._when = 0.0
+        self._ambiguous = self._unended = 0
+        self.residual = self._when = self._first = self._left = 0.0
 
     def beyond(self, chunk: Chunk) -> tuple[int, SimulationError] | None:
         """Return the first step whose impulses miss by more than the bound, and why it ends."""
@@ -42,12 +44,17 @@ class Effort:
 
     def add(self, chunk: Chunk, start: float) -> None:
         """Count steps, of which the first begins at `start`."""
-        missed, iterations, contacts, softened = chunk.efforts.T
+        missed, iterations, contacts, softened, ambiguous, left = chunk.efforts.T
         self._iterations += int(iterations.sum())
         self._contacts += int(contacts.sum())
         self._most = max(self._most, int(contacts.max()))
         self._missed += int((missed > self._tolerance).sum())
         self._softened += int(softened.sum())
+        if not self._ambiguous and ambiguous.any():
+            self._first = start + (int(np.argmax(ambiguous)) + 0.5) * chunk.h
+        self._ambiguous += int(ambiguous.sum())
+        self._unended += int((left > 0.0).sum())
+        self._left = max(self._left, float(left.max()))
         k = int(np.argmax(missed))
         if missed[k] > self.residual:
             self.residual, self._when = float(missed[k]), start + k * chunk.h
@@ -70,6 +77,19 @@ class Effort:
             found += (
                 f"in {several(self._softened, 'step')} no impulses were found that make all "
                 "contacts part as Moreau's law of impact asks: what was hit then did not rebound",
+            )
+        if self._ambiguous:
+            found += (
+                f"in {several(self._ambiguous, 'step')}, the first at t = {self._first:.6g}, "
+                f"bodies with a restitution of {LIVELY:g} or more are struck in several places at "
+                "once: Moreau's law takes these impacts together, and what passes a blow on does "
+                "not rebound from it; simultaneous: sequential carries them out one after another",
+            )
+        if self._unended:
+            found += (
+                f"in {several(self._unended, 'step')} impacts one after another did not end, as of "
+                f"what is light between what is heavy: after {LONGEST_SEQUENCE} of them the "
+                f"approach was up to {self._left:.3g}; Moreau's law took them together there",
             )
         if self._missed:
             found += (

@@ -38,9 +38,11 @@ THROWN = {"aside": 0.1, "apart": 0.45, "lifted": 0.5, "tilt": 0.7, "speed": 2}
 
 
 @pytest.mark.parametrize("start", [STACK, DROPPED, THROWN])
-@pytest.mark.parametrize("restitution", [0, 1])
+@pytest.mark.parametrize(
+    ("restitution", "law"), [(0, "capped"), (1, "capped"), (0, "sequential"), (1, "sequential")]
+)
 @pytest.mark.parametrize("friction", ["0", "0.3", "2", "inf"])
-def test_energy_and_depth_stay_within_the_bounds_of_a_step(start, restitution, friction):
+def test_energy_and_depth_stay_within_the_bounds_of_a_step(start, restitution, law, friction):
     generator = np.random.default_rng(5 + len(friction) + 10 * restitution)
     step = float(generator.choice([1e-2, 3e-3, 1e-3]))
     text = HEAP.format(
@@ -52,7 +54,7 @@ def test_energy_and_depth_stay_within_the_bounds_of_a_step(start, restitution, f
         step=step,
         **start,
     )
-    subject = Subject(interpret(read_text(text)))
+    subject = Subject(interpret(read_text(f"{text}simultaneous: {law}\n")))
     trace = subject.case({}).trace
     assert trace.outcome.succeeded, trace.message
     scene = subject.model

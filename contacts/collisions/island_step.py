@@ -1,0 +1,253 @@
+"""The impulses of a step, island by island, and where steps work."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.collisions.islands import gathered, grouped
+from contacts.collisions.mass_ratios import note_worst
+from contacts.collisions.order import CAPPED, PLASTIC, SEQUENTIAL, carried_out, is_ambiguous
+from contacts.detection.body_numbers import BodyNumbers, Memory
+from contacts.detection.broad_phase import Grid
+from contacts.detection.look import Look
+from contacts.detection.touches import Touches
+from contacts.solvers.contact_rows import ContactRows
+from contacts.solvers.island_impulses import island_impulses, solve_rows
+from contacts.time_stepping.chunk import LIVELY
+from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.copies import put
+from statechart.kernels.jit import beside, part
+
+# Forces beside impacts are found to this part of what falls in a step at least.
+_NEAR = 1e-2
+
+
+class Room(NamedTuple):
+    """Where steps work; of it `worst` alone lasts.
+
+    Attributes
+    ----------
+    look : Look
+    touches : Touches
+    grid : Grid
+    pressed : (c, 2), steady : (c, 2)
+        Impulses of the step, and those of them that are forces.
+    bounces : (c,) array of int
+        1: restitution is asked for.
+    contacts : ContactRows
+        Those of an island.
+    island : (4, c, 2)
+        Their velocities before the step and without impulses, what is wanted, and impulses.
+    rebounds : (c,) array of bool
+        Which of them do.
+    parents, local : (b,) array of int, begins : (b + 1,), order : (c,)
+        See `contacts.collisions.islands`.
+    worst : (4,)
+        What lasts: of all islands whose impulses missed what was allowed, that with the largest
+        ratio of masses: this ratio, its lightest and its heaviest body, the residual.
+    earlier : Memory
+        What was remembered before the last step.
+    """
+
+    look: Look
+    touches: Touches
+    grid: Grid
+    pressed: Array
+    steady: Array
+    bounces: Ints
+    contacts: ContactRows
+    island: Array
+    rebounds: Bools
+    parents: Ints
+    local: Ints
+    begins: Ints
+    order: Ints
+    worst: Array
+    earlier: Memory
+
+    @classmethod
+    def of(cls, numbers: BodyNumbers, memory: Memory) -> Room:
+        """Return room for as many contacts as are remembered."""
+        count, most = len(numbers.sizes), len(memory.keys)
+        return cls(
+            Look.room(numbers),
+            Touches.room(most),
+            Grid.room(len(numbers.pieces.sizes), most),
+            np.empty((most, 2)),
+            np.empty((most, 2)),
+            np.empty(most, np.int64),
+            ContactRows.room(most),
+            np.empty((4, most, 2)),
+            np.empty(most, np.bool_),
+            np.empty(count, np.int64),
+            np.empty(count, np.int64),
+            np.empty(count + 1, np.int64),
+            np.empty(most, np.int64),
+            np.zeros(4),
+            memory.copy(),
+        )
+
+
+@part
+def _approach(free: Array, wanted: Array) -> float:
+    """Return the fastest approach of contacts (m, 2) that have no impulses."""
+    fastest = 0.0
+    for a in range(len(free)):
+        fastest = max(fastest, -free[a, 0] - wanted[a, 0])
+    return fastest
+
+
+@part
+def _near(allowed: float, slow: float, fast: float) -> float:
+    """Return a residual for what approaches slower than others in a step.
+
+    It is found no nearer, as velocities, than the impulses of the step are.
+    """
+    return min(allowed * fast / slow, max(allowed, _NEAR)) if slow > 0.0 else allowed
+
+
+@part
+def _with_impacts(room: Room, members: Ints, sudden: Array, chosen: Array) -> int:
+    """Add the impulses of impacts in turn to those after them; return how many are not struck."""
+    touches, quiet = room.touches, 0
+    for a in range(len(members)):
+        i = members[a]
+        # What is pressed together again does not rebound.
+        rebounds = sudden[a, 0] > 0.0 >= chosen[a, 0]
+        room.bounces[i] = rebounds and touches.materials[i, 2] > 0.0
+        quiet += 0 if touches.hit[i] else 1
+        for d in range(2):
+            chosen[a, d] += sudden[a, d]
+    return quiet
+
+
+@beside
+def solved(
+    numbers: BodyNumbers, law: int, forces: bool, h: float, room: Room, count: int, allowed: float,
+    effort: Array,
+) -> None:  # fmt: skip
+    """Find the impulses of a step, island by island.
+
+    Parameters
+    ----------
+    numbers, law, forces, allowed
+        See `contacts.collisions.body_step.step_bodies`.
+    h : float
+        Length of the step.
+    room : Room
+        Its impulses are written, and where the next step starts to look for its own.
+    count : int
+        Contacts.
+    effort : (6,)
+        See `Chunk.efforts`.
+    """
+    touches, inverse, local, order = room.touches, numbers.inverse, room.local, room.order
+    bodies, rows, materials = touches.bodies, touches.rows, touches.materials
+    for j in range(len(effort)):
+        effort[j] = 0.0
+    effort[2] = count
+    grouped(bodies, count, room.parents, room.begins, order)
+    for island in range(len(numbers.sizes)):
+        members = order[room.begins[island] : room.begins[island + 1]]
+        size = len(members)
+        if size == 0:
+            continue
+        contacts = gathered(members, bodies, rows, inverse, materials, local, room.contacts)
+        start, unforced = room.island[0, :size], room.island[1, :size]
+        asked, chosen = room.island[2, :size], room.island[3, :size]
+        rebounds, quiet, lively = room.rebounds[:size], 0, False
+        for a in range(size):
+            i = members[a]
+            put(touches.before[i], start[a])
+            put(touches.free[i], unforced[a])
+            put(touches.pushes[i], chosen[a])
+            rebounds[a] = touches.hit[i] and materials[i, 2] > 0.0
+            if law == PLASTIC and size > 1 and rebounds[a]:
+                rebounds[a], touches.wanted[i, 0] = False, 0.0
+            put(touches.wanted[i], asked[a])
+            room.bounces[i] = rebounds[a]
+            lively = lively or (rebounds[a] and materials[i, 2] >= LIVELY)
+            quiet += 0 if touches.hit[i] else 1
+        bound = 0.0
+        for a in range(size):
+            for side in range(2):
+                b = bodies[members[a], side]
+                # Once for each body.
+                if b >= 0 and local[b] >= 0:
+                    bound += 0.125 * room.look.pull[b] ** 2 / inverse[b, 0]
+                    local[b] = -1
+        in_turn = law == SEQUENTIAL and size > 1 and quiet < size
+        sudden, near, turns, left = np.zeros((size if in_turn else 0, 2)), allowed, 0, 0.0
+        missed_turn, share = 0.0, 1.0
+        if in_turn:
+            fast = _approach(unforced, asked)
+            turns, missed_turn, left = carried_out(
+                numbers, touches, members, contacts, h, start, unforced, asked, rebounds, sudden,
+                allowed,
+            )  # fmt: skip
+            slow = _approach(unforced, asked)
+            in_turn, share, near = left == 0.0, slow / fast, _near(allowed, slow, fast)
+        missed, done, softened = island_impulses(
+            contacts, start, unforced, asked, rebounds, chosen, near, bound
+        )
+        missed, done = max(share * missed, missed_turn), done + turns
+        if missed > allowed:
+            note_worst(numbers.inverse, touches.bodies, members, missed, room.worst)
+        if in_turn:
+            quiet = _with_impacts(room, members, sudden, chosen)
+        if (
+            lively
+            and law == CAPPED
+            and size > 1
+            and is_ambiguous(numbers, touches, members, contacts, h, chosen, local)
+        ):
+            effort[4] = 1.0
+        effort[5] = max(effort[5], left)
+        for a in range(size):
+            i = members[a]
+            put(chosen[a], room.pressed[i])
+            put(chosen[a], room.steady[i])
+            # What lasts is nearer to what it was than to what others' impacts made it bear.
+            if quiet == size or touches.hit[i]:
+                put(chosen[a], touches.pushes[i])
+        if forces and quiet < size:
+            _forces(numbers, room, members, quiet, allowed)
+        effort[0] = max(effort[0], missed)
+        effort[1] += done
+        effort[3] = max(effort[3], 1.0 if softened else 0.0)
+
+
+@beside
+def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed: float) -> None:
+    """Write what is force of an island's impulses: those without what strikes.
+
+    `quiet` of its contacts are not struck.
+    """
+    touches = room.touches
+    others, last = np.empty(quiet, np.int64), 0
+    for i in members:
+        room.steady[i, 0] = room.steady[i, 1] = 0.0
+        if not touches.hit[i]:
+            others[last] = i
+            last += 1
+    if quiet == 0:
+        return
+    alone, least = np.empty((quiet, 2)), np.empty((quiet, 2))
+    slow = fast = 0.0
+    for a in range(quiet):
+        for d in range(2):
+            least[a, d] = touches.free[others[a], d] + touches.wanted[others[a], d]
+        put(touches.pushes[others[a]], alone[a])
+        slow = max(slow, -least[a, 0])
+    for i in members:
+        fast = max(fast, -touches.free[i, 0] - touches.wanted[i, 0])
+    near = _near(allowed, slow, fast)
+    contacts = gathered(
+        others, touches.bodies, touches.rows, numbers.inverse, touches.materials, room.local,
+        room.contacts,
+    )  # fmt: skip
+    solve_rows(contacts, least, alone, near, False)
+    for a in range(quiet):
+        put(alone[a], room.steady[others[a]])

@@ -1,0 +1,161 @@
+"""Impacts at one instant, carried out one after another (Han and Gilmore 1993).
+
+An impact is that of two bodies, or of a body and a surface, at all points where they touch: by
+Moreau's law, with joints held. The one that approaches fastest is first.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contacts.solvers.contact_rows import ContactRows, add, rates_of, seen, slope
+from contacts.solvers.island_impulses import island_impulses
+from contacts.solvers.step_impulses import LONGEST_SEQUENCE
+from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.copies import put
+from statechart.kernels.jit import late, part
+
+# Impacts that approach as fast but for this part of it are one: nothing says which of them is
+# first, and the order of bodies is to decide nothing.
+_ALIKE = 1e-9
+# What velocities are known to, in parts of the fastest.
+_ROUNDING = 64.0 * 2.0**-52
+# Impulses that leave more of an approach than this part stop none.
+_STOPPED = 0.5
+
+
+@part
+def _together(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: int) -> Ints:
+    """Return who takes part in the impact of a contact: what shares bodies, and is hit with it."""
+    count = len(pairs)
+    order, taken = np.empty(count, np.int64), np.zeros(count, np.bool_)
+    order[0], taken[first], many, at = first, True, 1, 0
+    while at < many:
+        i = order[at]
+        at += 1
+        for k in range(count):
+            shared = False
+            for side in range(2):
+                b, others = contacts.bodies[i, side], contacts.bodies[k]
+                shared = shared or (b < contacts.moving and (others[0] == b or others[1] == b))
+            hit = next_ones[k] or pairs[k] == pairs[i] or slope(contacts.cones[k]) < 0.0
+            if shared and hit and not taken[k]:
+                order[many], taken[k] = k, True
+                many += 1
+    return order[:many]
+
+
+@part
+def _rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
+    """Return some of the contacts."""
+    count = len(chosen)
+    room = ContactRows(
+        np.empty((count, 2), np.int64), contacts.moving, np.empty((count, 2, 6)),
+        np.empty((count, 2, 6)), np.empty((count, 3)), np.empty((count, 2)),
+    )  # fmt: skip
+    for a in range(count):
+        i = chosen[a]
+        for side in range(2):
+            room.bodies[a, side] = contacts.bodies[i, side]
+            put(contacts.rows[i, side], room.rows[a, side])
+            put(contacts.columns[i, side], room.columns[a, side])
+        put(contacts.own[i], room.own[a])
+        put(contacts.cones[i], room.cones[a])
+    return room
+
+
+@part
+def _hit(
+    contacts: ContactRows, chosen: Ints, now: Array, restitution: Array, slow: Array,
+    allowed: float, impulses: Array, rates: Array,
+) -> tuple[int, float]:  # fmt: skip
+    """Carry out an impact, in place, but for `now`; return its iterations and its residual."""
+    size = len(chosen)
+    before, wanted = np.empty((size, 2)), np.zeros((size, 2))
+    rebounds, pushes = np.zeros(size, np.bool_), np.zeros((size, 2))
+    for a in range(size):
+        i = chosen[a]
+        put(now[i], before[a])
+        joint = slope(contacts.cones[i]) < 0.0
+        if not joint and -now[i, 0] > slow[i] and restitution[i] > 0.0:
+            wanted[a, 0], rebounds[a] = restitution[i] * now[i, 0], True
+    left, done, _ = island_impulses(
+        _rows_of(contacts, chosen), before, before, wanted, rebounds, pushes, allowed, 0.0
+    )
+    for a in range(size):
+        i = chosen[a]
+        impulses[i, 0] += pushes[a, 0]
+        impulses[i, 1] += pushes[a, 1]
+        add(contacts, i, pushes[a, 0], pushes[a, 1], rates)
+    return done, left
+
+
+@late
+def in_turn(
+    contacts: ContactRows, pairs: Ints, now: Array, restitution: Array, slow: Array,
+    allowed: float, impulses: Array,
+) -> tuple[int, float, float]:  # fmt: skip
+    """Carry impacts out until nothing approaches; return iterations, residual, what still does.
+
+    What approaches alike is next together, and is one impact where it shares bodies. No impact adds
+    energy.
+
+    Parameters
+    ----------
+    contacts : ContactRows
+        Joints among them.
+    pairs : (m,) array of int
+        What is alike touches by the same two things.
+    now : (m, 2)
+        Velocities of the contacts; those after the impacts, in place.
+    restitution : (m,)
+    slow : (m,)
+        What approaches no faster is not hit.
+    allowed : float
+        Residual of impulses that are good enough.
+    impulses : (m, 2)
+        Of all impacts, to be written.
+
+    Returns
+    -------
+    iterations : int
+    residual : float
+        The largest of an impact's.
+    left : float
+        The fastest approach left after `LONGEST_SEQUENCE` rounds of impacts, or by one without
+        impulses that stop it; zero where the impacts end.
+    """
+    count, iterations, worst = len(pairs), 0, 0.0
+    rates, start, largest = rates_of(contacts), now.copy(), 0.0
+    next_ones, done = np.empty(count, np.bool_), np.empty(count, np.bool_)
+    impulses[:] = 0.0
+    for turn in range(LONGEST_SEQUENCE + 1):
+        fastest = still = 0.0
+        for i in range(count):
+            largest = max(largest, abs(now[i, 0]), abs(now[i, 1]))
+        for i in range(count):
+            done[i] = slope(contacts.cones[i]) < 0.0 or (
+                -now[i, 0] <= max(slow[i], _ROUNDING * largest)
+            )
+            fastest = fastest if done[i] else max(fastest, -now[i, 0])
+        if fastest == 0.0:
+            break
+        if turn == LONGEST_SEQUENCE:
+            return iterations, worst, fastest
+        for i in range(count):
+            done[i] = done[i] or -now[i, 0] < (1.0 - _ALIKE) * fastest
+            next_ones[i] = not done[i]
+        for first in range(count):
+            if done[first]:
+                continue
+            chosen = _together(contacts, pairs, next_ones, first)
+            for i in chosen:
+                done[i] = True
+            steps, left = _hit(contacts, chosen, now, restitution, slow, allowed, impulses, rates)
+            iterations, worst = iterations + steps, max(worst, left)
+        for i in range(count):
+            now[i, 0], now[i, 1] = seen(contacts, i, start, rates)
+            still = max(still, -now[i, 0] if next_ones[i] else 0.0)
+        if still > _STOPPED * fastest:
+            return iterations, worst, still
+    return iterations, worst, 0.0
