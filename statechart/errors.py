@@ -292,7 +292,7 @@ class StepTooLarge(SimulationError):
 
 
 class UnsolvedImpulses(SimulationError):
-    """The impulses of a time step miss the contact laws by more than the bound that is set."""
+    """No impulses of a time step obey the contact laws nearly enough."""
 
 
 class TooLong(SimulationError):

@@ -17,7 +17,7 @@ from contacts.detection.applied import Ahead
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.detection.ground import Ground
 from contacts.detection.joints import joined
-from contacts.detection.look import look_at, pushed
+from contacts.detection.look import fastest_turn, look_at, pushed
 from contacts.detection.touches import velocity
 from contacts.detection.touching import Seen, touching
 from contacts.states import FREE, PIN, SLIDE
@@ -27,8 +27,6 @@ from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import beside, kernel, late, part
 from statechart.kernels.tapes import BLOCK, filled
 
-# What is no farther from the edge of its cone than this part of its impulse slides.
-_EDGE = 1e-9
 # In a step in which no body goes so far, in parts of the smallest one's size, none passes another
 # or is deep in it.
 _FAR = 0.1
@@ -47,7 +45,8 @@ def _kept(
         chunk.struck[k, b] = False
         chunk.codes[k, b] = FREE
         chunk.impulses[k, b, 0] = chunk.impulses[k, b, 1] = 0.0
-    chunk.approach[k], chunk.closing[k], chunk.passed[k] = seen.approach, seen.closing, seen.passed
+    chunk.approach[k], chunk.closing[k] = max(seen.approach, seen.turned), seen.closing
+    chunk.passed[k] = seen.passed
     memory.many[0] = seen.contacts
     memory.past[0], memory.past[1] = chunk.h, max(memory.past[1], seen.approach)
     memory.past[2] = max(memory.past[2], chunk.h * seen.approach)
@@ -66,10 +65,10 @@ def _kept(
             memory.contacts[i, 6 + d] = touches.rows[i, 0, d]
         if lasts and not touches.hit[i]:
             chunk.closing[k] = max(chunk.closing[k], touches.memory[i, 1])
-        normal, tangential = touches.materials[i, 0], touches.materials[i, 1]
         slip = memory.contacts[i, 5] + touches.wanted[i, 1]
-        inside = tangential * pn - normal * abs(pt) > _EDGE * pn
-        sticks = tangential > 0.0 and (inside or abs(slip) <= allowed * fall)
+        none = max(room.known[i], touches.memory[i, 2], allowed * fall)
+        memory.contacts[i, 8] = room.known[i]
+        sticks = touches.materials[i, 1] > 0.0 and abs(slip) <= none
         for side in range(2):
             b = touches.bodies[i, side]
             if b < 0:
@@ -124,15 +123,6 @@ def _hurry(numbers: BodyNumbers, state: Array, h: float) -> bool:
             speed = math.hypot(state[at], state[at + 1]) + size * abs(state[at + 2])
             most = max(most, speed)
     return h * most > _FAR * least
-
-
-@part
-def _fastest_turn(rates: Array) -> float:
-    """Return the largest angular velocity, of either sense."""
-    most = 0.0
-    for b in range(len(rates)):
-        most = max(most, abs(rates[b, 2]))
-    return most
 
 
 @kernel
@@ -222,7 +212,7 @@ def step_bodies(
                         touches.bodies, touches.rows, numbers.inverse, forced, i, d,
                         room.steady[i, d],
                     )  # fmt: skip
-        if deepest < math.inf and h * _fastest_turn(rates) > math.pi:
+        if deepest < math.inf and h * fastest_turn(rates) > math.pi:
             return k, COARSE
         _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
         if joins:

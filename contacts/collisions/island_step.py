@@ -13,7 +13,7 @@ from contacts.detection.body_numbers import BodyNumbers, Memory
 from contacts.detection.broad_phase import Grid
 from contacts.detection.look import Look
 from contacts.detection.touches import Touches
-from contacts.solvers.contact_rows import ContactRows
+from contacts.solvers.contact_rows import ContactRows, fastest_approach
 from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.time_stepping.chunk import LIVELY
 from statechart.arrays import Array, Bools, Ints
@@ -36,6 +36,8 @@ class Room(NamedTuple):
         Impulses of the step, and those of them that are forces.
     bounces : (c,) array of int
         1: restitution is asked for.
+    known : (c,)
+        Slip that the impulses of the island may have missed.
     contacts : ContactRows
         Those of an island.
     island : (4, c, 2)
@@ -57,6 +59,7 @@ class Room(NamedTuple):
     pressed: Array
     steady: Array
     bounces: Ints
+    known: Array
     contacts: ContactRows
     island: Array
     rebounds: Bools
@@ -78,6 +81,7 @@ class Room(NamedTuple):
             np.empty((most, 2)),
             np.empty((most, 2)),
             np.empty(most, np.int64),
+            np.empty(most),
             ContactRows.room(most),
             np.empty((4, most, 2)),
             np.empty(most, np.bool_),
@@ -88,15 +92,6 @@ class Room(NamedTuple):
             np.zeros(4),
             memory.copy(),
         )
-
-
-@part
-def _approach(free: Array, wanted: Array) -> float:
-    """Return the fastest approach of contacts (m, 2) that have no impulses."""
-    fastest = 0.0
-    for a in range(len(free)):
-        fastest = max(fastest, -free[a, 0] - wanted[a, 0])
-    return fastest
 
 
 @part
@@ -181,13 +176,13 @@ def solved(
         in_turn = law == SEQUENTIAL and size > 1 and quiet < size
         sudden, near, turns, left = np.zeros((size if in_turn else 0, 2)), allowed, 0, 0.0
         missed_turn, share = 0.0, 1.0
+        fast = fastest_approach(contacts, unforced, asked)
         if in_turn:
-            fast = _approach(unforced, asked)
             turns, missed_turn, left = carried_out(
                 numbers, touches, members, contacts, h, start, unforced, asked, rebounds, sudden,
                 allowed,
             )  # fmt: skip
-            slow = _approach(unforced, asked)
+            slow = fastest_approach(contacts, unforced, asked)
             in_turn, share, near = left == 0.0, slow / fast, _near(allowed, slow, fast)
         missed, done, softened = island_impulses(
             contacts, start, unforced, asked, rebounds, chosen, near, bound
@@ -207,6 +202,7 @@ def solved(
         effort[5] = max(effort[5], left)
         for a in range(size):
             i = members[a]
+            room.known[i] = max(missed, allowed) * fast
             put(chosen[a], room.pressed[i])
             put(chosen[a], room.steady[i])
             # What lasts is nearer to what it was than to what others' impacts made it bear.

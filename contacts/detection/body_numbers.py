@@ -9,10 +9,10 @@ import numpy as np
 from contacts.detection.surfaces import SurfaceNumbers
 from statechart.arrays import Array, Ints
 
-MEMORY = 8
+MEMORY = 9
 """What is kept of a contact from step to step: level; whether it lasts (1), is closed and bears
 nothing (-1), or was hit (0); impulses; its velocities, normal and tangential, after the step, and
-its normal."""
+its normal; slip that the impulses may have missed."""
 
 BOTH, ALONG_X, ALONG_Y = range(3)
 """What a joint holds."""

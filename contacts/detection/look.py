@@ -107,3 +107,12 @@ def pushed(
             look.reach[p] += 2.0 * h * (sped + numbers.pieces.spans[p] * turned)
         # As fast as the same energy would make it without turning.
         look.pull[b] = math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
+
+
+@part
+def fastest_turn(rates: Array) -> float:
+    """Return the largest angular velocity, of either sense."""
+    most = 0.0
+    for b in range(len(rates)):
+        most = max(most, abs(rates[b, 2]))
+    return most

@@ -26,8 +26,9 @@ class Touches(NamedTuple):
         Velocities, normal and tangential, per unit rates of the two.
     keys : (c, 2) array of int
         See `Memory`.
-    memory : (c, 2)
-        The level at which each is kept, and how far above that it is.
+    memory : (c, 3)
+        The level at which each is kept; how far above that it is; slip that the impulses of the
+        step before may have missed.
     materials : (c, 3)
         See `BodyNumbers`.
     before, free, wanted : (c, 2)
@@ -57,7 +58,7 @@ class Touches(NamedTuple):
             np.empty((most, 2), np.int64),
             np.zeros((most, 2, 6)),
             np.empty((most, 2), np.int64),
-            np.empty((most, 2)),
+            np.empty((most, 3)),
             np.empty((most, 3)),
             np.empty((most, 2)),
             np.empty((most, 2)),
@@ -104,7 +105,7 @@ def recalled(
 
     The place is that in the memory, -1 where it is new.
     """
-    touches.pushes[m, 0] = touches.pushes[m, 1] = 0.0
+    touches.pushes[m, 0] = touches.pushes[m, 1] = touches.memory[m, 2] = 0.0
     level, lasting, at, place = 0.0, False, first, -1
     # Forces last, so that impulses go with the length of a step.
     longer = h / memory.past[0] if memory.past[0] > 0.0 else 1.0
@@ -113,6 +114,7 @@ def recalled(
             level, lasting, place = memory.contacts[at, 0], memory.contacts[at, 1] > 0.0, at
             touches.pushes[m, 0] = longer * memory.contacts[at, 2]
             touches.pushes[m, 1] = longer * memory.contacts[at, 3]
+            touches.memory[m, 2] = memory.contacts[at, 8]
         at += 1
     return level, lasting, place
 

@@ -36,7 +36,7 @@ _STARTED = 1e-5
 _LANDED = 0.5
 
 
-APPROACH, CLOSING, PASSED, SUNK = range(4)
+APPROACH, CLOSING, PASSED, SUNK, TURNED = range(5)
 """What a look keeps the largest of; see `Seen`."""
 
 
@@ -55,6 +55,9 @@ class Seen(NamedTuple):
         By how much the deepest that was not known yet is deeper than two looks explain; or how
         deep is what is hit, where that is much beside its size, or what approaches, where that is
         more than a step at the fastest approach.
+    turned : float
+        Twice what turning has changed the normal velocity of what lasts by, at most: in a step
+        this makes how deep it may get.
     """
 
     contacts: int
@@ -62,6 +65,7 @@ class Seen(NamedTuple):
     closing: float
     passed: float
     sunk: float
+    turned: float
 
 
 class _Times(NamedTuple):
@@ -130,8 +134,8 @@ class _Points(NamedTuple):
         See `contacts.detection.convex.between`.
     aside : (m, FOUND) array
         Of the same pair at another time.
-    worst : (4,) array
-        What a look has found so far of `APPROACH`, `CLOSING`, `PASSED` and `SUNK`.
+    worst : (5,) array
+        What a look has found so far of `APPROACH`, `CLOSING`, `PASSED`, `SUNK` and `TURNED`.
     """
 
     found: Array
@@ -236,8 +240,8 @@ def _strikes(
 def _kept_up(
     memory: Memory, place: int, lasting: bool, m: int, times: _Times, gained: float,
     above: float, touches: Touches,
-) -> None:  # fmt: skip
-    """Write what the velocities of a contact that lasts may not fall below.
+) -> float:  # fmt: skip
+    """Write what a contact's velocities may not fall below; return how turning changed the normal.
 
     On the way to the next look it is to be where it is kept, and the velocities of what sticks to
     be none on average. What is deeper than turning takes it was moved there by a change of
@@ -255,6 +259,7 @@ def _kept_up(
     back, part = max(0.5 * gained, -touches.before[m, 0]), 0.5 * h / since
     touches.wanted[m, 0] = max(above / h + part * turn, -back)
     touches.wanted[m, 1] = part * shift
+    return turn
 
 
 @part
@@ -307,7 +312,9 @@ def _takes_part(
     else:
         # No deeper than an impact leaves a contact does it stay.
         above, level = min(above, gap + times.lowest), max(level, -times.lowest)
-        _kept_up(memory, place, lasting, m, times, gained, above, touches)
+        turn = _kept_up(memory, place, lasting, m, times, gained, above, touches)
+        # Half of it is let be, half is in the way to the next look.
+        _note(points, TURNED, 2.0 * abs(turn))
     if not lasting:
         # An impact's impulses say nothing of the next.
         touches.pushes[m, 0] = touches.pushes[m, 1] = 0.0
@@ -343,7 +350,7 @@ def touching(
     """
     sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, memory.keys
     count, others = len(sizes), len(sizes) + len(numbers.surfaces.kinds)
-    found, aside, worst = np.empty((POINTS, FOUND)), np.empty((POINTS, FOUND)), np.zeros(4)
+    found, aside, worst = np.empty((POINTS, FOUND)), np.empty((POINTS, FOUND)), np.zeros(5)
     points = _Points(found, np.empty(POINTS, np.int64), aside, worst)
     first = not memory.past[0] > 0.0
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
@@ -374,5 +381,5 @@ def touching(
                 ):
                     m += 1
                 if m == len(touches.hit):
-                    return Seen(-1, worst[0], worst[1], worst[2], worst[3])
-    return Seen(m if many >= 0 else -1, worst[0], worst[1], worst[2], worst[3])
+                    return Seen(-1, worst[0], worst[1], worst[2], worst[3], worst[4])
+    return Seen(m if many >= 0 else -1, worst[0], worst[1], worst[2], worst[3], worst[4])

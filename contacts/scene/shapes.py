@@ -75,7 +75,8 @@ class Collision(Part):
     """Bodies with shapes that collide with each other and with surfaces, all by one law."""
 
     bodies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
-        description="Those that collide with each other; of copies the name of all.",
+        description="Those that collide with each other; of copies the name of all. What two lists "
+        "have in common collides by the first.",
         examples=[["die"]],
     )
     surfaces: tuple[str, ...] = Field(

@@ -218,6 +218,16 @@ def residual(contacts: ContactRows, least: Array, impulses: Array, rates: Array)
 
 
 @part
+def fastest_approach(contacts: ContactRows, free: Array, wanted: Array) -> float:
+    """Return that of contacts (m,) without impulses, which residuals are parts of."""
+    fastest = 0.0
+    for i in range(len(free)):
+        approach = -free[i, 0] - wanted[i, 0]
+        fastest = max(fastest, abs(approach) if slope(contacts.cones[i]) < 0.0 else approach)
+    return fastest
+
+
+@part
 def _sweep(
     contacts: ContactRows, laws: Array, least: Array, impulses: Array, rates: Array, change: Array
 ) -> tuple[float, float]:

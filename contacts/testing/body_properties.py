@@ -117,7 +117,8 @@ def _between(one: Array, radius: float, other: Array, other_radius: float) -> Ar
     to = other - one
     along = np.clip((to * sides).sum(-1) / (sides * sides).sum(-1), 0.0, 1.0)
     nearest = np.linalg.norm(to - along[..., None] * sides, axis=-1).min(axis=1)
-    return np.where(gaps > 0.0, nearest, gaps) - both
+    # Nothing is inside of a plate, beyond whose ends its line goes on.
+    return np.where((gaps > 0.0) | (one.shape[1] == 2), nearest, gaps) - both
 
 
 def _seen(frames: Array, points: Array) -> Array:

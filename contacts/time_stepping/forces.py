@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from contacts.states import PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array
 from statechart.kernels.jit import part
@@ -39,24 +37,23 @@ def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed
 
 
 @part
-def resting(compliance: Array, least: Array, impulses: Array, a: int) -> tuple[bool, float]:
-    """Whether contact `a` stays closed without an impulse; and its slip, 0 where that is rounding.
+def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: int) -> float:
+    """Return the velocity of contact `a` after a step, 0 where that is rounding.
 
     Parameters
     ----------
     compliance : (2 m, 2 m), least : (m, 2), impulses : (m, 2)
         Of the step's contact problem.
-    a : int
+    a, d : int
+        Which contact; 0 along its normal, 1 along its tangent.
     """
-    after, terms = least[a].copy(), np.abs(least[a])
-    for d in range(2):
-        for b in range(len(impulses)):
-            for e in range(2):
-                term = compliance[2 * a + d, 2 * b + e] * impulses[b, e]
-                after[d] += term
-                terms[d] += abs(term)
-    slip = after[1] if abs(after[1]) > _ROUNDING * terms[1] else 0.0
-    return abs(after[0]) <= _ROUNDING * terms[0], slip
+    after, terms = least[a, d], abs(least[a, d])
+    for b in range(len(impulses)):
+        for e in range(2):
+            term = compliance[2 * a + d, 2 * b + e] * impulses[b, e]
+            after += term
+            terms += abs(term)
+    return after if abs(after) > _ROUNDING * terms else 0.0
 
 
 @part

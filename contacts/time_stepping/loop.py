@@ -28,6 +28,7 @@ from functools import cached_property
 
 import numpy as np
 
+from contacts.states import OFF_CODE
 from contacts.time_stepping.begun import Begun, Span, Stepping
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.effort import Effort
@@ -48,7 +49,13 @@ from statechart.automaton.trace import (
     check_size,
 )
 from statechart.documents.setting import Record
-from statechart.errors import NonFinite, SimulationError, StepTooLarge, TooLong
+from statechart.errors import (
+    NonFinite,
+    SimulationError,
+    StepTooLarge,
+    TooLong,
+    UnsolvedImpulses,
+)
 from statechart.tabular import several
 
 # Steps at once, in which no signal is seen, and iterations times contacts in them, some tenths of
@@ -60,6 +67,8 @@ _ROOM = 2**23
 DEEPEST = 0.1
 """Deeper than this part of the scene in one step: the step does not see its surfaces."""
 
+# Impulses that miss the contact laws by this part of the fastest approach keep nothing out.
+_HELPLESS = 0.1
 # More steps no float can count, and no trace can hold.
 _COUNTED = 2.0**53
 # After so many steps it is known what each takes.
@@ -189,7 +198,7 @@ class SteppedRun:
         if wrong is not None:
             failure = wrong[1]
             chunk = chunk.first(wrong[0])
-        missed = self.effort.beyond(chunk)
+        missed = self.effort.beyond(chunk) or self._squeezed(chunk)
         if missed is not None:
             failure = missed[1]
             chunk = chunk.first(missed[0])
@@ -293,6 +302,22 @@ class SteppedRun:
             f"a contact closes {chunk.closing[k]:.3g} off its surface in one step of {h:g}, in a "
             f"scene of size {size:.3g}; take {0.1 * h * DEEPEST * size / chunk.closing[k]:.1g} "
             "or less"
+        )
+
+    def _squeezed(self, chunk: Chunk) -> tuple[int, UnsolvedImpulses] | None:
+        """Return the first step in which something sinks that no impulses keep out, and why."""
+        gaps: Array = np.where(chunk.codes == OFF_CODE, math.inf, chunk.gaps)
+        deepest: Array = np.min(gaps, axis=1, initial=math.inf)
+        fastest = np.maximum.accumulate(np.maximum(chunk.approach, self.fastest))
+        wrong = (deepest < -self.span.step * fastest) & (chunk.efforts[:, 0] > _HELPLESS)
+        if not wrong.any():
+            return None
+        k = int(np.argmax(wrong))
+        return k, UnsolvedImpulses(
+            f"no impulses keep {self.stepping.regions[int(np.argmin(gaps[k]))]} out of what it "
+            f"touches: it is {-deepest[k]:.3g} deep, and they miss the contact laws by "
+            f"{chunk.efforts[k, 0]:.2g} of the fastest approach; what is led or held leaves it no "
+            "room"
         )
 
     def _stop(self, condition: int) -> None:

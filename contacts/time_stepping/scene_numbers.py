@@ -61,8 +61,8 @@ class ContactMemory(NamedTuple):
     ----------
     level : (c,)
         Gap at which a contact that lasts is kept: what its landing has left, never above 0.
-    closed : (c,)
-        Whether it lasts.
+    closed, slid : (c,)
+        Whether it lasts, and slipped in the last step by more than rounding.
     fresh : (c,) array of int
         Of how many steps, this one included, impulses are not those of forces alone.
     off : (c,)
@@ -75,6 +75,7 @@ class ContactMemory(NamedTuple):
 
     level: Array
     closed: Bools
+    slid: Bools
     fresh: Ints
     off: Bools
     light: Bools
@@ -86,6 +87,7 @@ class ContactMemory(NamedTuple):
         count = len(off)
         return cls(
             np.zeros(count),
+            np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.int64),
             off.copy(),

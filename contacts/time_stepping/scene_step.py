@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from contacts.solvers.step_impulses import AS_ASKED, solve_impacts
-from contacts.states import PIN, SLIDE
+from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import BAD_INERTIA, DONE, HARD, NOT_FINITE, Chunk
 from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
 from contacts.time_stepping.scene_numbers import (
@@ -81,9 +81,10 @@ def _borne(
     steady = as_shared(memory, tape, problem, modes, answer.steady, k, chunk)
     before = tape.size + scene.joints
     for a in range(len(problem.which)):
+        i = problem.which[a]
         for d in range(2):
             force = math.nan if mixed[a] else steady[a, d] / chunk.h
-            chunk.solved[k, before + 2 * problem.which[a] + d] = force
+            chunk.solved[k, before + 2 * i + d] = 0.0 if chunk.codes[k, i] == FREE else force
     return blurred
 
 

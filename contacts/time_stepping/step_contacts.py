@@ -31,7 +31,7 @@ from contacts.time_stepping.chunk import (
 )
 from contacts.time_stepping.energy import energy_added
 from contacts.time_stepping.equations import back
-from contacts.time_stepping.forces import borne_mode, jammed, resting
+from contacts.time_stepping.forces import borne_mode, jammed, velocity_after
 from contacts.time_stepping.scene_numbers import (
     Answer,
     ContactMemory,
@@ -91,6 +91,8 @@ def taking_part(
         if role == LASTING:
             met.wanted[i, 0] = above / h + bias
             met.wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
+            # Between its middles a step is as deep as turning makes it.
+            chunk.approach[k] = max(chunk.approach[k], 2.0 * abs(bias))
         elif role == HIT:
             # The direction it is hit in is as far off as it turns within the step.
             speed = max(math.hypot(before[0], before[1]), scene.slowest)
@@ -185,7 +187,7 @@ def answered(
         i = problem.which[a]
         corner = delassus[2 * a : 2 * a + 2, 2 * a : 2 * a + 2]
         # Where it stuck, its slip is rounding.
-        if scene.slips[i] > 0 and (memory.bases[i, 3] or not memory.closed[i]):
+        if scene.slips[i] > 0 and (memory.slid[i] or not memory.closed[i]):
             slip = problem.before[a, 1]
             sudden[a] = sudden[a] or jammed(corner, least[a], slip, problem.cones[a])
     steady, slides = steady_impulses(delassus, least, problem.cones, z, pushes, sudden)
@@ -248,9 +250,8 @@ def told(
         i = problem.which[a]
         for u in range(UNKNOWNS):
             memory.bases[i, u] = answer.basis[UNKNOWNS * a + u]
-        slip = answer.least[a, 1]
-        for b in range(2 * m):
-            slip += problem.delassus[2 * a + 1, b] * pushes[b // 2, b % 2]
+        slip = velocity_after(problem.delassus, answer.least, pushes, a, 1)
+        memory.slid[i] = slip != 0.0
         if of_group(sudden, problem.groups, problem.groups[a]):
             for d in range(2):
                 chunk.impulses[k, i, d] = pushes[a, d] - steady[a, d]
@@ -261,14 +262,13 @@ def told(
         chunk.struck[k, i] = sudden[a] and pressed
         memory.closed[i] = pressed and not problem.rebounds[a]
         if memory.closed[i]:
-            sliding = answer.z[UNKNOWNS * a + 3] > 0.0
+            sliding = answer.z[UNKNOWNS * a + 3] > 0.0 and slip != 0.0
             chunk.codes[k, i] = borne_mode(pushes[a], slip, sliding, cones[a], directed)
         if steady[a, 0] > 0.0:
             modes[a] = borne_mode(steady[a], slip, answer.slides[a], cones[a], directed)
-        elif not pressed:
-            rests, slip = resting(problem.delassus, answer.least, steady, a)
-            if rests:
-                modes[a] = borne_mode(steady[a], slip, slip != 0.0, cones[a], directed)
+        elif not pressed and velocity_after(problem.delassus, answer.least, steady, a, 0) == 0.0:
+            slip = velocity_after(problem.delassus, answer.least, steady, a, 1)
+            modes[a] = borne_mode(steady[a], slip, slip != 0.0, cones[a], directed)
     return modes
 
 

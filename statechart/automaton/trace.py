@@ -46,7 +46,7 @@ class Outcome(Enum):
     ZENO = "Jumps accumulate at a finite time and nothing declared says what follows."
     SINGULAR_MODE = "The equations of the mode entered do not determine the motion."
     STEP_TOO_LARGE = "The time step is too large for this model: take a smaller one."
-    UNSOLVED_IMPULSES = "The impulses of a time step miss the contact laws by more than the bound."
+    UNSOLVED_IMPULSES = "No impulses of a time step obey the contact laws nearly enough."
     UNSUPPORTED = "The engine asked for cannot run this model: take the one named."
 
     @property

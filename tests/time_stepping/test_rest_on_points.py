@@ -1,0 +1,91 @@
+"""Points by steps, beside what follows by hand: rest stays rest, what is free bears nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+BOX = """
+kind: scene
+name: pulled_box
+parameters: {b: 0.2, a: 0.15625, g: 13, F: 40, mu: 2, m: 5}
+gravity: g
+bodies:
+  box: {mass: m, inertia: m*(b**2 + a**2)/3, start: {y: a}}
+surfaces: {ground: {height: 0}}
+contacts:
+  rear: {point: {body: box, at: [-b, -a]}, surface: ground, friction: mu, restitution: 0,
+    impact: moreau}
+  front: {point: {body: box, at: [b, -a]}, surface: ground, friction: mu, restitution: 0,
+    impact: moreau}
+forces:
+  rope: {body: box, at: [b, a], force: [F, 0]}
+stop: {time: 0.2}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+@pytest.fixture(scope="module")
+def runner():
+    return Runner(interpret(read_text(BOX)))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"g": 16, "F": 21, "mu": 1, "m": 2.5},
+        {"F": 12, "mu": 0.3},
+        {"F": -12, "mu": 0.3, "b": 0.3},
+    ],
+)
+def test_a_pulled_box_that_neither_slips_nor_tips_tells_no_event(runner, values):
+    known = {"b": 0.2, "a": 0.15625, "g": 13, "F": 40, "mu": 2, "m": 5, **values}
+    weight = known["m"] * known["g"]
+    # It slips above mu m g, and tips above m g b/(2 a).
+    assert abs(known["F"]) < min(known["mu"], known["b"] / (2 * known["a"])) * weight
+    trace = runner.run(values).trace
+    assert trace.final_mode == ("pin", "pin")
+    assert [jump.cause for jump in trace.jumps] == []
+    assert abs(trace.final).max() == pytest.approx(known["a"], abs=1e-12)
+
+
+def test_what_is_free_bears_nothing_beside_what_lands(runner):
+    # It tips, leaves the ground, and strikes it again with the other corner.
+    trace = runner.run({"a": 0.15625, "m": 2.5, "g": 9.81}, until=0.3).trace
+    free = [arc for arc in trace.arcs if arc.mode[1] == "free"]
+    landed = [jump.t for jump in trace.jumps if jump.cause == "touchdown"]
+    assert any(arc.start.high > landed[0] for arc in free)
+    for arc in free:
+        assert (arc.unknowns(np.linspace(0.0, arc.duration, 9))[:, -2:] == 0.0).all()
+
+
+CLOSING = """
+kind: scene
+name: closing
+parameters: {V: 0.1875, r: 0.02}
+bodies:
+  ball: {mass: 0.1, inertia: 0.00002, start: {x: r, dx: 1}}
+surfaces:
+  left: {line: [[0, 1], [0, -1]]}
+  right: {line: [[1 + 2*r, -1], [1 + 2*r, 1]], displacement: [-V*time, 0]}
+contacts:
+  one: {point: {body: ball}, radius: r, surface: left, friction: 0, modes: [free, slide],
+    restitution: 0, impact: moreau}
+  two: {point: {body: ball}, radius: r, surface: right, friction: 0, modes: [free, slide],
+    restitution: 0, impact: moreau}
+stop: {time: 6}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+def test_what_walls_close_on_ends_the_run():
+    trace = Runner(interpret(read_text(CLOSING))).run(throw=False).trace
+    assert trace.outcome is Outcome.UNSOLVED_IMPULSES
+    assert "no impulses keep two out" in trace.message
+    assert 1 / 0.1875 < trace.t_end < 1 / 0.1875 + 0.02
