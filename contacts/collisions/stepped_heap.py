@@ -93,9 +93,10 @@ class SteppedHeap:
         """Return what a body touches the deepest since the last step, and how it is to move."""
         b, touches = self._names.index(body), self._room.touches
         mine = [i for i in range(int(self._memory.many[0])) if b in touches.bodies[i].tolist()]
-        if not mine:
+        i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]), default=-1)
+        # Deeper than all that it touches is what is in the middle of others' pieces.
+        if i < 0 or self._memory.contacts[i, 0] > self._least[b]:
             return None
-        i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]))
         depth, (nx, ny) = -float(self._memory.contacts[i, 0]), touches.rows[i, 0, :2].tolist()
         one, other = touches.bodies[i].tolist()
         sign, partner = (1.0, other) if one == b else (-1.0, one)

@@ -221,6 +221,15 @@ def between(
     return _polygons(one, one_centre, other, other_centre, within, found, features)
 
 
+@part
+def _reach(corners: Array, middle: Array) -> float:
+    """Return how far a polygon reaches from its middle, whichever corner is its first."""
+    most = 0.0
+    for i in range(len(corners)):
+        most = max(most, norm(corners[i, 0] - middle[0], corners[i, 1] - middle[1]))
+    return most
+
+
 @late
 def _polygons(
     one: Array, centre: Array, other: Array, beside: Array, within: float, found: Array,
@@ -233,8 +242,7 @@ def _polygons(
     second, edge_of_other = _farthest(other, one)
     if second > within:
         return 0
-    width = norm(one[0, 0] - centre[0], one[0, 1] - centre[1])
-    width = min(width, norm(other[0, 0] - beside[0], other[0, 1] - beside[1]))
+    width = min(_reach(one, centre), _reach(other, beside))
     if second > first + _PREFERRED * width:
         count = _clipped(other, edge_of_other, one, within, True, found, features)
     else:

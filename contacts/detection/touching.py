@@ -204,6 +204,11 @@ def _met(
         s = pair.q - len(pieces.sizes)
         count, crosses = on_surface(numbers, ground, look, pair.p, s, times.h, found, features)
         _note(points, PASSED, crosses)
+    # How deep a piece is counts where no face of it is left to touch, too.
+    for at in range(count):
+        look.gaps[pair.body] = min(look.gaps[pair.body], found[at, 4])
+        if pair.other >= 0:
+            look.gaps[pair.other] = min(look.gaps[pair.other], found[at, 4])
     if pieces.begins[pair.body + 1] - pieces.begins[pair.body] > 1:
         count = exposed(pieces, look.centres, look.world, pair.p, -1.0, found, features, count)
     if pair.whole and pieces.begins[pair.other + 1] - pieces.begins[pair.other] > 1:
@@ -373,9 +378,6 @@ def touching(
             while at_old < memory.many[0] and keys[at_old, 0] < pair.key:
                 at_old += 1
             for at in range(near):
-                look.gaps[pair.body] = min(look.gaps[pair.body], found[at, 4])
-                if pair.other >= 0:
-                    look.gaps[pair.other] = min(look.gaps[pair.other], found[at, 4])
                 if _takes_part(
                     numbers, ground, memory, look, pair, times, at, at_old, m, points, touches
                 ):

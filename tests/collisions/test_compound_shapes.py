@@ -337,3 +337,12 @@ def test_a_compound_that_starts_in_something_is_told_in_what(start, words):
         Runner(read_text(text, "c.yaml")).start()
     assert "body 'bell' starts " + words in str(caught.value)
     assert caught.value.line == 6
+
+
+def test_what_starts_where_pieces_meet_is_inside():
+    # Of two boxes side by side it is nearest to the sides that they cover of each other.
+    boxes = shaped(box(-1, 0, -0.5, 0.5), box(0, 1, -0.5, 0.5))
+    small = "mass: 1, inertia: 1, shape: {polygon: [[-0.05, -0.05], [0.05, -0.05], [0, 0.1]]}"
+    bodies = {"boxes": (boxes, "y: 0.5"), "small": (small, "x: 0.02, y: 0.6")}
+    with pytest.raises(DeclarationError, match=r"starts 0\.07 deep in another body"):
+        run(scene(bodies, FLOOR))

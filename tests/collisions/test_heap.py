@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -169,6 +170,24 @@ def test_contacts_of_two_squares_agree_with_their_corners(x, y, one_angle, other
         n = found[0, :2]
         separation = (one @ n).min() - (other @ n).max()
         assert found[:count, 4].min() >= separation - 1e-9
+
+
+def test_which_corner_is_listed_first_decides_nothing():
+    # A bar on its way down to the long side of a tooth: either could be the face that is touched.
+    tooth, bar = np.array([[0.0, 0.0], [0.3, 0.0], [0.0, 1.0]]), SQUARE * [0.05, 1.0]
+    lean, middle = math.atan2(0.3, 1.0), tooth.mean(axis=0)
+    beside = np.array([0.15 + 0.05 * math.cos(lean), 0.5 + 0.05 * math.sin(lean)])
+    for turn in np.linspace(-3e-3, 3e-3, 61):
+        placed, answers = place(bar, *beside, lean + turn), []
+        for first in range(3):
+            found = np.zeros((16, FOUND))
+            count = between(
+                np.roll(tooth, first, axis=0), middle, 0.0, placed, beside, 0.0, 0.1, found,
+                np.zeros(16, dtype=np.int64),
+            )  # fmt: skip
+            answers.append(sorted(found[:count].tolist()))
+        assert len(answers[0]) == 2
+        assert np.ptp(answers, axis=0) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_hundred_grains_collapse_without_sinking_into_each_other():
