@@ -30,6 +30,8 @@ from statechart.kernels.tapes import BLOCK, filled
 # In a step in which no body goes so far, in parts of the smallest one's size, none passes another
 # or is deep in it.
 _FAR = 0.1
+# Impulses are known to this part of the largest that presses a body, whatever is allowed.
+_LEAST = 1e-9
 
 
 @beside
@@ -44,12 +46,18 @@ def _kept(
         chunk.gaps[k, b] = room.look.gaps[b]
         chunk.struck[k, b] = False
         chunk.codes[k, b] = FREE
+        room.borne[b] = 0.0
         chunk.impulses[k, b, 0] = chunk.impulses[k, b, 1] = 0.0
     chunk.approach[k], chunk.closing[k] = max(seen.approach, seen.turned), seen.closing
     chunk.passed[k] = seen.passed
     memory.many[0] = seen.contacts
     memory.past[0], memory.past[1] = chunk.h, max(memory.past[1], seen.approach)
     memory.past[2] = max(memory.past[2], chunk.h * seen.approach)
+    for i in range(seen.contacts):
+        for b in touches.bodies[i]:
+            if b >= 0 and not room.bounces[i]:
+                room.borne[b] = max(room.borne[b], pressed[i, 0])
+    least = max(allowed, _LEAST)
     for i in range(seen.contacts):
         pn, pt = pressed[i]
         lasts = pn > 0.0 and not room.bounces[i]
@@ -77,9 +85,11 @@ def _kept(
                 chunk.struck[k, b] = True
                 chunk.impulses[k, b, 0] += pn
                 chunk.impulses[k, b, 1] += pt if side == 0 else -pt
-            if lasts and sticks:
+            # What bears less of what presses a body most is rounding: it touches not.
+            bears = lasts and pn > least * room.borne[b]
+            if bears and sticks:
                 chunk.codes[k, b] = PIN
-            elif lasts and chunk.codes[k, b] == FREE:
+            elif bears and chunk.codes[k, b] == FREE:
                 chunk.codes[k, b] = SLIDE
 
 

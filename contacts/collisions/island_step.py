@@ -46,6 +46,8 @@ class Room(NamedTuple):
         Which of them do.
     parents, local : (b,) array of int, begins : (b + 1,), order : (c,)
         See `contacts.collisions.islands`.
+    borne : (b,)
+        The largest impulse that presses a body.
     worst : (4,)
         What lasts: of all islands whose impulses missed what was allowed, that with the largest
         ratio of masses: this ratio, its lightest and its heaviest body, the residual.
@@ -67,6 +69,7 @@ class Room(NamedTuple):
     local: Ints
     begins: Ints
     order: Ints
+    borne: Array
     worst: Array
     earlier: Memory
 
@@ -89,6 +92,7 @@ class Room(NamedTuple):
             np.empty(count, np.int64),
             np.empty(count + 1, np.int64),
             np.empty(most, np.int64),
+            np.empty(count),
             np.zeros(4),
             memory.copy(),
         )

@@ -166,7 +166,7 @@ def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
     fall = np.array([*numbers.gravity, 0.0])
     for arc in trace.arcs:
         assert arc.solved is not None  # steps have numbers
-        free = np.array([state == "free" for state in arc.mode])
+        free = np.array([state == "free" for state in arc.mode[:count]])
         # The halves of a step with an impact show one mode each, and the forces of the step.
         whole = step_ends(trace, arc)
         off = np.abs(arc.solved[whole, : 3 * count].reshape(-1, count, 3)[:, free] - fall)
