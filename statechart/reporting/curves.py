@@ -110,14 +110,25 @@ def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
 
 
 def busy_until(trace: Trace, samples: Samples, panels: Iterable[Panel]) -> float:
-    """Return when nothing that is drawn changes any more, and a little later; at most the end."""
+    """Return when nothing changes any more, and a little later; at most the end.
+
+    What is left out of a panel changes where that could be seen in it.
+    """
     events = [jump.t for jump in trace.jumps if jump.t < trace.t_end]
     last = max(events, default=0.0)
-    for name in dict.fromkeys(name for panel in panels for name in panel.names):
-        values = np.nan_to_num(samples.columns[name], posinf=0.0, neginf=0.0)
-        moving = np.flatnonzero(np.abs(values - values[-1]) > _STILL * np.ptp(values))
-        if len(moving):
-            last = max(last, float(samples.t[min(moving[-1] + 1, len(values) - 1)]))
+    for panel in panels:
+        columns = [
+            np.nan_to_num(samples.columns[name], posinf=0.0, neginf=0.0)
+            for name in (*panel.names, *panel.left_out)
+            if name in samples.columns
+        ]
+        spans = [float(np.ptp(values)) for values in columns]
+        widest = max(spans[: len(panel.names)], default=np.inf)
+        for place, values in enumerate(columns):
+            span = spans[place] if place < len(panel.names) else widest
+            moving = np.flatnonzero(np.abs(values - values[-1]) > _STILL * span)
+            if len(moving):
+                last = max(last, float(samples.t[min(moving[-1] + 1, len(values) - 1)]))
     end = (1.0 + _REST) * last
     return end if 0.0 < end < (1.0 - _SAVED) * trace.t_end else trace.t_end
 
