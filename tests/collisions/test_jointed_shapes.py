@@ -214,6 +214,67 @@ settings: {engine: impulse, step: 1e-3}
     assert slips.final[1] < 0.3
 
 
+def hung(angles):
+    """Return centres of bars that hang in a chain, and corners of the last, with Jacobians."""
+    place, ways, centres, corners = np.zeros(2), np.zeros((2, len(angles))), [], []
+    for k, angle in enumerate(angles):
+        down = 0.25 * np.array([math.sin(angle), -math.cos(angle)])
+        turn = np.array([-down[1], down[0]])
+        middle = ways.copy()
+        middle[:, k] += turn
+        centres.append((place + down, middle))
+        corners = []
+        for x, y in ((-0.02, -1), (0.02, -1), (-0.02, 1), (0.02, 1)):
+            side = x * np.array([math.cos(angle), math.sin(angle)]) - y * down
+            moved = middle.copy()
+            moved[:, k] += -side[1], side[0]
+            corners.append((place + down + side, moved))
+        place, ways = place + 2 * down, ways.copy()
+        ways[:, k] += 2 * turn
+    return centres, corners
+
+
+def chained(count, angle, ground, time, e):
+    """Return when a chain of bars strikes the ground without friction, and its angles then."""
+
+    def masses(angles):
+        return sum(ways.T @ ways for _, ways in hung(angles)[0]) + np.eye(count) * 0.25 / 12
+
+    def rates(_, state):
+        angles, turns = state[:count], state[count:]
+        near = hung(angles + 1e-6 * turns)[0], hung(angles - 1e-6 * turns)[0]
+        forces = np.zeros(count)
+        for (_, ways), (_, later), (_, sooner) in zip(hung(angles)[0], *near, strict=True):
+            forces -= ways.T @ ((later - sooner) @ turns / 2e-6 + np.array([0.0, G]))
+        return np.concatenate([turns, np.linalg.solve(masses(angles), forces)])
+
+    def above(_, state):
+        return min(corner[1] for corner, _ in hung(state[:count])[1]) - ground
+
+    above.terminal, above.direction = True, -1
+    state, now, times = np.concatenate([np.full(count, angle), np.zeros(count)]), 0.0, []
+    while True:
+        found = solve_ivp(rates, (now, time), state, events=above, rtol=1e-8, atol=1e-9)
+        state, now = found.y[:, -1].copy(), found.t[-1]
+        if found.status == 0:
+            return times, state[:count]
+        _, ways = min(hung(state[:count])[1], key=lambda corner: corner[0][1])
+        freed = np.linalg.solve(masses(state[:count]), ways[1])
+        state[count:] -= (1 + e) * (ways[1] @ state[count:]) / (ways[1] @ freed) * freed
+        times.append(now)
+
+
+def test_a_chain_swings_down_and_strikes_the_ground():
+    times, angles = chained(3, 1.2, -1.2, 0.65, 0.5)
+    assert len(times) == 2
+    for step in (1e-3, 2.5e-4):
+        text = chain(3, step=step, time=0.65, ground=-1.2)
+        text = text.replace("friction: 0.5, restitution: 0", "friction: 0, restitution: 0.5")
+        trace = run(text).trace
+        assert [jump.t for jump in trace.jumps] == pytest.approx(times, abs=step)
+        assert trace.final[[2, 5, 8]] == pytest.approx(angles, abs=2 * step)
+
+
 @pytest.mark.parametrize("change", [mirrored, rescaled])
 def test_transformed_chains_move_alike(change):
     declared = interpret(read_text(chain(3, time=0.9, ground=-1.2)))
