@@ -27,6 +27,8 @@ _NAMED = 2
 _MOST_PANELS = 4
 # Relative to the largest value: below this a curve is the rounding of zero.
 _NOTHING = 1e-9
+# In parts by which impulses miss their laws: of the fastest, a speed below this is what is left.
+_MISSED = 10.0
 # Of a force, in its tolerances: what is less is none.
 _FORCE = 10.0
 # What changes by less than this part of its range does not change any more.
@@ -160,21 +162,27 @@ def without_rounding(automaton: Automaton, trace: Trace, samples: Samples) -> Sa
     """Return samples whose columns are zero where they are the rounding of zero.
 
     That is told beside the largest of their kind, beside a radian, and beside speeds that in all of
-    the run go as far as that.
+    the run go as far as that. Of steps speeds, and angles, are known to what impulses miss.
     """
     columns = dict(samples.columns)
     groups: dict[str, list[str]] = {}
     for name in columns:
         groups.setdefault(automaton.declaration.quantity(name).dimension, []).append(name)
-    length = max((largest(columns[name]) for name in groups.get("length", ())), default=0.0)
+    length, speed = (
+        max((largest(columns[name]) for name in groups.get(dimension, ())), default=0.0)
+        for dimension in ("length", "length/time")
+    )
     usual = {"angle": 1.0}
     if trace.t_end > 0.0:
-        usual |= {"length/time": length / trace.t_end, "angle/time": 1.0 / trace.t_end}
+        turning = max(1.0 / trace.t_end, speed / length if length > 0.0 else 0.0)
+        usual |= {"length/time": length / trace.t_end, "angle/time": turning}
+    known = max(_NOTHING, _MISSED * trace.tolerances.get("impulse", 0.0))
     for dimension, names in groups.items():
         if not dimension:
             continue
         found = max(largest(columns[name]) for name in names)
-        nothing = _NOTHING * max(found, usual.get(dimension, 0.0))
+        part = known if dimension in ("angle", "length/time", "angle/time") else _NOTHING
+        nothing = part * max(found, usual.get(dimension, 0.0))
         if dimension == "force":
             nothing = max(nothing, _FORCE * trace.tolerances.get("force", 0.0))
         for name in names:

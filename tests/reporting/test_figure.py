@@ -16,7 +16,7 @@ from statechart.engines.taylor import Taylor
 from statechart.errors import StatechartError
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
-from statechart.loading.load import interpret, load
+from statechart.loading.load import load
 from statechart.observation.observer import Observer
 from statechart.palette import region_colours, state_colours
 from statechart.reporting.bands import banded
@@ -83,27 +83,6 @@ def test_variables_of_a_chart_are_apart_by_their_units() -> None:
     assert band.get_xlabel() == "time in s; until the end at 20 nothing happens any more"
     # Broken at every bounce, and nowhere else.
     assert np.isnan(height.get_ydata()).sum() == len({jump.j for jump in trace.jumps})
-
-
-def test_time_goes_on_as_long_as_what_is_not_drawn_moves() -> None:
-    # Six bodies fall farther than the plate that they lie on then is shaken: heights are drawn.
-    text = """
-kind: scene
-name: plate
-gravity: 10
-bodies:
-  box: {copies: 6, mass: 1, inertia: 1, start: {x: 3*index, y: 2},
-    shape: {polygon: [[-1, -1], [1, -1], [1, 1], [-1, 1]]}}
-surfaces: {plate: {height: 0, displacement: [0.3*(1 - cos(2*time)), 0]}}
-collisions: {all: {bodies: [box], surfaces: [plate], friction: 1, restitution: 0}}
-stop: {time: 5}
-settings: {engine: impulse, step: 1e-2}
-"""
-    result = Runner(interpret(read_text(text))).run()
-    assert result.trace.jumps[-1].t < 2.0
-    drawing = figure(result.observer, result.trace)
-    assert "box0.x" not in labels(drawing.axes[0])
-    assert drawing.axes[-1].get_xlabel() == "time"
 
 
 def test_every_state_of_the_band_is_named(observer: Observer, trace: Trace) -> None:
