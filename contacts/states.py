@@ -77,3 +77,11 @@ STATES = {
 def undetermined(names: Iterable[str]) -> str:
     """Return what is told of contacts whose forces the motion leaves open."""
     return f"the forces of {', '.join(names)} are indeterminate: the smallest are shown"
+
+
+def implied_joints(names: Iterable[str]) -> str:
+    """Return what is said of joints that others imply, by the names of their rows."""
+    return (
+        f"other joints imply {' and '.join(map(repr, dict.fromkeys(names)))}: the motion is "
+        "determined, how they share the forces is not"
+    )

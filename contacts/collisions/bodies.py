@@ -7,13 +7,13 @@ equations are composed: what moves a body are gravity and the impulses of its co
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import get_args
 
 import numpy as np
 
 from contacts.collisions.body_step import step_bodies
-from contacts.collisions.declared_joints import check_closed
+from contacts.collisions.declared_joints import check_closed, implied_remarks
 from contacts.collisions.declared_surfaces import touched
 from contacts.collisions.inside import check_inside
 from contacts.collisions.mechanics import BodyMechanics
@@ -210,6 +210,7 @@ class BodyStepper(Stepper):
             capture=0.0,
             bands={},
             sizes=np.ones(len(initial)),
+            warnings=implied_remarks(scene, bodies.joints, moved),
         )  # fmt: skip
         soon = 1e-6 * length / speed
         begun = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
@@ -234,16 +235,23 @@ class BodyStepper(Stepper):
 
         # One step does not pay to compile it.
         trial = tried() if is_ready(step_bodies) else by_python(tried)
-        for name, margin in trial.margins.items():
-            if margin < -_START_DEPTH * length:
-                body = name.removesuffix(".gap")
-                where, advice = trial.deepest_of(body) or ("another body or a surface", "move it")
-                raise DeclarationProblem(
-                    f"body {body!r} starts {-margin:.6g} deep in {where}",
-                    advice=f"{advice} out",
-                    loc=("bodies", owners[names.index(body)], "start"),
-                )
+        _check_apart(trial, names, owners, _START_DEPTH * length)
         return setup, SteppedHeap(
             names, touched(scene), bodies, around(), law, allowed, DEEPEST * length,
             forces,
         )  # fmt: skip
+
+
+def _check_apart(
+    trial: SteppedHeap, names: Sequence[str], owners: Sequence[str], near: float
+) -> None:
+    """Check that no body is deeper in another or a surface than `near`."""
+    for name, margin in trial.margins.items():
+        if margin < -near:
+            body = name.removesuffix(".gap")
+            where, advice = trial.deepest_of(body) or ("another body or a surface", "move it")
+            raise DeclarationProblem(
+                f"body {body!r} starts {-margin:.6g} deep in {where}",
+                advice=f"{advice} out",
+                loc=("bodies", owners[names.index(body)], "start"),
+            )

@@ -10,11 +10,14 @@ import numpy as np
 from contacts.detection.body_numbers import ALONG_X, ALONG_Y, BOTH, JointNumbers
 from contacts.scene.parts import Point
 from contacts.scene.scene import Scene
+from contacts.solvers.dependence import column_scales, implied, rank
+from contacts.states import implied_joints
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 
 _HOLDS = {("X", "Y"): BOTH, ("X",): ALONG_X, ("Y",): ALONG_Y}
+_HELD = {BOTH: slice(0, 2), ALONG_X: slice(0, 1), ALONG_Y: slice(1, 2)}
 
 
 def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]) -> JointNumbers:
@@ -65,11 +68,10 @@ def check_closed(
         for side in (0, 1):
             b = int(joints.bodies[j, side])
             if b >= 0:
-                c, s = math.cos(at[b, 2]), math.sin(at[b, 2])
-                arm = np.array([[c, -s], [s, c]]) @ joints.at[j, side]
+                arm = _arm(at[b, 2], joints.at[j, side])
                 ends.insert(side, at[b, :2] + arm)
                 moving.insert(side, rates[b, :2] + rates[b, 2] * np.array([-arm[1], arm[0]]))
-        held = {BOTH: slice(0, 2), ALONG_X: slice(0, 1), ALONG_Y: slice(1, 2)}[int(joints.holds[j])]
+        held = _HELD[int(joints.holds[j])]
         apart = float(np.hypot.reduce((ends[0] - ends[1])[held]))
         if apart > near:
             u, v = ends[0].tolist()
@@ -88,3 +90,34 @@ def check_closed(
                 advice=f"add ({u:.6g}, {v:.6g}) to the velocity of the body",
                 loc=("joints", name),
             )
+
+
+def implied_remarks(scene: Scene, joints: JointNumbers, moved: Array) -> tuple[str, ...]:
+    """Return what is said of joints that others imply where a run starts; see `check_closed`."""
+    at, rows, names = moved.reshape(2, -1, 3)[0], [], []
+    for j, name in enumerate(scene.joints):
+        both = np.zeros((2, *at.shape))
+        for side in (0, 1):
+            b = int(joints.bodies[j, side])
+            if b >= 0:
+                x, y = _arm(at[b, 2], joints.at[j, side]).tolist()
+                both[:, b] += (1 - 2 * side) * np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
+        held = both[_HELD[int(joints.holds[j])]]
+        rows.append(held.reshape(len(held), -1))
+        names += [name] * len(held)
+    if not rows:
+        return ()
+    known = np.concatenate(rows)
+    known = known[:, known.any(axis=0)]
+    _, sizes, _ = np.linalg.svd(known * column_scales(known), full_matrices=False)
+    if rank(sizes) == len(known):
+        return ()
+    found = implied(known)
+    return (implied_joints(n for n, more in zip(names, found.tolist(), strict=True) if more),)
+
+
+def _arm(angle: float, at: Array) -> Array:
+    """Return a place in the frame of a body as it is turned."""
+    c, s = math.cos(angle), math.sin(angle)
+    turned: Array = np.array([[c, -s], [s, c]]) @ at
+    return turned

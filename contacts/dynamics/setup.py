@@ -18,6 +18,7 @@ from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
 from contacts.scene.unlikely import unlikely
 from contacts.solvers.dependence import implied
+from contacts.states import implied_joints
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Margin
@@ -243,10 +244,7 @@ class SceneNumbers:
         values = values.copy()
         values[self._redundant] = found
         names = [n for n, implied in zip(self._joint_names, found.tolist(), strict=True) if implied]
-        return values, (
-            f"other joints imply {' and '.join(map(repr, dict.fromkeys(names)))}: the motion is "
-            "determined, how they share the forces is not",
-        )
+        return values, (implied_joints(names),)
 
     def contacts(
         self, values: Array, states: Mapping[str, str] | None = None

@@ -284,6 +284,17 @@ def test_transformed_chains_move_alike(change):
     assert other.final * reading.factors == pytest.approx(one.final, abs=1e-6)
 
 
+def test_joints_that_others_imply_are_told():
+    # The bar is held at both ends; at its ends and its middle a third joint says nothing new.
+    more = "  far: {point: {body: bar0, at: [0, -l/2]}, to: {x: l*sin(a)}}\n"
+    held = chain(1, time=0.1).replace("collisions:", more + "collisions:")
+    assert not run(held).warnings
+    third = held.replace(
+        "collisions:", "  mid: {point: {body: bar0}, to: {y: -l/2*cos(a)}}\ncollisions:"
+    )
+    assert any("other joints imply 'mid'" in words for words in run(third).warnings)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
