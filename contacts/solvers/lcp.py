@@ -191,7 +191,7 @@ def _attempts(matrix: Array, vector: Array) -> Iterator[tuple[int, Bools]]:
     q *= power_of_two(np.abs(q).max(initial=0.0))
     covers = [0.5 + np.modf(np.arange(1, size + 1) * ratio)[0] for ratio in _RATIOS]
     for cover in (np.ones(size), covers[0], np.abs(q) + 2.0**-10, *covers[1:]):
-        outcome, _, basis = lemke(scaled, q, cover, limit)
+        outcome, _, basis = lemke(scaled, q, cover, limit, limit)
         yield outcome, basis
 
 

@@ -103,8 +103,11 @@ def enumerate_bases(matrix: Array, vector: Array, tolerance: float) -> list[int]
 
 
 @part
-def _pivot(table: Array, right: Array, r: int, c: int) -> None:
-    """Exchange the basic variable of row r with the nonbasic one of column c."""
+def _pivot(table: Array, right: Array, r: int, c: int, feasible: bool) -> None:
+    """Exchange the basic variable of row r with the nonbasic one of column c.
+
+    Where what is basic is `feasible`, before and after, what is below zero is rounding.
+    """
     width = table.shape[1]
     inverse = 1.0 / table[r, c]
     for j in range(width):
@@ -124,8 +127,58 @@ def _pivot(table: Array, right: Array, r: int, c: int) -> None:
         terms = abs(right[i]) + abs(change)
         right[i] += change
         # Below zero is rounding, and so is what remains of two equal terms.
-        if right[i] < _CANCELLED * terms:
+        if feasible and right[i] < _CANCELLED * terms:
             right[i] = 0.0
+
+
+@part
+def _exchanged(basic: Ints, nonbasic: Ints, column_of: Ints, r: int, c: int) -> int:
+    """Note that row and column have exchanged their variables; return the one that left."""
+    leaving, entering = basic[r], nonbasic[c]
+    basic[r], nonbasic[c] = entering, leaving
+    column_of[entering], column_of[leaving] = -1, c
+    return leaving
+
+
+@part
+def _begin(
+    matrix: Array, vector: Array, cover: Array, basic: Ints, nonbasic: Ints, column_of: Ints,
+    table: Array, right: Array,
+) -> None:  # fmt: skip
+    """Write the tableau of no pivot."""
+    size = len(vector)
+    put_rows(matrix, table)
+    for i in range(size):
+        table[i, size], right[i] = cover[i], vector[i]
+        basic[i], nonbasic[i], column_of[i], column_of[size + i] = i, size + i, -1, i
+    nonbasic[size], column_of[2 * size] = 2 * size, size
+
+
+@part
+def _made_anew(
+    matrix: Array, vector: Array, cover: Array, basic: Ints, nonbasic: Ints, column_of: Ints,
+    table: Array, right: Array,
+) -> None:  # fmt: skip
+    """Write the tableau of a basis by the largest pivots, without the rounding of its path."""
+    size = len(vector)
+    into = np.zeros(2 * size + 1, np.bool_)
+    for i in range(size):
+        into[basic[i]] = True
+    _begin(matrix, vector, cover, basic, nonbasic, column_of, table, right)
+    while True:
+        r = c = -1
+        for i in range(size):
+            if into[basic[i]]:
+                continue
+            for j in range(size + 1):
+                if into[nonbasic[j]] and (r < 0 or abs(table[i, j]) > abs(table[r, c])):
+                    r, c = i, j
+        if r < 0 or table[r, c] == 0.0:
+            break
+        _pivot(table, right, r, c, False)
+        _exchanged(basic, nonbasic, column_of, r, c)
+    for i in range(size):
+        right[i] = max(right[i], 0.0)
 
 
 @part
@@ -147,10 +200,13 @@ def _lexicographic(
 
 
 @kernel
-def lemke(matrix: Array, vector: Array, cover: Array, limit: int) -> tuple[int, Array, Bools]:
+def lemke(
+    matrix: Array, vector: Array, cover: Array, limit: int, often: int
+) -> tuple[int, Array, Bools]:
     """Return (outcome, z, basic ones of z).
 
-    Variables are numbered w: 0 to n - 1, z: n to 2 n - 1, the artificial one: 2 n.
+    Variables are numbered w: 0 to n - 1, z: n to 2 n - 1, the artificial one: 2 n. Pivots add up
+    their rounding: after each `often` of them the tableau is made anew; there are `limit` at most.
     """
     size = len(vector)
     z = np.zeros(size)
@@ -161,28 +217,22 @@ def lemke(matrix: Array, vector: Array, cover: Array, limit: int) -> tuple[int, 
             r = i
     if r < 0:
         return FOUND, z, basis
-    table = np.empty((size, size + 1))
-    put_rows(matrix, table)
-    for i in range(size):
-        table[i, size] = cover[i]
-    right = vector.copy()
-    basic = np.arange(size)
-    nonbasic = np.arange(size, 2 * size + 1)
-    column_of = np.full(2 * size + 1, -1)
-    for i in range(size + 1):
-        column_of[size + i] = i
+    table, right = np.empty((size, size + 1)), np.empty(size)
+    basic, nonbasic = np.empty(size, np.int64), np.empty(size + 1, np.int64)
+    column_of = np.empty(2 * size + 1, np.int64)
+    _begin(matrix, vector, cover, basic, nonbasic, column_of, table, right)
     c = size
-    for _ in range(limit):
-        _pivot(table, right, r, c)
-        leaving, entering = basic[r], nonbasic[c]
-        basic[r], nonbasic[c] = entering, leaving
-        column_of[entering], column_of[leaving] = -1, c
+    for pivot in range(limit):
+        _pivot(table, right, r, c, True)
+        leaving = _exchanged(basic, nonbasic, column_of, r, c)
         if leaving == 2 * size:
             for i in range(size):
                 if basic[i] >= size:
                     z[basic[i] - size] = right[i]
                     basis[basic[i] - size] = True
             return FOUND, z, basis
+        if pivot % often == often - 1:
+            _made_anew(matrix, vector, cover, basic, nonbasic, column_of, table, right)
         c = column_of[leaving - size if leaving >= size else leaving + size]
         smallest = -_SMALLEST_PIVOT * np.abs(table[:, c]).max()
         least = math.inf

@@ -39,6 +39,13 @@ def test_what_is_in_the_way_after_a_step_tells_whether_it_was_too_long(seed):
     assert_energy_of_steps(numbers, subject, trace)
 
 
+@pytest.mark.parametrize("seed", [144, 249, 274, 390, 412, 468, 860, 939])
+def test_heaps_of_six_decades_of_masses_miss_no_law(seed):
+    """Each of them had steps above the tolerance, at up to 1 of the fastest approach."""
+    trace = Runner(interpret(read_text(heap(seed)))).run().trace
+    assert trace.counts["inexact_steps"] == 0
+
+
 def test_dice_that_wedge_are_solved_to_the_tolerance():
     # Two corners of a face press a die between others: Lemke's bases are singular there.
     trace = Runner("dice").run({"mu": 0.05612329752074041}, until=0.7).trace

@@ -96,6 +96,28 @@ def test_a_wall_between_posts_is_solved_from_nothing(mu, seed):
     assert taken > 0
 
 
+def of_all_masses(contacts, generator):
+    """Return contacts of bodies whose masses span six decades."""
+    last = contacts.places.max()
+    masses = 10.0 ** generator.uniform(-3, 3, last // 3)
+    inverse = np.outer(1.0 / masses, [1.0, 1.0, 2.0]).ravel()
+    columns = contacts.rows * np.append(inverse, 0.0)[contacts.places][:, None]
+    own = [(contacts.rows[:, a] * columns[:, b]).sum(-1) for a, b in ((0, 0), (1, 1), (0, 1))]
+    return contacts._replace(columns=columns, own=np.stack(own, 1))
+
+
+@pytest.mark.parametrize("mu", [5.0, 500.0])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_wall_whose_masses_span_six_decades_is_solved(mu, seed):
+    """Heavy bricks on light ones: of the tableau of Lemke's algorithm ten pivots leave nothing."""
+    generator = np.random.default_rng(seed)
+    contacts, free = wall(4, 3, mu, generator)
+    contacts, impulses = of_all_masses(contacts, generator), np.zeros_like(free)
+    left, _ = solved(contacts, free, impulses, 1e-8)
+    assert left <= 1e-8
+    assert missed(contacts, free, impulses) <= 1e-8
+
+
 def test_what_is_solved_takes_nothing():
     contacts, free = wall(8, 5, 0.5, np.random.default_rng(3))
     impulses = np.zeros_like(free)
