@@ -44,6 +44,9 @@ _VERIFIED = 1e-10
 # few steps; so many at all, where they are not of bodies; and by Lemke's algorithm.
 _EXACT, _RESTS, _DENSE, _MANY, _LEMKE = 8, 24, 100, 1000, 64
 _FEW_STEPS = 2
+# How often the part of a push-out is looked for whose work is within the bound; what it then is
+# above that, in parts of the impulses, is rounding, and taken from them.
+_NEARER, _AT_BOUND = 3, 1e-12
 # A residual that is rounding, where less is asked for: impulses with it are those of the laws.
 _GOOD = 1e-8
 # Bodies that a contact of bodies moves; those of a dense problem move more, which are none.
@@ -231,7 +234,9 @@ def _rebounding(
     if left > good and calm < left:
         put_rows(plastic, impulses)
         return calm, done + further, True
-    chosen, share = capped(before, free, plastic, impulses, _velocities(contacts, plastic), changes)
+    chosen, share = capped(
+        before, free, plastic, impulses, _velocities(contacts, plastic), changes, 0.0
+    )
     put_rows(chosen, impulses)
     return left if share == 1.0 else max(left, calm), done + further, False
 
@@ -241,6 +246,45 @@ def _pushed(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bo
     """Whether a contact is to be pushed out, or back along its surface."""
     asked = wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0
     return asked and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
+
+
+@late
+def _pushed_in_part(
+    contacts: ContactRows, before: Array, free: Array, calmer: Array, wanted: Array,
+    rebounds: Bools, full: Array, impulses: Array, allowed: float, bound: float, left: float,
+    softened: bool,
+) -> tuple[float, int, bool]:  # fmt: skip
+    """Push out as far as the work of impulses is within the bound; see `island_impulses`.
+
+    Parameters
+    ----------
+    full : (m, 2)
+        Impulses that do what is `wanted`, and too much work; is overwritten.
+    impulses : (m, 2)
+        Those that do what is `calmer`; what is found, in place.
+    left, softened
+        Of these; of what is found they are returned, and iterations between them.
+    """
+    asked, done = wanted, 0
+    for _ in range(_NEARER):
+        chosen, share = capped(
+            before, free, impulses, full, _velocities(contacts, impulses),
+            _velocities(contacts, full), bound,
+        )  # fmt: skip
+        asked = calmer + share * (asked - calmer)
+        missed, further, soft = _rebounding(
+            contacts, before, free, asked, rebounds, chosen, allowed, False
+        )
+        done += further
+        if missed > allowed:
+            break
+        within = part_within(chosen, before, free, _velocities(contacts, chosen), bound)
+        if within >= 1.0 - _AT_BOUND:
+            put_rows(chosen, impulses)
+            return missed, done, soft
+        # With another status the work is not the same parabola.
+        put_rows(chosen, full)
+    return left, done, softened
 
 
 @beside
@@ -299,6 +343,12 @@ def island_impulses(
         )
         done += further
         if calm <= max(left, allowed):
+            if max(left, calm) <= allowed:
+                calm, further, soft = _pushed_in_part(
+                    contacts, before, free, calmer, wanted, rebounds, impulses, other, allowed,
+                    bound, calm, soft,
+                )  # fmt: skip
+                done += further
             left, softened = calm, soft
             put_rows(other, impulses)
             share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)

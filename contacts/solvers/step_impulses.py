@@ -154,7 +154,7 @@ def _cap(
         if (rebounds & group).any():
             own = indices(group)
             found, _ = capped(
-                before[own], free[own], rest[own], full[own], slower[own], faster[own]
+                before[own], free[own], rest[own], full[own], slower[own], faster[own], 0.0
             )
             for a in range(len(own)):
                 put(found[a], pushes[own[a]])
@@ -250,11 +250,12 @@ def capped(
     elastic: Array,
     moved_plastic: Array,
     moved_elastic: Array,
+    bound: float,
 ) -> tuple[Array, float]:
     """Return impulses between plastic and elastic, and the share of the way, that add no energy.
 
     The work of impulses on the bodies in a step is ``P (U+ + U-) / 2``, a convex function of the
-    share; the largest share is taken at which it is not above that of the plastic ones, or zero.
+    share; the largest share is taken at which it is not above that of the plastic ones, or a bound.
 
     Parameters
     ----------
@@ -262,10 +263,12 @@ def capped(
         Velocities of the contacts before the step, and after it without impulses.
     plastic, elastic, moved_plastic, moved_elastic : (m, 2)
         Impulses, and how they change these velocities.
+    bound : float
+        Not below zero.
     """
     begin = _work_at(before, free, plastic, moved_plastic)
     end = _work_at(before, free, elastic, moved_elastic)
-    limit = max(begin, 0.0) + _WORK_ROUNDING * _sizes(before, free, elastic)
+    limit = max(begin, bound) + _WORK_ROUNDING * _sizes(before, free, elastic)
     if end <= limit:
         return elastic, 1.0
     curvature, chosen = 0.0, np.empty((len(elastic), 2))

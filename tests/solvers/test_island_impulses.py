@@ -1,0 +1,50 @@
+"""The impulses of an island against closed forms: what is pushed out of something else."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from contacts.solvers.contact_rows import ContactRows
+from contacts.solvers.island_impulses import island_impulses
+from statechart.kernels.jit import kernel
+
+
+@kernel
+def found(contacts, before, free, wanted, rebounds, impulses, allowed, bound):
+    """Call from Python what kernels alone call."""
+    return island_impulses(contacts, before, free, wanted, rebounds, impulses, allowed, bound)
+
+
+def pushed(mass, fall, back, bound):
+    """Return the impulse on a disc at rest on the ground, which gravity makes as fast as `fall`.
+
+    It is to be sent back out of the ground.
+    """
+    rows = np.zeros((1, 2, 6))
+    rows[0, 0, 1], rows[0, 1, 0], rows[0, 1, 2] = 1.0, 1.0, 1.0
+    own = np.array([[1.0, 3.0, 0.0]]) / mass
+    columns = rows * (np.array([1.0, 1.0, 2.0, 0.0, 0.0, 0.0]) / mass)
+    places = np.array([[0, 1, 2, 3, 3, 3]])
+    contacts = ContactRows(places, rows, columns, own, np.array([[1.0, 0.5]]))
+    free, wanted = np.array([[-fall, 0.0]]), np.array([[-back, 0.0]])
+    impulses, rest = np.zeros((1, 2)), np.zeros((1, 2))
+    left, _, _ = found(contacts, rest, free, wanted, np.array([False]), impulses, 1e-6, bound)
+    assert left <= 1e-6
+    return impulses[0].tolist()
+
+
+@pytest.mark.parametrize("mass", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("fall", [1e-3, 1.0])
+def test_what_is_pushed_out_with_too_much_energy_goes_as_far_as_the_bound_allows(mass, fall):
+    """Of the speed u it takes the work of m u (u + v) / 2, which may be m v^2 / 8."""
+    speed = 0.5 * (math.sqrt(2.0) - 1.0) * fall
+    expected = [mass * (fall + speed), 0.0]
+    assert pushed(mass, fall, 0.5 * fall, mass * fall**2 / 8.0) == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_is_within_the_bound_is_pushed_out_whole_and_without_one_not_at_all():
+    assert pushed(2.0, 1.0, 0.2, 0.25) == pytest.approx([2.4, 0.0], rel=1e-12)
+    assert pushed(2.0, 1.0, 0.5, 0.0) == pytest.approx([2.0, 0.0], rel=1e-6)
