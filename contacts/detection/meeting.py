@@ -16,6 +16,8 @@ from statechart.kernels.jit import late, part
 _ARRIVED = 0.01
 # The cosine of the angle by which the normal of a hit may turn from its look to the touch.
 _ALIKE = 0.8
+# Of what turns the instant of touching is known to this part of the time in which it is looked for.
+_LOOKS = 256
 # What came in by another side than it leaves by has crossed for this part of a step at most.
 _ELSEWHERE = 0.5
 
@@ -58,6 +60,18 @@ def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -
 
 
 @part
+def turning(numbers: BodyNumbers, look: Look, one: int, other: int) -> float:
+    """Return how fast turning brings parts of two pieces nearer, which their middles do not tell.
+
+    What is round turns nothing.
+    """
+    pieces, total = numbers.pieces, 0.0
+    for p in (one, other):
+        total += abs(look.old[pieces.bodies[p], 2]) * (pieces.spans[p] - pieces.cores[p])
+    return total
+
+
+@part
 def _moved(pieces: PieceNumbers, p: int, pose: Array) -> tuple[Array, Array, float]:
     """Return corners, middle and radius of a piece of a body that is there."""
     x, y, angle = pose
@@ -66,15 +80,25 @@ def _moved(pieces: PieceNumbers, p: int, pose: Array) -> tuple[Array, Array, flo
 
 
 @part
-def _met(
-    numbers: BodyNumbers,
-    places: Array,
-    velocities: Array,
-    pair: tuple[int, int],
-    later: float,
-    normal: tuple[float, float],
+def _points(
+    numbers: BodyNumbers, look: Look, pair: tuple[int, int], later: float, within: float,
     found: Array,
-) -> tuple[float, float]:
+) -> int:  # fmt: skip
+    """Find the points where two pieces are this near that have moved on as they do."""
+    pieces, (p, q) = numbers.pieces, pair
+    one, other = pieces.bodies[p], pieces.bodies[q]
+    corners, middle, radius = _moved(pieces, p, look.places[one] + later * look.old[one])
+    others, beside, rim = _moved(pieces, q, look.places[other] + later * look.old[other])
+    return between(
+        corners, middle, radius, others, beside, rim, within, found, np.empty(len(found), np.int64)
+    )
+
+
+@part
+def _met(
+    numbers: BodyNumbers, look: Look, pair: tuple[int, int], later: float,
+    normal: tuple[float, float], found: Array,
+) -> tuple[float, float]:  # fmt: skip
     """Return how two pieces touch that have moved on as they do: gap, cosine to a normal.
 
     The gap is inf, and the cosine 1, where they are far apart.
@@ -82,8 +106,8 @@ def _met(
     Parameters
     ----------
     numbers : BodyNumbers
-    places, velocities : (b, 3) array
-        Of their bodies, at the time zero.
+    look : Look
+        Where their bodies are, and how fast, at the time zero.
     pair : (int, int)
         Which pieces.
     later : float
@@ -94,18 +118,40 @@ def _met(
         Is overwritten.
     """
     one, other = numbers.pieces.bodies[pair[0]], numbers.pieces.bodies[pair[1]]
-    first, second = places[one] + later * velocities[one], places[other] + later * velocities[other]
-    within = 2.0 * abs(later) * (np.abs(velocities[one]).max() + np.abs(velocities[other]).max())
-    corners, middle, radius = _moved(numbers.pieces, pair[0], first)
-    others, beside, rim = _moved(numbers.pieces, pair[1], second)
-    count = between(
-        corners, middle, radius, others, beside, rim, within, found, np.empty(len(found), np.int64)
-    )
+    fastest = np.abs(look.old[one]).max() + np.abs(look.old[other]).max()
+    count = _points(numbers, look, pair, later, 2.0 * abs(later) * fastest, found)
     gap, along = math.inf, 1.0 if count == 0 else -1.0
     for p in range(count):
         gap = min(gap, found[p, 4])
         along = max(along, found[p, 0] * normal[0] + found[p, 1] * normal[1])
     return gap, along
+
+
+@part
+def _touch(
+    numbers: BodyNumbers, look: Look, pair: tuple[int, int], begin: float, end: float, near: float,
+    aside: Array,
+) -> float:  # fmt: skip
+    """When two pieces that move and turn are first as near as this; inf if they are not.
+
+    Conservative advancement (Mirtich 1996): no point of them is faster than both bodies and what
+    these turn, so that nothing happens in the time that the gap gives. Against the time where it
+    `end`s before it begins.
+    """
+    pieces, p, q = numbers.pieces, pair[0], pair[1]
+    u, v = look.old[pieces.bodies[p]], look.old[pieces.bodies[q]]
+    fastest = math.hypot(u[0] - v[0], u[1] - v[1])
+    fastest += abs(u[2]) * pieces.spans[p] + abs(v[2]) * pieces.spans[q]
+    way, time = math.copysign(1.0, end - begin), begin
+    least = abs(end - begin) / _LOOKS
+    while (end - time) * way > 0.0:
+        gap = math.inf
+        for k in range(_points(numbers, look, pair, time, math.inf, aside)):
+            gap = min(gap, aside[k, 4])
+        if gap <= near:
+            return time
+        time += way * max((gap - near) / fastest, least)
+    return math.inf
 
 
 @late
@@ -118,10 +164,31 @@ def arrives(
     Ahead of its arrival, or behind, other corners and edges of a fast body are the nearest.
     """
     later = max(gap / nearing, -h)
-    arrived, along = _met(numbers, look.places, look.old, pair, later, normal, aside)
+    arrived, along = _met(numbers, look, pair, later, normal, aside)
     if gap > 0.0 and not arrived <= _ARRIVED * gap:
         return False, 0.0
     return True, _ELSEWHERE if along < _ALIKE else 0.0
+
+
+@late
+def turns_into(
+    numbers: BodyNumbers, look: Look, pair: tuple[int, int], gap: float, until: float, aside: Array
+) -> bool:
+    """Whether bodies that turn much, and are not beside each other, touch until then."""
+    return _touch(numbers, look, pair, 0.0, until, _ARRIVED * gap, aside) < math.inf
+
+
+@late
+def turned_past(
+    numbers: BodyNumbers, look: Look, pair: tuple[int, int], since: float, deep: float,
+    aside: Array,
+) -> float:  # fmt: skip
+    """Return for how long pieces were so deep in each other since the last look, and in between."""
+    left = _touch(numbers, look, pair, 0.0, -since, -deep, aside)
+    if not -since < left < 0.0:
+        return 0.0
+    begin = _touch(numbers, look, pair, -since, 0.0, -deep, aside)
+    return left - begin if -since < begin else 0.0
 
 
 @late
@@ -130,7 +197,7 @@ def came(
     since: float, aside: Array,
 ) -> float:  # fmt: skip
     """Return for how long a body was in another that it leaves: if it came by another side."""
-    earlier, _ = _met(numbers, look.places, look.old, pair, -since, normal, aside)
+    earlier, _ = _met(numbers, look, pair, -since, normal, aside)
     return _ELSEWHERE if earlier > 0.0 else 0.0
 
 
@@ -187,5 +254,5 @@ def crossing(
         return 0.0
     # They have turned since.
     middle = 0.5 * (begin + end)
-    gap, _ = _met(numbers, look.places, look.old, pair, middle, (1.0, 0.0), aside)
+    gap, _ = _met(numbers, look, pair, middle, (1.0, 0.0), aside)
     return end - begin if gap < 0.0 else 0.0

@@ -13,7 +13,16 @@ from contacts.detection.convex import FOUND, between
 from contacts.detection.ground import POINTS, Ground, carried_along, is_far, on_surface
 from contacts.detection.joints import held
 from contacts.detection.look import TOUCHING, Look
-from contacts.detection.meeting import arrives, came, crossing, nearby, overlap
+from contacts.detection.meeting import (
+    arrives,
+    came,
+    crossing,
+    nearby,
+    overlap,
+    turned_past,
+    turning,
+    turns_into,
+)
 from contacts.detection.seams import exposed
 from contacts.detection.touches import Touches, felt, recalled, turned
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
@@ -105,9 +114,9 @@ class _Pair(NamedTuple):
         Which law they touch by; -1: they do not.
     whole, discs, moves : bool
         Whether both are pieces; both discs; one a surface that moves, and no body.
-    slowly : bool
+    slowly, turns : bool
         Whether the step is short beside how fast pieces move: all that looks closer at what is fast
-        is within its error.
+        is within its error; whether they turn much in it.
     size : float
         Of the smaller one.
     """
@@ -122,6 +131,7 @@ class _Pair(NamedTuple):
     discs: bool
     moves: bool
     slowly: bool
+    turns: bool
     size: float
 
 
@@ -161,12 +171,15 @@ def _paired(numbers: BodyNumbers, look: Look, p: int, q: int, since: float) -> _
         touch = other != b and not held(numbers.joints, b, other)
         material = numbers.laws[numbers.kinds[b], numbers.kinds[other]] if touch else -1
         size, discs = min(pieces.sizes[p], pieces.sizes[q]), pieces.radii[p] * pieces.radii[q] > 0.0
-        slowly = nearby(look.drifts, pieces.sizes, p, q, _CROSSED / since)
-        return _Pair(p, q, b, other, key, material, True, discs, False, slowly, size)
+        turns = since * turning(numbers, look, p, q) > _CROSSED * min(
+            pieces.cores[p], pieces.cores[q]
+        )
+        slowly = not turns and nearby(look.drifts, pieces.sizes, p, q, _CROSSED / since)
+        return _Pair(p, q, b, other, key, material, True, discs, False, slowly, turns, size)
     other = surfaces.carriers[s]
     material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s] if other != b else -1
     moves, size = other < 0 and surfaces.moves[s], pieces.sizes[p]
-    return _Pair(p, q, b, other, key, material, False, False, moves, True, size)
+    return _Pair(p, q, b, other, key, material, False, False, moves, True, False, size)
 
 
 @part
@@ -178,7 +191,11 @@ def _of_pieces(
     radii, cores, firsts, centres = pieces.radii, pieces.cores, pieces.firsts, look.centres
     # Of what grazes the approach is slow.
     core = _CORE if pair.slowly else _WHOLE
-    if pair.discs or nearby(look.drifts, cores, p, q, _CROSSED / since):
+    if pair.turns:
+        deep = (1.0 - core) * (cores[p] + cores[q])
+        past = turned_past(numbers, look, (p, q), since, deep, points.aside)
+        _note(points, PASSED, past / times.h)
+    elif pair.discs or nearby(look.drifts, cores, p, q, _CROSSED / since):
         begin, end = overlap(centres, look.drifts, p, q, core * (cores[p] + cores[q]))
         if -since < begin and begin + end < 0.0:
             _note(points, PASSED, (end - begin) / times.h)
@@ -234,6 +251,9 @@ def _strikes(
             return False
     if alike:
         return True
+    if pair.turns and gap > 0.0:
+        until = (0.5 + BESIDE) * h
+        return turns_into(numbers, look, (pair.p, pair.q), gap, until, points.aside)
     meets, crossed = arrives(
         numbers, look, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.aside
     )
