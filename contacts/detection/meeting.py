@@ -140,7 +140,7 @@ def _touch(
     """
     pieces, p, q = numbers.pieces, pair[0], pair[1]
     u, v = look.old[pieces.bodies[p]], look.old[pieces.bodies[q]]
-    fastest = math.hypot(u[0] - v[0], u[1] - v[1])
+    fastest = norm(u[0] - v[0], u[1] - v[1])
     fastest += abs(u[2]) * pieces.spans[p] + abs(v[2]) * pieces.spans[q]
     way, time = math.copysign(1.0, end - begin), begin
     least = abs(end - begin) / _LOOKS

@@ -193,7 +193,7 @@ def _of_pieces(
     core = _CORE if pair.slowly else _WHOLE
     if pair.turns:
         deep = (1.0 - core) * (cores[p] + cores[q])
-        past = turned_past(numbers, look, (p, q), since, deep, points.aside)
+        past = turned_past(numbers, look, (p, q), min(since, times.h), deep, points.aside)
         _note(points, PASSED, past / times.h)
     elif pair.discs or nearby(look.drifts, cores, p, q, _CROSSED / since):
         begin, end = overlap(centres, look.drifts, p, q, core * (cores[p] + cores[q]))
@@ -322,7 +322,8 @@ def _takes_part(
     if gap < 0.0 and -nearing > slow and not alike:
         # It leaves: if it was not in it at the last look, it came by another side.
         where = (pair.p, pair.q), (point[0], point[1])
-        _note(points, PASSED, came(numbers, look, *where, times.since, points.aside))
+        since = min(times.since, h) if pair.turns else times.since
+        _note(points, PASSED, came(numbers, look, *where, since, points.aside))
     if role == APART:
         return False
     _note(points, APPROACH, nearing)

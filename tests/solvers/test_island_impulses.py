@@ -27,8 +27,7 @@ def pushed(mass, fall, back, bound):
     rows[0, 0, 1], rows[0, 1, 0], rows[0, 1, 2] = 1.0, 1.0, 1.0
     own = np.array([[1.0, 3.0, 0.0]]) / mass
     columns = rows * (np.array([1.0, 1.0, 2.0, 0.0, 0.0, 0.0]) / mass)
-    places = np.array([[0, 1, 2, 3, 3, 3]])
-    contacts = ContactRows(places, rows, columns, own, np.array([[1.0, 0.5]]))
+    contacts = ContactRows(np.array([[0, 1]]), 1, rows, columns, own, np.array([[1.0, 0.5]]))
     free, wanted = np.array([[-fall, 0.0]]), np.array([[-back, 0.0]])
     impulses, rest = np.zeros((1, 2)), np.zeros((1, 2))
     left, _, _ = found(contacts, rest, free, wanted, np.array([False]), impulses, 1e-6, bound)

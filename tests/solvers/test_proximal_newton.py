@@ -98,10 +98,9 @@ def test_a_wall_between_posts_is_solved_from_nothing(mu, seed):
 
 def of_all_masses(contacts, generator):
     """Return contacts of bodies whose masses span six decades."""
-    last = contacts.places.max()
-    masses = 10.0 ** generator.uniform(-3, 3, last // 3)
-    inverse = np.outer(1.0 / masses, [1.0, 1.0, 2.0]).ravel()
-    columns = contacts.rows * np.append(inverse, 0.0)[contacts.places][:, None]
+    masses = 10.0 ** generator.uniform(-3, 3, contacts.moving)
+    inverse = np.append(np.outer(1.0 / masses, [1.0, 1.0, 2.0]), np.zeros(3))
+    columns = contacts.rows * inverse[places_of(contacts)][:, None]
     own = [(contacts.rows[:, a] * columns[:, b]).sum(-1) for a, b in ((0, 0), (1, 1), (0, 1))]
     return contacts._replace(columns=columns, own=np.stack(own, 1))
 
