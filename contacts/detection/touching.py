@@ -320,9 +320,9 @@ def _takes_part(
     if role == HIT and not _strikes(numbers, look, pair, times, point, nearing, alike, points):
         role = APART
     if gap < 0.0 and -nearing > slow and not alike:
-        # It leaves: if it was not in it at the last look, it came by another side.
-        where = (pair.p, pair.q), (point[0], point[1])
-        since = min(times.since, h) if pair.turns else times.since
+        # It leaves: if it was not in it before, it came by another side. What was before a step
+        # that is shorter than the last one, the look at the end of that has told.
+        where, since = ((pair.p, pair.q), (point[0], point[1])), min(times.since, h)
         _note(points, PASSED, came(numbers, look, *where, since, points.aside))
     if role == APART:
         return False
