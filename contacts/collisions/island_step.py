@@ -248,6 +248,6 @@ def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed
         others, touches.bodies, touches.rows, numbers.inverse, touches.materials, room.local,
         room.contacts,
     )  # fmt: skip
-    solve_rows(contacts, least, alone, near, False)
+    solve_rows(contacts, least, alone, near, False, False)
     for a in range(quiet):
         put(alone[a], room.steady[others[a]])

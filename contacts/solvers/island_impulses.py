@@ -57,7 +57,7 @@ _SWEEPS, _ANEW, _SPARSE = (64, 64, 256, 1024), 1, 2
 
 @beside
 def solve_rows(
-    contacts: ContactRows, least: Array, impulses: Array, allowed: float, rests: bool
+    contacts: ContactRows, least: Array, impulses: Array, allowed: float, rests: bool, last: bool
 ) -> tuple[float, int]:
     """Solve contacts from the impulses given; return the residual of the best, and iterations.
 
@@ -72,6 +72,8 @@ def solve_rows(
         Residual (see `contacts.solvers.contact_rows.residual`) at which they are good enough.
     rests : bool
         Whether nothing moves: then they are found as exactly as can be, for the steps to come.
+    last : bool
+        Whether nobody asks for less where they are not found: then Lemke's algorithm is tried, too.
     """
     count = len(impulses)
     parting, joined = True, False
@@ -121,7 +123,7 @@ def solve_rows(
         if missed < left:
             left = missed
             put_rows(other, impulses)
-        if left > allowed and trial == _ANEW and count <= _LEMKE and not joined:
+        if last and left > allowed and trial == _ANEW and count <= _LEMKE and not joined:
             missed, steps = _by_lemke(contacts, least, allowed, bodies, other)
             done += steps
             if missed < left:
@@ -157,7 +159,7 @@ def dense_impulses(
                 columns[i, d, k] = delassus[k, 2 * i + d]
     own_compliances(rows, columns, own)
     contacts = ContactRows(bodies, threes, rows, columns, own, cones)
-    left, _ = solve_rows(contacts, least, impulses, allowed, False)
+    left, _ = solve_rows(contacts, least, impulses, allowed, False, True)
     return left, impulses
 
 
@@ -212,17 +214,17 @@ def _velocities(contacts: ContactRows, impulses: Array) -> Array:
 @part
 def _rebounding(
     contacts: ContactRows, before: Array, free: Array, wanted: Array, rebounds: Bools,
-    impulses: Array, allowed: float, rests: bool,
+    impulses: Array, allowed: float, rests: bool, last: bool,
 ) -> tuple[float, int, bool]:  # fmt: skip
     """Find impulses with restitution that adds no energy; see `island_impulses`."""
     least, some = free + wanted, False
     for i in range(len(impulses)):
         some = some or rebounds[i]
     if not some:
-        left, done = solve_rows(contacts, least, impulses, allowed, rests)
+        left, done = solve_rows(contacts, least, impulses, allowed, rests, last)
         return left, done, False
     good, plastic = max(allowed, _GOOD), impulses.copy()
-    left, done = solve_rows(contacts, least, impulses, allowed, rests)
+    left, done = solve_rows(contacts, least, impulses, allowed, rests, False)
     for i in range(len(impulses)):
         if rebounds[i]:
             least[i, 0] = free[i, 0]
@@ -230,7 +232,7 @@ def _rebounding(
     if left <= good and part_within(impulses, before, free, changes, 0.0) >= 1.0:
         return left, done, False
     # Without it nobody knows how much energy restitution may give back.
-    calm, further = solve_rows(contacts, least, plastic, allowed, False)
+    calm, further = solve_rows(contacts, least, plastic, allowed, False, last)
     if left > good and calm < left:
         put_rows(plastic, impulses)
         return calm, done + further, True
@@ -273,7 +275,7 @@ def _pushed_in_part(
         )  # fmt: skip
         asked = calmer + share * (asked - calmer)
         missed, further, soft = _rebounding(
-            contacts, before, free, asked, rebounds, chosen, allowed, False
+            contacts, before, free, asked, rebounds, chosen, allowed, False, False
         )
         done += further
         if missed > allowed:
@@ -328,7 +330,7 @@ def island_impulses(
         pushed = pushed or _pushed(contacts, wanted, rebounds, i)
     other = impulses.copy() if pushed else impulses
     left, done, softened = _rebounding(
-        contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest
+        contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest, not pushed
     )
     share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)
     if pushed and (left > allowed or share < 1.0):
@@ -339,7 +341,7 @@ def island_impulses(
             if _pushed(contacts, wanted, rebounds, i):
                 calmer[i, 0], calmer[i, 1] = max(wanted[i, 0], 0.0), 0.0
         calm, further, soft = _rebounding(
-            contacts, before, free, calmer, rebounds, other, allowed, False
+            contacts, before, free, calmer, rebounds, other, allowed, False, True
         )
         done += further
         if calm <= max(left, allowed):
