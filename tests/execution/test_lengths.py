@@ -15,6 +15,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.engines import path
 from statechart.errors import DeclarationError
 from statechart.execution import flow as advance
+from statechart.execution import loops
 from statechart.running.runner import Runner, run
 
 CHART = """\
@@ -123,6 +124,8 @@ def test_a_trace_of_many_blocks_takes_few_files(monkeypatch: pytest.MonkeyPatch)
     kept = Runner("stick_slip_block", engine="taylor").run(until=2000.0).trace
     monkeypatch.setattr(blocks, "IN_MEMORY", 2**18)
     monkeypatch.setattr(recording, "_TERMS", 2**11)
+    # What a flow may take of a pad fits on it.
+    monkeypatch.setattr(loops, "_PART", 2**9)
     runner = Runner("stick_slip_block", engine="taylor")
     resource.setrlimit(resource.RLIMIT_NOFILE, (opened + 60, most[1]))
     try:
