@@ -131,7 +131,7 @@ def _tell(
         except StatechartError as error:
             failure = str(error)
     report = made()
-    warn(result.warnings)
+    warn(report["warnings"])
     if arguments.json:
         from statechart.reporting.report import dumps
 

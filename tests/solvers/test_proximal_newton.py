@@ -14,7 +14,7 @@ from statechart.kernels.jit import kernel
 @kernel
 def solved(contacts, least, impulses, allowed):
     """Call from Python what kernels alone call."""
-    return solve_rows(contacts, least, impulses, allowed, False)
+    return solve_rows(contacts, least, impulses, allowed, False, True)
 
 
 @kernel
