@@ -54,7 +54,8 @@ def _kept(
     memory.past[0], memory.past[1] = chunk.h, max(memory.past[1], seen.approach)
     memory.past[2] = max(memory.past[2], chunk.h * seen.approach)
     for i in range(seen.contacts):
-        for b in touches.bodies[i]:
+        for side in range(2):
+            b = touches.bodies[i, side]
             if b >= 0 and not room.bounces[i]:
                 room.borne[b] = max(room.borne[b], pressed[i, 0])
     least = max(allowed, _LEAST)

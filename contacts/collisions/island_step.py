@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collisions.islands import gathered, grouped
+from contacts.collisions.islands import gathered, grouped, spread
 from contacts.collisions.mass_ratios import note_worst
 from contacts.collisions.order import CAPPED, PLASTIC, SEQUENTIAL, carried_out, is_ambiguous
 from contacts.detection.body_numbers import BodyNumbers, Memory
@@ -44,7 +44,7 @@ class Room(NamedTuple):
         Their velocities before the step and without impulses, what is wanted, and impulses.
     rebounds : (c,) array of bool
         Which of them do.
-    parents, local : (b,) array of int, begins : (b + 1,), order : (c,)
+    parents, local : (b,) array of int, begins : (b + 1,), order, spare : (c,)
         See `contacts.collisions.islands`.
     borne : (b,)
         The largest impulse that presses a body.
@@ -69,6 +69,7 @@ class Room(NamedTuple):
     local: Ints
     begins: Ints
     order: Ints
+    spare: Ints
     borne: Array
     worst: Array
     earlier: Memory
@@ -91,6 +92,7 @@ class Room(NamedTuple):
             np.empty(count, np.int64),
             np.empty(count, np.int64),
             np.empty(count + 1, np.int64),
+            np.empty(most, np.int64),
             np.empty(most, np.int64),
             np.empty(count),
             np.zeros(4),
@@ -153,6 +155,7 @@ def solved(
         size = len(members)
         if size == 0:
             continue
+        spread(members, room.spare)
         contacts = gathered(members, bodies, rows, inverse, materials, local, room.contacts)
         start, unforced = room.island[0, :size], room.island[1, :size]
         asked, chosen = room.island[2, :size], room.island[3, :size]

@@ -53,7 +53,9 @@ class BodyMechanics(Mechanics):
         parameters = body_parameters(scene)
         super().__init__(scene.model_copy(update={"bodies": single}), parameters)
         self.starts = Starts(scene, parameters)
+        # By the states of the controllers, as runs enter them.
         self._force_tapes: dict[tuple[tuple[str, str], ...], tuple[Ints, Tape]] = {}
+        self._given_tapes: dict[tuple[tuple[str, str], ...], Tape] = {}
 
     def tape(
         self,
@@ -113,9 +115,14 @@ class BodyMechanics(Mechanics):
 
     def given_in(self, states: Mapping[str, str]) -> Tape:
         """Return the values of `given` in these states of the controllers."""
-        flows = zip(memory_rates(self).values(), flows_in(self, states), strict=True)
-        flowing = [flow for rate, flow in flows if rate != 0]
-        return self.tape([*self.controls, *flowing], definitions=self.controlled(states))
+        key = tuple(states.items())
+        if key not in self._given_tapes:
+            flows = zip(memory_rates(self).values(), flows_in(self, states), strict=True)
+            flowing = [flow for rate, flow in flows if rate != 0]
+            self._given_tapes[key] = self.tape(
+                [*self.controls, *flowing], definitions=self.controlled(states)
+            )
+        return self._given_tapes[key]
 
     def forces_at(self, states: Mapping[str, str], values: Array) -> ForceProgram:
         """Return the forces on bodies while controllers are in these states.

@@ -65,9 +65,9 @@ class SteppedHeap:
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
         # A disc about its centre of mass looks the same however it turns.
-        self._angular = np.ones(count, dtype=np.bool_)
-        pieces = numbers.pieces
-        self._angular[pieces.bodies] = pieces.spans != pieces.radii
+        pieces, seen = numbers.pieces, np.ones(count, dtype=np.bool_)
+        seen[pieces.bodies] = pieces.spans != pieces.radii
+        self._angular = np.flatnonzero(seen)
 
     def switch(self, states: Mapping[str, str]) -> None:
         """Go on with controllers in other states."""
@@ -153,9 +153,9 @@ class SteppedHeap:
         bodies = len(self._names)
         self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
         self._around.passed(len(chunk.codes))
-        rates = np.abs(chunk.states[1:, 3 * bodies + 2 : 6 * bodies : 3])
-        turns = chunk.h * rates * self._angular
-        self._turned = max(self._turned, float(np.max(turns, where=chunk.struck, initial=0.0)))
+        turns = chunk.h * np.abs(chunk.states[1:, 3 * (bodies + self._angular) + 2])
+        struck = chunk.struck[:, self._angular]
+        self._turned = max(self._turned, float(np.max(turns, where=struck, initial=0.0)))
         self._length = max(self._length, h)
         return chunk
 

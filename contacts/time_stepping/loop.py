@@ -59,7 +59,8 @@ from statechart.errors import (
 from statechart.tabular import several
 
 # Steps at once, in which no signal is seen, and iterations times contacts in them, some tenths of
-# a second: after more, half as many steps are taken, after less than a quarter of it twice as many.
+# a second: after more, half as many steps are taken, after less than a quarter of it twice as many,
+# or after less than a sixteenth eight times as many.
 # A clock would make the last bits of instants depend on what else the machine does.
 _CHUNK, _WORK = 512, 3_000_000
 # Bytes of the polynomials of steps at once: more would be much beside what a run keeps.
@@ -174,7 +175,7 @@ class SteppedRun:
                 if work > _WORK:
                     most = max(1, most // 2)
                 elif work < 0.25 * _WORK and len(chunk.codes) == most:
-                    most = min(2 * most, largest)
+                    most = min((8 if work < 0.0625 * _WORK else 2) * most, largest)
                 if self.control is not None:
                     chunk = self.control.cut(chunk, begin, self.recorder)
                 jumps = self.recorder.count
@@ -271,10 +272,10 @@ class SteppedRun:
 
     def _too_large(self, chunk: Chunk) -> tuple[int, StepTooLarge] | None:
         """Return the first step that is too large for what happens in it, and why."""
-        n, h = len(self.stepping.angles), chunk.h
+        angles, h = self.stepping.angles, chunk.h
         size = self.setup.scales.length
-        turned = np.abs(chunk.states[1:, n : 2 * n]) * np.where(self.stepping.angles, h, 0.0)
-        turn: Array = np.max(turned, axis=1, initial=0.0)
+        rates = chunk.states[1:, len(angles) + np.flatnonzero(angles)]
+        turn: Array = h * np.max(np.abs(rates), axis=1, initial=0.0)
         wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
         wrong |= chunk.gained > MOST_ADDED
         if not wrong.any():
