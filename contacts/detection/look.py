@@ -79,7 +79,10 @@ def look_at(numbers: BodyNumbers, state: Array, h: float, past: float, look: Loo
             places[b, d] = state[at]
         x, y, angle = places[b]
         first, end = pieces.begins[b], pieces.begins[b + 1]
-        c, s = math.cos(angle), math.sin(angle)
+        c, s = 1.0, 0.0
+        # A disc about its body's centre looks the same however it turns.
+        if end - first != 1 or pieces.spans[first] != pieces.radii[first]:
+            c, s = math.cos(angle), math.sin(angle)
         placed(pieces.middles, first, end, x, y, c, s, centres)
         placed(pieces.vertices, pieces.firsts[first], pieces.firsts[end], x, y, c, s, world)
         loose[b, 0] += h * gx
