@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contacts.solvers.contact_rows import ContactRows, own_compliances
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put
 from statechart.kernels.jit import part
 
 # Contacts that are next to each other are of the same body: where they are solved so many apart
@@ -63,7 +62,8 @@ def spread(members: Ints, spare: Ints) -> None:
     count, at = len(members), 0
     if count <= _STRIDE:
         return
-    put(members, spare)
+    for a in range(count):
+        spare[a] = members[a]
     for first in range(_STRIDE):
         for a in range(first, count, _STRIDE):
             members[at] = spare[a]
