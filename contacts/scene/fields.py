@@ -194,10 +194,19 @@ class SceneFields(Declaration):
         return frozenset(timer for region in flat for timer in region.timers)
 
     def variant(self, overrides: Mapping[str, float]) -> Self:
-        """Return the scene itself, or the one with as many copies as `overrides` make."""
+        """Return the scene itself, or the one with as many copies as `overrides` make.
+
+        Other overrides change nothing of it.
+        """
         if not self.whole or copies(self, self.values()) == copies(self, self.values(overrides)):
             return self
-        return self.model_copy(update={"parameters": {**self.parameters, **overrides}})
+        deciding, further = set(self.whole), set(self.whole)
+        while further:
+            further = set().union(*(parse(self.parameters[name]).names for name in further))
+            further = (further & {*self.parameters}) - deciding
+            deciding |= further
+        chosen = {name: value for name, value in overrides.items() if name in deciding}
+        return self.model_copy(update={"parameters": {**self.parameters, **chosen}})
 
     def rate_name(self, coordinate: str) -> str:
         """Return the name of the rate of `coordinate`: stick.x -> stick.dx, theta -> dtheta."""

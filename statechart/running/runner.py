@@ -122,8 +122,8 @@ class Runner:
         )  # fmt: skip
         self.study, self._alone = study, once
         self._turn = threading.RLock()  # what is compiled has memory that serves one run at a time
-        # The last one with other copies of bodies, and what makes it: composing takes its time.
-        self._varied: tuple[dict[str, float], Runner] | None = None
+        # The last one with other copies of bodies: composing takes its time.
+        self._varied: Runner | None = None
         with located(self.document, {}):
             self._plan = planned(self._asked, model, self.automaton, study, once=once)
         budget = self._plan.setting.budget
@@ -182,9 +182,9 @@ class Runner:
                 variant = self.model.variant(overrides)
             if variant is not self.model:
                 varied = self._varied
-                if varied is None or varied[0] != overrides:
-                    self._varied = varied = overrides, self._other(variant, self.study)
-                return varied[1].run(overrides, until=end, certify=certify, throw=throw)
+                if varied is None or varied.model.variant(overrides) is not varied.model:
+                    self._varied = varied = self._other(variant, self.study)
+                return varied.run(overrides, until=end, certify=certify, throw=throw)
         measured = self._plan.measured
         if measured is not None and (overrides or end != measured):
             return self._other(self.model, None).run(

@@ -11,6 +11,7 @@ from contacts.kind import automaton
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.formulas.formula import Formula
+from statechart.loading.kind import Kind
 from statechart.loading.load import interpret
 from statechart.running.runner import Runner
 
@@ -92,3 +93,23 @@ def test_a_copy_that_starts_nowhere_is_told_with_the_place_of_its_formula(angle,
     assert error.source == "grains.yaml"
     assert line.index("angle:") < error.column <= line.index("dx:")
     assert f"of grain{copy}" in str(error)
+
+
+def test_other_copies_are_composed_once_for_all_that_they_run_with(monkeypatch):
+    composed = []
+    whole = Kind.__getattribute__
+
+    def counted(kind, name):
+        if name == "automaton":
+            composed.append(kind.name)
+        return whole(kind, name)
+
+    monkeypatch.setattr(Kind, "__getattribute__", counted)
+    text = GRAINS.replace("{n: 4,", "{k: 2, n: 2*k,")
+    runner = grains(text)
+    for speed in (4, 5):
+        final = runner.run({"k": 3, "v": speed}).trace.initial
+        assert final.reshape(2, 7, 3)[1, 1:, 0].tolist() == [speed] * 6
+    # What another run was given is not left behind.
+    assert runner.run({"k": 3}).trace.initial.reshape(2, 7, 3)[1, 1, 0] == 3
+    assert len(composed) == 2
