@@ -28,7 +28,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.scene.checks import check_physical
 from contacts.scene.collision_checks import check_shapes
 from contacts.scene.parts import Simultaneous
-from contacts.scene.regions import BODY_EDGES, BODY_STATES
+from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
 from contacts.time_stepping.begun import Begun
@@ -62,6 +62,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
             lambda state: State(),
             BODY_EDGES,
             superstates,
+            blow=BODY_BLOW,
             default="free",
         )
         for name in scene.bodies
@@ -125,7 +126,7 @@ class BodyStepper(Stepper):
             (*mechanics.a, *mechanics.unknown_forces, *mechanics.given),
             regions=tuple(region.name for region in regions),
             controls=self._controllers.initial,
-            again="impact",
+            again=BODY_BLOW,
             forces=None,
             sticks=np.zeros(len(mechanics.scene.bodies), dtype=np.bool_),
         )

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 
 BODY_STATES = ("free", "slide", "pin")
 """Of a body that collides by its shape."""
-BODY_CAUSES = ("touchdown", "impact", "liftoff", "slip", "stick")
+BODY_BLOW = "impact"
+BODY_CAUSES = ("touchdown", BODY_BLOW, "liftoff", "slip", "stick")
 BODY_EDGES = (
     *(Edge("touchdown", "free", s, "an impulse acts on the body") for s in BODY_STATES),
     *(
-        Edge("impact", s, t, "another contact strikes")
+        Edge(BODY_BLOW, s, t, "another contact strikes")
         for s in BODY_STATES[1:]
         for t in BODY_STATES
     ),

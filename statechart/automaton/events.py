@@ -13,7 +13,8 @@ def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
     """Tell whether `jump` is `event`, by a cause or by the state entered.
 
     A jump names one region, but may change others at the same instant (an impact that is felt at
-    every closed contact); their causes are those of the edges that they take.
+    every closed contact); their causes are those of the edges that they take. A region whose blows
+    have a name of their own has that of its change besides: it is struck, and lifts off.
 
     Parameters
     ----------
@@ -37,12 +38,15 @@ def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
 
 
 def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, ...]:
-    if region.name == jump.region:
+    if region.name == jump.region and jump.cause != region.blow:
         return region.causes(jump.cause)
-    if before == after and region.name not in jump.impulse:
+    felt = region.name in jump.impulse
+    if before == after and not felt:
         return ()
     causes = [e.cause for e in region.edges if (e.source, e.target) == (before, after)]
-    return (jump.cause,) if jump.cause in causes else tuple(causes[:1])
+    hit = (region.blow,) if felt and region.blow in causes else ()
+    others = [cause for cause in causes if cause != region.blow]
+    return (*hit, jump.cause) if jump.cause in others else (*hit, *others[:1])
 
 
 def _entered(region: Region, before: str, after: str, state: str) -> bool:

@@ -182,6 +182,7 @@ class Region:
     edges: tuple[Edge, ...]
     superstates: Mapping[str, str] = field(default_factory=dict)
     listed: tuple[str, ...] = ()
+    blow: str = ""
     nesting: Nesting = field(default_factory=Nesting)
     forces: tuple[sp.Symbol, ...] = ()
     default: str = ""
