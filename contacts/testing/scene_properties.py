@@ -6,7 +6,7 @@ automaton that was run. See `statechart.testing` for how to use them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -24,17 +24,14 @@ from contacts.testing.assertions import (
     no_growth,
     step_ends,
 )
-from contacts.testing.symmetry import mirrored, rescaled
+from contacts.testing.relations import relations
 from contacts.testing.violations import cone_edges
 from statechart.arrays import Array
 from statechart.automaton.laws import moving_mode
 from statechart.automaton.trace import Arc, Jump, Trace
-from statechart.errors import DeclarationError
-from statechart.testing.agreement import assert_same, identical
 from statechart.testing.guards import dense
 from statechart.testing.properties import Property, each
-from statechart.testing.stories import Reading
-from statechart.testing.subject import Case, Subject
+from statechart.testing.subject import Subject
 
 # Errors of the energy add up to at most so many times steps times tolerance.
 _ENERGY = 100.0
@@ -308,7 +305,7 @@ def properties(scene: Scene) -> tuple[Property, ...]:
     if scene.collisions:
         from contacts.testing.body_properties import body_properties
 
-        return (*body_properties(), *_relations(scene))
+        return (*body_properties(), *relations(scene))
     mechanics = Mechanics(scene)
     none = "" if scene.contacts else "the scene has no contacts"
     free = any("free" in contact.kinds for contact in scene.contacts.values())
@@ -329,46 +326,8 @@ def properties(scene: Scene) -> tuple[Property, ...]:
             "energy never grows",
             each(partial(assert_energy, mechanics)),
         ),
-        *_relations(scene),
+        *relations(scene),
     )
-
-
-def _relations(scene: Scene) -> tuple[Property, ...]:
-    return (
-        _relation("the mirror image moves as the image", scene, mirrored),
-        _relation("other units give the same motion", scene, rescaled),
-    )
-
-
-def _relation(
-    name: str, scene: Scene, transform: Callable[[Scene], tuple[Scene, Reading]]
-) -> Property:
-    """Return the property that the transformed scene has the transformed runs."""
-    changed: dict[int, tuple[Subject, Reading]] = {}
-
-    def of(model: Scene) -> tuple[Subject, Reading]:
-        found = changed.get(id(model))
-        if found is None:
-            image, reading = transform(model)
-            found = changed[id(model)] = Subject(image), reading
-        return found
-
-    try:
-        transform(scene)
-    except DeclarationError as error:
-        reason = error.message
-        return Property(name, lambda case: None, f"the scene cannot be transformed: {reason}")
-
-    def holds(case: Case) -> None:
-        assert isinstance(case.subject.model, Scene)
-        subject, reading = of(case.subject.model)
-        trace = case.sound[0]
-        image = subject.fresh(case.parameters).trace
-        assert image.outcome is trace.outcome, f"the changed scene ends: {image.message}"
-        if not identical(trace, image, reading):
-            assert_same(trace, image, case.sensitivity, reading=reading)
-
-    return Property(name, holds)
 
 
 def _points(trace: Trace) -> Iterator[tuple[Arc, Array, Array]]:

@@ -13,6 +13,7 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
+from statechart.automaton.time_stepper import USUAL
 from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
@@ -30,6 +31,7 @@ from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.testing.agreement import NUDGE, Sensitivity, Undecidable
 
+_FINER = 1e-3 * NUDGE  # still well above rounding, which iterations cannot pass
 _KEPT = 64  # cases whose runs are kept for the next property
 
 
@@ -103,6 +105,15 @@ class Subject:
             automaton = loosened(self.automaton, relative)
             self._loosened[relative] = Simulator(automaton, simulator.engine)
         return self._loosened[relative]
+
+    @cached_property
+    def finer(self) -> Subject | None:
+        """The same with impulses that miss less than `NUDGE` shows, if its own may miss more."""
+        settings = self.model.settings
+        if self.step is None or (settings.impulse_tolerance or USUAL.tolerance) <= _FINER:
+            return None
+        chosen = settings.model_copy(update={"impulse_tolerance": _FINER})
+        return Subject(self.model.model_copy(update={"settings": chosen}))
 
     def end(self, parameters: Mapping[str, float]) -> float:
         """Return when a run ends.

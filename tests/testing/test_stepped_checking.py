@@ -15,7 +15,9 @@ from contacts.testing.body_properties import (
     assert_free_fall,
     assert_impulses_of_bodies,
 )
+from contacts.testing.relations import relation
 from contacts.testing.scene_properties import assert_cone
+from contacts.testing.symmetry import mirrored
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret, load
@@ -176,6 +178,50 @@ def test_what_impulses_were_left_at_is_no_difference_of_runs(heap):
     parted = dataclasses.replace(left.jumps[0], cause="slip")
     with pytest.raises(Undecidable, match="a smaller impulse_tolerance decides"):
         assert_same(left, dataclasses.replace(left, jumps=(parted, *left.jumps[1:])), sensitivity)
+
+
+# Two plates close on a disc; what impulses miss turns the plates, which nothing else turns.
+JAWS = """
+kind: scene
+name: jaws
+gravity: 9.81
+bodies:
+  left: {mass: 0.2, inertia: 1e-3, start: {x: -0.1, y: 0.08},
+    shape: {polygon: [[-0.02, -0.06], [0.02, -0.06], [0.02, 0.06], [-0.02, 0.06]]}}
+  right: {mass: 0.2, inertia: 1e-3, start: {x: 0.1, y: 0.08},
+    shape: {polygon: [[-0.02, -0.06], [0.02, -0.06], [0.02, 0.06], [-0.02, 0.06]]}}
+  box: {mass: 1, inertia: 0.00166, start: {y: 0.05},
+    shape: {polygon: [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]}}
+surfaces: {ground: {height: 0}}
+collisions:
+  hand: {bodies: [left, right, box], friction: 0.4, restitution: 0}
+  floor: {bodies: [box], surfaces: [ground], friction: 0.5, restitution: 0}
+joints:
+  left_one: {point: {body: left, at: [-0.02, 0]}, to: {y: 0.08}}
+  left_two: {point: {body: left, at: [0.02, 0]}, to: {y: 0.08}}
+  right_one: {point: {body: right, at: [-0.02, 0]}, to: {y: 0.08}}
+  right_two: {point: {body: right, at: [0.02, 0]}, to: {y: 0.08}}
+forces:
+  left: {body: left, force: [20 - 40*left.dx, 0]}
+  right: {body: right, force: [-20 - 40*right.dx, 0]}
+stop: {time: 0.09}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+def test_what_impulses_were_left_at_is_no_difference_of_a_scene_and_its_image():
+    scene = model(JAWS)
+    relation("mirror", scene, mirrored).holds(Subject(scene).case({}))
+
+
+def test_an_image_that_moves_otherwise_is_caught():
+    def other(scene):
+        image, reading = mirrored(scene)
+        return image.model_copy(update={"gravity": (1e-3, image.gravity[1])}), reading
+
+    scene = model(JAWS)
+    with pytest.raises(AssertionError, match=r"right\.dx before"):
+        relation("mirror", scene, other).holds(Subject(scene).case({}))
 
 
 def test_modes_of_steps_that_all_hold_impulses_have_no_force_to_judge():
