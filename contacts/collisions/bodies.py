@@ -33,7 +33,7 @@ from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
 from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.control import StepControl
-from contacts.time_stepping.loop import DEEPEST
+from contacts.time_stepping.refused import DEEPEST
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Region, State, stop_margins

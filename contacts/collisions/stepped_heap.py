@@ -13,6 +13,7 @@ from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
+from contacts.time_stepping.refused import depth_left
 from statechart.arrays import Array
 from statechart.errors import NonFinite
 from statechart.tabular import several
@@ -21,6 +22,8 @@ from statechart.tabular import several
 _TURNED, _FOLLOWED = 0.5, 0.1
 # Parts that a step is taken in where it is too long for what happens in it, one after the other.
 _PARTS = (4, 16, 64)
+# So many moves out of what overlaps are tried; a look takes this part of a step.
+_MOVES, _INSTANT = 20, 1e-6
 
 
 class SteppedHeap:
@@ -108,6 +111,43 @@ class SteppedHeap:
         # Zero has no sign.
         dx, dy = sign * depth * nx + 0.0, sign * depth * ny + 0.0
         return where, f"move it by ({dx:.6g}, {dy:.6g})"
+
+    def depth_left(self, state: Array, time: float) -> float:
+        """Return how deep something stays, whatever moves; see `Stepped`.
+
+        By cutting planes (Kelley 1960): bodies are moved out of what they are in, as far as they
+        can be, which may be into others, until no move is out of all of that, or nothing is deep.
+        """
+        n, placed = 3 * len(self._names), state.copy()
+        placed[n : 2 * n] = 0.0
+        known, gaps = np.zeros((0, n)), np.zeros(0)
+        for _ in range(_MOVES):
+            rows, held, deep = self._overlaps(placed, time)
+            if not len(deep):
+                break
+            known = np.concatenate([known, rows])
+            gaps = np.concatenate([gaps, deep - rows @ (placed - state)[:n]])
+            depth, move = depth_left(gaps, known, held)
+            if depth > 0.0:
+                return depth
+            placed[:n] = state[:n] + move
+        return -math.inf
+
+    def _overlaps(self, state: Array, time: float) -> tuple[Array, Array, Array]:
+        """Return rows of gaps of what overlaps, rows of joints, and these gaps."""
+        self._memory = Memory.room(self.numbers)
+        self._taken(time, _INSTANT * self._length, state, 1, math.inf)
+        touches, many = self._room.touches, int(self._memory.many[0])
+        rows = np.zeros((many, 2, 3 * len(self._names)))
+        for i, bodies in enumerate(touches.bodies[:many].tolist()):
+            for side, b in enumerate(bodies):
+                if b >= 0:
+                    rows[i, :, 3 * b : 3 * b + 3] += touches.rows[i, :, 3 * side : 3 * side + 3]
+        met = many - len(self.numbers.joints.holds)
+        both = self.numbers.joints.holds == BOTH
+        held = np.concatenate([rows[met:, 0], rows[met:][both, 1]])
+        levels = touches.memory[:met, 0]
+        return rows[:met, 0][levels < 0.0], held, levels[levels < 0.0]
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -6,6 +6,6 @@
 `stepped` from where it has `begun`, `streaming` the same as it comes, `stops` ends it, `forces`
 tells modes and forces from impulses, `effort` counts what those took, and `recorder` makes a trace
 of it all, of the `polynomials` of steps; a `track` keeps states alone. `scene_tape` are a scene's
-equations. `passing`, `limits` and `energy` tell where a step is too long; `misses` estimates the
-errors of a run, with `unseen` of its forces and `impacts`.
+equations. `passing`, `limits` and `energy` tell where a step is too long, `refused` ends runs
+there; `misses` estimates the errors of a run, with `unseen` of its forces and `impacts`.
 """

@@ -26,19 +26,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
-import numpy as np
-
-from contacts.states import OFF_CODE
 from contacts.time_stepping.begun import Begun, Span, Stepping
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.effort import Effort
-from contacts.time_stepping.energy import MOST_ADDED
 from contacts.time_stepping.polynomials import TERMS
 from contacts.time_stepping.recorder import Recorder
+from contacts.time_stepping.refused import Refused, no_room, squeezed, too_large
 from contacts.time_stepping.stops import StopConditions
 from contacts.time_stepping.track import Track
 from statechart import interrupts
-from statechart.arrays import Array
 from statechart.automaton.trace import (
     FAR_TOO_MANY,
     LARGEST,
@@ -49,13 +45,7 @@ from statechart.automaton.trace import (
     check_size,
 )
 from statechart.documents.setting import Record
-from statechart.errors import (
-    NonFinite,
-    SimulationError,
-    StepTooLarge,
-    TooLong,
-    UnsolvedImpulses,
-)
+from statechart.errors import NonFinite, SimulationError, TooLong
 from statechart.tabular import several
 
 # Steps at once, in which no signal is seen, and iterations times contacts in them, some tenths of
@@ -65,11 +55,6 @@ from statechart.tabular import several
 _CHUNK, _WORK = 512, 3_000_000
 # Bytes of the polynomials of steps at once: more would be much beside what a run keeps.
 _ROOM = 2**23
-DEEPEST = 0.1
-"""Deeper than this part of the scene in one step: the step does not see its surfaces."""
-
-# Impulses that miss the contact laws by this part of the fastest approach keep nothing out.
-_HELPLESS = 0.1
 # More steps no float can count, and no trace can hold.
 _COUNTED = 2.0**53
 # After so many steps it is known what each takes.
@@ -195,11 +180,13 @@ class SteppedRun:
     def _accept(self, chunk: Chunk, start: float) -> bool:
         """Record steps; True where the run ends in them."""
         failure: SimulationError | None = None
-        wrong = self._too_large(chunk)
-        if wrong is not None:
-            failure = wrong[1]
-            chunk = chunk.first(wrong[0])
-        missed = self.effort.beyond(chunk) or self._squeezed(chunk)
+        refused = self._refused(chunk, start)
+        if refused is not None:
+            failure = refused.why
+            chunk = chunk.first(refused.step)
+        missed = self.effort.beyond(chunk) or squeezed(
+            chunk, self.stepping.regions, self.span.step, self.fastest
+        )
         if missed is not None:
             failure = missed[1]
             chunk = chunk.first(missed[0])
@@ -270,56 +257,15 @@ class SteppedRun:
                     f"{LARGEST >> 20} MB; end the run earlier, or take longer steps"
                 )
 
-    def _too_large(self, chunk: Chunk) -> tuple[int, StepTooLarge] | None:
-        """Return the first step that is too large for what happens in it, and why."""
-        angles, h = self.stepping.angles, chunk.h
-        size = self.setup.scales.length
-        rates = chunk.states[1:, len(angles) + np.flatnonzero(angles)]
-        turn: Array = h * np.max(np.abs(rates), axis=1, initial=0.0)
-        wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
-        wrong |= chunk.gained > MOST_ADDED
-        if not wrong.any():
-            return None
-        k = int(np.argmax(wrong))
-        if turn[k] > math.pi:
-            return k, StepTooLarge(
-                f"a body turns by {turn[k] / math.pi:.3g} half-turns in one step of {h:g}; take "
-                f"{0.1 * h / turn[k]:.1g} or less"
-            )
-        if chunk.passed[k] > 0.0:
-            return k, StepTooLarge(
-                f"something passes through another within one step of {self.span.step:g}; take "
-                f"{0.5 * h * chunk.passed[k]:.1g} or less"
-            )
-        if chunk.closing[k] <= DEEPEST * size:
-            # What is added goes with the square of the step.
-            part = math.sqrt(MOST_ADDED / chunk.gained[k])
-            return k, StepTooLarge(
-                f"contacts would add {chunk.gained[k]:.2g} of the energy that they move with in "
-                f"one step of {h:g}, which does not follow how surfaces or bodies turn; take "
-                f"{0.1 * h * part:.1g} or less"
-            )
-        return k, StepTooLarge(
-            f"a contact closes {chunk.closing[k]:.3g} off its surface in one step of {h:g}, in a "
-            f"scene of size {size:.3g}; take {0.1 * h * DEEPEST * size / chunk.closing[k]:.1g} "
-            "or less"
-        )
-
-    def _squeezed(self, chunk: Chunk) -> tuple[int, UnsolvedImpulses] | None:
-        """Return the first step in which something sinks that no impulses keep out, and why."""
-        gaps: Array = np.where(chunk.codes == OFF_CODE, math.inf, chunk.gaps)
-        deepest: Array = np.min(gaps, axis=1, initial=math.inf)
-        fastest = np.maximum.accumulate(np.maximum(chunk.approach, self.fastest))
-        wrong = (deepest < -self.span.step * fastest) & (chunk.efforts[:, 0] > _HELPLESS)
-        if not wrong.any():
-            return None
-        k = int(np.argmax(wrong))
-        return k, UnsolvedImpulses(
-            f"no impulses keep {self.stepping.regions[int(np.argmin(gaps[k]))]} out of what it "
-            f"touches: it is {-deepest[k]:.3g} deep, and they miss the contact laws by "
-            f"{chunk.efforts[k, 0]:.2g} of the fastest approach; what is led or held leaves it no "
-            "room"
-        )
+    def _refused(self, chunk: Chunk, start: float) -> Refused | None:
+        """Return the first step that cannot be taken as it is."""
+        regions, size, step = self.stepping.regions, self.setup.scales.length, self.span.step
+        found = too_large(chunk, self.stepping.angles, regions, size, step)
+        if found is None or not found.deep:
+            return found
+        k = found.step
+        depth = self.stepped.depth_left(chunk.states[k], start + k * chunk.h)
+        return found._replace(why=no_room(found.deep, depth, size) or found.why)
 
     def _stop(self, condition: int) -> None:
         name = self.stepping.stop_names[condition]

@@ -15,6 +15,7 @@ from contacts.time_stepping.chunk import BAD_INERTIA, Chunk, stepped
 from contacts.time_stepping.limits import Swings, check_swing, remarks
 from contacts.time_stepping.misses import Equations, Misses
 from contacts.time_stepping.passing import passed
+from contacts.time_stepping.refused import depth_left
 from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
@@ -160,6 +161,12 @@ class SteppedScene:
             now = Equations(source, self._values, self._cones, self._restitution)
             self._misses.look(now, chunk, start, self._kept.codes, swings)
         return chunk
+
+    def depth_left(self, state: Array, time: float) -> float:
+        """Return how deep something stays, whatever moves; see `Stepped`."""
+        n, found = self._source.size, self._source.rows(self._values, state, time)
+        on = ~self._memory.contacts.off
+        return depth_left(found.gaps[on], found.contacts[on, :n], found.joints[:, :n])[0]
 
     def _check_springs(self, chunk: Chunk, start: float) -> Swings | None:
         """Return how springs swing; raise `StepTooLarge` where steps make them, ever farther."""

@@ -28,6 +28,13 @@ class Stepped(Protocol):
         """Take steps."""
         ...
 
+    def depth_left(self, state: Array, time: float) -> float:
+        """Return how deep something stays in what it touches, whatever moves; see `refused`.
+
+        After the last steps, which have come near that state.
+        """
+        ...
+
 
 class Control(Protocol):
     """What acts at the ends of steps."""

@@ -1,0 +1,176 @@
+"""Steps that end a run: too long for what happens in them, or in which no impulses help."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.states import OFF_CODE
+from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.energy import MOST_ADDED
+from statechart.arrays import Array, Bools
+from statechart.errors import StepTooLarge, UnsolvedImpulses
+
+DEEPEST = 0.1
+"""Deeper than this part of the scene in one step: the step does not see its surfaces."""
+
+# Impulses that miss the contact laws by this part of the fastest approach keep nothing out.
+_HELPLESS = 0.1
+# Depths below this part of the scene are rounding and what joints are apart by.
+_SHALLOW = 1e-6
+
+
+class Refused(NamedTuple):
+    """A step that is not taken.
+
+    Attributes
+    ----------
+    step : int
+        Its number in the chunk.
+    why : StepTooLarge or UnsolvedImpulses
+    deep : str
+        The region that gets too deep in something, where that is why.
+    """
+
+    step: int
+    why: StepTooLarge | UnsolvedImpulses
+    deep: str = ""
+
+
+def too_large(
+    chunk: Chunk, angles: Bools, regions: Sequence[str], size: float, step: float
+) -> Refused | None:
+    """Return the first step that is too large for what happens in it.
+
+    Parameters
+    ----------
+    chunk : Chunk
+    angles : (n,) array of bool
+        Coordinates that are angles.
+    regions : sequence of str
+    size : float
+        Of the scene.
+    step : float
+        As asked for, of which those of the chunk may be parts.
+    """
+    h = chunk.h
+    rates = chunk.states[1:, len(angles) + np.flatnonzero(angles)]
+    turn: Array = h * np.max(np.abs(rates), axis=1, initial=0.0)
+    wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
+    wrong |= chunk.gained > MOST_ADDED
+    if not wrong.any():
+        return None
+    k = int(np.argmax(wrong))
+    if turn[k] > math.pi:
+        return Refused(k, StepTooLarge(
+            f"a body turns by {turn[k] / math.pi:.3g} half-turns in one step of {h:g}; take "
+            f"{0.1 * h / turn[k]:.1g} or less"
+        ))  # fmt: skip
+    if chunk.passed[k] > 0.0:
+        return Refused(k, StepTooLarge(
+            f"something passes through another within one step of {step:g}; take "
+            f"{0.5 * h * chunk.passed[k]:.1g} or less"
+        ))  # fmt: skip
+    if chunk.closing[k] <= DEEPEST * size:
+        # What is added goes with the square of the step.
+        part = math.sqrt(MOST_ADDED / chunk.gained[k])
+        return Refused(k, StepTooLarge(
+            f"contacts would add {chunk.gained[k]:.2g} of the energy that they move with in "
+            f"one step of {h:g}, which does not follow how surfaces or bodies turn; take "
+            f"{0.1 * h * part:.1g} or less"
+        ))  # fmt: skip
+    return Refused(k, StepTooLarge(
+        f"a contact closes {chunk.closing[k]:.3g} off its surface in one step of {h:g}, in a "
+        f"scene of size {size:.3g}; take {0.1 * h * DEEPEST * size / chunk.closing[k]:.1g} "
+        "or less"
+    ), regions[int(np.argmin(_gaps(chunk)[k]))])  # fmt: skip
+
+
+def squeezed(chunk: Chunk, regions: Sequence[str], step: float, fastest: float) -> Refused | None:
+    """Return the first step in which something sinks that no impulses keep out.
+
+    Parameters
+    ----------
+    chunk : Chunk
+    regions : sequence of str
+    step : float
+        As asked for.
+    fastest : float
+        Approach before the chunk.
+    """
+    gaps = _gaps(chunk)
+    deepest: Array = np.min(gaps, axis=1, initial=math.inf)
+    approach = np.maximum.accumulate(np.maximum(chunk.approach, fastest))
+    wrong = (deepest < -step * approach) & (chunk.efforts[:, 0] > _HELPLESS)
+    if not wrong.any():
+        return None
+    k = int(np.argmax(wrong))
+    name = regions[int(np.argmin(gaps[k]))]
+    return Refused(k, UnsolvedImpulses(
+        f"no impulses keep {name} out of what it touches: it is {-deepest[k]:.3g} deep, and they "
+        f"miss the contact laws by {chunk.efforts[k, 0]:.2g} of the fastest approach; what is led "
+        "or held leaves it no room"
+    ), name)  # fmt: skip
+
+
+def no_room(name: str, depth: float, size: float) -> UnsolvedImpulses | None:
+    """Return what is said of a region that gets too deep wherever it moves; None: it can move out.
+
+    Parameters
+    ----------
+    name : str
+    depth : float
+        That no motion avoids; see `depth_left`.
+    size : float
+        Of the scene.
+    """
+    if not depth > _SHALLOW * size:
+        return None
+    return UnsolvedImpulses(
+        f"no impulses keep {name} out of what it touches: wherever it moves something stays "
+        f"{depth:.3g} deep; what is led or held leaves it no room"
+    )
+
+
+def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:
+    """Return how deep the deepest contact stays, whatever moves, and the move that does it.
+
+    Below 0 if none stays deep.
+
+    The least over all displacements u of the largest of ``-gaps - rows u`` with ``held u = 0``, by
+    linear programming; of gaps that grow with u as their rates do.
+
+    Parameters
+    ----------
+    gaps : (m,) array
+        Of what touches, or is about to.
+    rows : (m, n) array
+        Rates of the gaps.
+    held : (r, n) array
+        What joints hold at 0.
+    """
+    from scipy.optimize import linprog
+
+    if not len(gaps):
+        return -math.inf, np.zeros(rows.shape[1])
+    n, none = rows.shape[1], np.ones((len(gaps), 1))
+    result = linprog(
+        np.append(np.zeros(n), 1.0),
+        np.hstack([-rows, -none]),
+        gaps,
+        np.hstack([held, np.zeros((len(held), 1))]) if len(held) else None,
+        np.zeros(len(held)) if len(held) else None,
+        # All can be apart: by how much does not matter.
+        [*[(None, None)] * n, (-float(np.abs(gaps).max()), None)],
+    )
+    if result.status != 0:
+        return -math.inf, np.zeros(n)
+    return float(result.fun), result.x[:n]
+
+
+def _gaps(chunk: Chunk) -> Array:
+    found: Array = np.where(chunk.codes == OFF_CODE, math.inf, chunk.gaps)
+    return found

@@ -1,0 +1,56 @@
+"""Walls that close on a ball: what is said where none of it has room any more."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import UnsolvedImpulses
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+RADIUS, SPEED = 0.1, 0.5
+WALLS = f"""
+kind: scene
+name: closing
+gravity: 0
+parameters: {{e: 1, v: {SPEED}, tilt: 0}}
+surfaces:
+  left: {{line: [[-1 - tilt, 5], [-1 + tilt, -5]], displacement: [v*time, 0]}}
+  right: {{line: [[1, -5], [1, 5]], displacement: [-v*time, 0]}}
+stop: {{time: 2}}
+settings: {{engine: impulse, step: 1e-3}}
+"""
+SHAPE = f"""
+bodies: {{ball: {{mass: 1, inertia: 0.005, shape: {{disc: {RADIUS}}}, start: {{dx: 1}}}}}}
+collisions: {{all: {{bodies: [ball], surfaces: [left, right], friction: 0, restitution: e}}}}
+"""
+POINT = f"""
+bodies: {{ball: {{mass: 1, inertia: 0.005, start: {{dx: 1}}}}}}
+contacts:
+  left: {{point: {{body: ball}}, radius: {RADIUS}, surface: left, modes: [free, slide],
+    friction: 0, restitution: e, impact: moreau}}
+  right: {{point: {{body: ball}}, radius: {RADIUS}, surface: right, modes: [free, slide],
+    friction: 0, restitution: e, impact: moreau}}
+"""
+
+
+@pytest.mark.parametrize(("of", "e"), [(SHAPE, 1), (SHAPE, 0.97), (SHAPE, 0.9), (POINT, 1)])
+def test_walls_that_meet_in_a_ball_are_no_matter_of_the_step(of, e):
+    with pytest.raises(UnsolvedImpulses, match="leaves it no room") as caught:
+        Runner(interpret(read_text(WALLS + of))).run({"e": e})
+    time, deep = map(
+        float, re.findall(r"t = ([\d.]+): .*stays ([\d.]+) deep", str(caught.value))[0]
+    )
+    # In the middle between them it is in both by as much.
+    assert deep == pytest.approx(SPEED * time - (1 - RADIUS), rel=0.03)
+
+
+def test_walls_that_leave_a_way_out_are_followed():
+    # They lean away from each other: what is squeezed between them is driven out upwards.
+    trace = Runner(interpret(read_text(WALLS + SHAPE))).run({"e": 0, "tilt": 2}).trace
+    assert trace.outcome is Outcome.HORIZON
+    assert trace.final[1] > 0.5
