@@ -127,7 +127,7 @@ class Recorder:
         if last:
             self.row, self._raw = shown[-1], chunk.codes[last - 1]
         self._open, self._size = [], 0
-        self.clock = self._began = self.clock.later(last * chunk.h)
+        self.clock = self._began = self.clock.later(last * chunk.h).short
         return chunk.after(last)
 
     def changes(self, chunk: Chunk) -> Bools:
@@ -265,7 +265,7 @@ class Recorder:
 
     def _arc(self, times: Array, coefficients: Array, solved: Array) -> None:
         self._open.append((times, coefficients, solved))
-        self.clock = self.clock.later(float(times[-1]))
+        self.clock = self.clock.later(float(times[-1])).short
         self._size += coefficients.nbytes
         if self._size > _LONGEST:
             self.close()

@@ -11,7 +11,8 @@ class Clock(NamedTuple):
     Attributes
     ----------
     high, low : float
-        The time is ``high + low``; ``|low|`` is at most half an ulp of ``high``.
+        The time is ``high + low``; ``|low|`` is at most half an ulp of ``high``, or a few ulps
+        where `high` is `short`.
     """
 
     high: float = 0.0
@@ -24,6 +25,12 @@ class Clock(NamedTuple):
         error = (self.high - (total - part)) + (duration - part) + self.low
         high = total + error
         return Clock(high, error - (high - total))
+
+    @property
+    def short(self) -> Clock:
+        """The same time with a high part of 15 digits: what is made of steps such as 1e-3."""
+        high = float(f"{self.high:.15g}")
+        return Clock(high, (self.high - high) + self.low)
 
     def until(self, end: float) -> float:
         """Return the time left until `end`."""

@@ -175,14 +175,19 @@ def _least(values: Mapping[str, Any]) -> list[tuple[str, Any] | int]:
 def _values(
     title: str, values: Sequence[tuple[str, Any] | int], units: Mapping[str, str]
 ) -> list[Block]:
-    """Return values under a title; a number stands for as many that are left out."""
-    rows = []
+    """Return values under a title, their units in a column that no list of values pushes away.
+
+    A number stands for as many that are left out.
+    """
+    numbers = [_text(i[1]) for i in values if not isinstance(i, int) and not isinstance(i[1], list)]
+    width, rows = max(map(len, numbers), default=0), []
     for item in values:
         if isinstance(item, int):
-            rows.append((f"  ... {item} more: {_ALL}", "", ""))
+            rows.append((f"  ... {item} more: {_ALL}", ""))
         else:
             name, value = item
-            rows.append((f"  {name}", _text(value), beside(units.get(name, ""))))
+            unit = beside(units.get(name, ""))
+            rows.append((f"  {name}", f"{_text(value).ljust(width)}  {unit}".rstrip()))
     return [f"{title}\n", Table(rows)]
 
 

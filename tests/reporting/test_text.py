@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import re
+from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from statechart.automaton.clock import between
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
-from statechart.reporting.text import change, summary
+from statechart.loading.load import load
+from statechart.reporting.text import _values, change, summary
 from statechart.running.runner import Runner
-from statechart.tabular import ends, several, shortest, whole
+from statechart.tabular import ends, several, shortest, table, whole
 
 GRAINS = """\
 kind: scene
@@ -192,3 +196,28 @@ def test_times_in_messages_are_told_as_other_numbers(engine: str, end: str, told
     step = 1e-8 if end == "1e-7" else 0.01
     runner = Runner(read_text(scene), engine=engine, step=step if engine == "impulse" else None)
     assert runner.run().trace.message == f"reached t = {told}"
+
+
+def test_a_list_of_values_leaves_units_of_others_where_they_are() -> None:
+    text = summary(Runner(load("newtons_cradle")).run().to_dict())
+    lines = [line for line in under(text, "outputs") if line.endswith((" s", " rad/s"))]
+    assert all("]  " in line for line in lines)
+    report = {"clicks": 12.5, "times": [0.125, 0.25, 0.375, 0.5], "gone": None}
+    [_, found] = _values("outputs", list(report.items()), {"clicks": "m", "times": "s"})
+    assert table(found.rows).splitlines() == [
+        "  clicks  12.5  m",
+        "  times   [0.125, 0.25, 0.375, 0.5]  s",
+        "  gone    null",
+    ]
+
+
+def test_times_of_steps_have_no_digits_that_the_step_has_not() -> None:
+    text = GRAINS.replace(", record: poses", "").replace("time: 0.2", "time: 40")
+    text = text.replace("copies: 60", "copies: 2").replace("restitution: 0", "restitution: 1")
+    trace = Runner(read_text(text)).run().trace
+    halves = [round(jump.t / 5e-4) for jump in trace.jumps]
+    assert len(halves) > 800
+    # As far as decimals go: the float nearest to the number that is written so.
+    assert [jump.t for jump in trace.jumps] == [float(Fraction(k, 2000)) for k in halves]
+    for one, other in pairwise(trace.arcs):
+        assert abs(between(one.end, other.start)) <= 1e-15
