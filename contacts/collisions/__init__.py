@@ -2,7 +2,8 @@
 
 `bodies` is the automaton of a scene with collisions and what steps it, a `stepped_heap` one run of
 it, `mechanics` what its formulas are over, `outlines` its bodies as numbers, `declared_surfaces`
-what they stand on, `declared_joints` what holds them, `starts` where they are, `inside` in what.
+what they stand on, `declared_joints` what holds them, `starts` where they are, `inside` in what,
+and `apart` from each other.
 `surroundings` are known ahead of the steps: `paths` of surfaces, what controllers `recall`, and
 forces. A `body_step` asks `contacts.detection` which bodies touch; `islands` of them are solved one
 by one in an `island_step`, where `order` says which impact is first, and `mass_ratios` where that

@@ -7,11 +7,12 @@ equations are composed: what moves a body are gravity and the impulses of its co
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import get_args
 
 import numpy as np
 
+from contacts.collisions.apart import check_apart
 from contacts.collisions.body_step import step_bodies
 from contacts.collisions.declared_joints import check_closed, implied_remarks
 from contacts.collisions.declared_surfaces import touched
@@ -22,6 +23,7 @@ from contacts.collisions.paths import Paths
 from contacts.collisions.recall import Recall
 from contacts.collisions.stepped_heap import SteppedHeap
 from contacts.collisions.surroundings import Surroundings
+from contacts.detection.body_numbers import BodyNumbers
 from contacts.dynamics.control_guards import Controllers, controller, memory_rates
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
@@ -35,10 +37,11 @@ from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.refused import DEEPEST
 from contacts.time_stepping.stepper import RELATIVE, Stepper
+from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Region, State, stop_margins
 from statechart.automaton.time_stepper import USUAL
-from statechart.errors import DeclarationProblem, StepTooLarge
+from statechart.errors import StepTooLarge
 from statechart.kernels.jit import by_python, is_ready
 
 # Bodies may overlap at the start by this part of the scene.
@@ -184,15 +187,28 @@ class BodyStepper(Stepper):
         self, overrides: Mapping[str, float], allowed: float, forces: bool
     ) -> tuple[SceneSetup, SteppedHeap]:
         values, remembered = self._mechanics.parameters.values(overrides)
-        scene, owners = self._scene, self._bodies.owners
-        names = list(scene.bodies)
-        known = scene.values(overrides)
+        scene, known = self._scene, self._scene.values(overrides)
         if overrides:
             check_physical(self._declared, known)
             check_shapes(self._declared, known)
         moved = self._bodies.starts.at(values, known)
-        initial = np.concatenate([moved, remembered])
         bodies = body_numbers(self._declared, known)
+        setup = self._setup(values, moved, remembered, bodies)
+        law = get_args(Simultaneous).index(scene.simultaneous)
+
+        def heap(deepest: float = math.inf, forces: bool = True) -> SteppedHeap:
+            around = Surroundings(self._bodies, self._paths, self._recall, known, values)
+            names = list(scene.bodies)
+            return SteppedHeap(names, touched(scene), bodies, around, law, allowed, deepest, forces)
+
+        self._check_start(setup, bodies, known, heap)
+        return setup, heap(DEEPEST * setup.scales.length, forces)
+
+    def _setup(
+        self, values: Array, moved: Array, remembered: Array, bodies: BodyNumbers
+    ) -> SceneSetup:
+        """Return the numbers of a run, in scales by where bodies start and how large they are."""
+        owners = self._bodies.owners
         largest = int(np.argmax(bodies.sizes))
         check_range(float(bodies.sizes[largest]), "its size", ("bodies", owners[largest], "shape"))
         for number in bodies.gravity.tolist():
@@ -200,19 +216,31 @@ class BodyStepper(Stepper):
         length = float(np.abs(moved.reshape(2, -1, 3)[0, :, :2]).max() + bodies.sizes.max())
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
         speed = max(speed, float(np.abs(moved[len(moved) // 2 :]).max())) or 1.0
-        scales = Scales(length, speed, speed**2 / length, 1.0, np.ones(len(moved)))
-        setup = SceneSetup(
+        initial = np.concatenate([moved, remembered])
+        return SceneSetup(
             values=values,
             initial=initial,
             tolerances={"gap": RELATIVE * length, "speed": RELATIVE * speed,
                         "force": 0.0, "plain": 0.0},
-            scales=scales,
+            scales=Scales(length, speed, speed**2 / length, 1.0, np.ones(len(moved))),
             contacts=(),
             capture=0.0,
             bands={},
             sizes=np.ones(len(initial)),
-            warnings=implied_remarks(scene, bodies.joints, moved),
+            warnings=implied_remarks(self._scene, bodies.joints, moved),
         )  # fmt: skip
+
+    def _check_start(
+        self,
+        setup: SceneSetup,
+        bodies: BodyNumbers,
+        known: Mapping[str, float],
+        heap: Callable[[], SteppedHeap],
+    ) -> None:
+        """Check that bodies start in what is hollow, on their joints, and apart."""
+        scene, owners = self._scene, self._bodies.owners
+        moved, remembered = np.split(setup.initial, [6 * len(bodies.sizes)])
+        length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
         begun = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
         check_inside(scene, owners, bodies, moved, begun.frames[0])
@@ -223,36 +251,13 @@ class BodyStepper(Stepper):
             _START_DEPTH * speed,
         )  # fmt: skip
 
-        def around() -> Surroundings:
-            return Surroundings(self._bodies, self._paths, self._recall, known, values)
+        def trial(start: Array) -> SteppedHeap:
+            found = heap()
+            found.steps(0.0, 1e-9 * length / speed, start, 1)
+            return found
 
-        # A step of no length finds who overlaps.
-        law = get_args(Simultaneous).index(scene.simultaneous)
+        def looked(start: Array) -> SteppedHeap:
+            # One step does not pay to compile it.
+            return trial(start) if is_ready(step_bodies) else by_python(lambda: trial(start))
 
-        def tried() -> SteppedHeap:
-            trial = SteppedHeap(names, touched(scene), bodies, around(), law, allowed)
-            trial.steps(0.0, 1e-9 * length / speed, initial, 1)
-            return trial
-
-        # One step does not pay to compile it.
-        trial = tried() if is_ready(step_bodies) else by_python(tried)
-        _check_apart(trial, names, owners, _START_DEPTH * length)
-        return setup, SteppedHeap(
-            names, touched(scene), bodies, around(), law, allowed, DEEPEST * length,
-            forces,
-        )  # fmt: skip
-
-
-def _check_apart(
-    trial: SteppedHeap, names: Sequence[str], owners: Sequence[str], near: float
-) -> None:
-    """Check that no body is deeper in another or a surface than `near`."""
-    for name, margin in trial.margins.items():
-        if margin < -near:
-            body = name.removesuffix(".gap")
-            where, advice = trial.deepest_of(body) or ("another body or a surface", "move it")
-            raise DeclarationProblem(
-                f"body {body!r} starts {-margin:.6g} deep in {where}",
-                advice=f"{advice} out",
-                loc=("bodies", owners[names.index(body)], "start"),
-            )
+        check_apart(looked, list(scene.bodies), owners, setup.initial, _START_DEPTH * length)
