@@ -13,6 +13,9 @@ from statechart.errors import DeclarationProblem
 
 # Depths that are equal but for rounding.
 _SAME = 1e-9
+# So many bodies, and moves of each, are tried.
+_MOVES = 20
+_NO_ROOM = "no small move takes it out of all that it is in: make room, or start it elsewhere"
 
 
 def check_apart(
@@ -41,18 +44,60 @@ def check_apart(
         If one is.
     """
     trial = tried(initial)
-    for name, margin in trial.margins.items():
-        if margin < -near:
-            body = name.removesuffix(".gap")
-            b = list(names).index(body)
-            seen = trial.deepest_of(body)
-            found = None if seen is None else (b, *seen)
-            b, where, advice = found or _covered(tried, trial.numbers, names, initial, b, margin)
-            raise DeclarationProblem(
-                f"body {names[b]!r} starts {-margin:.6g} deep in {where}",
-                advice=f"{advice} out",
-                loc=("bodies", owners[b], "start"),
-            )
+    deep = {
+        list(names).index(name.removesuffix(".gap")): margin
+        for name, margin in trial.margins.items()
+        if margin < -near
+    }
+    if not deep:
+        return
+    # Who can be moved out of all that it is in, or else the first.
+    for b in [*deep][:_MOVES]:
+        where, out = trial.deepest_of(b), _way_out(tried, trial, initial, b, near)
+        if where and out:
+            break
+    else:
+        b = next(iter(deep))
+        where, out = trial.deepest_of(b), _NO_ROOM
+        if not where:
+            b, where, out = _covered(tried, trial.numbers, names, initial, b, deep[b])
+    raise DeclarationProblem(
+        f"body {names[b]!r} starts {-deep[b]:.6g} deep in {where}",
+        advice=out,
+        loc=("bodies", owners[b], "start"),
+    )
+
+
+def _way_out(
+    tried: Callable[[Array], SteppedHeap], trial: SteppedHeap, initial: Array, b: int, near: float
+) -> str:
+    """Return how a body gets out of all that it is in, and of what it would get into then, or "".
+
+    The least move out of all that was met so far (least distance programming, Lawson and Hanson
+    1974), until it meets nothing new.
+    """
+    from scipy.optimize import nnls
+
+    move, ways, far = np.zeros(2), np.zeros((0, 2)), np.zeros(0)
+    for _ in range(_MOVES):
+        normals, depths = trial.pushes_out(b, near)
+        if not len(depths):
+            dx, dy = np.where(np.abs(move) < near, 0.0, move).tolist()
+            return f"move it by ({dx:.6g}, {dy:.6g}) out"
+        ways = np.concatenate([ways, normals])
+        far = np.concatenate([far, depths + normals @ move])
+        least = np.concatenate([ways.T, far[None]])
+        size = float(far.max())
+        least[2] /= size
+        weights, _ = nnls(least, np.array([0.0, 0.0, 1.0]))
+        left = least @ weights - np.array([0.0, 0.0, 1.0])
+        if not -left[2] > _SAME:
+            break
+        move = -size * left[:2] / left[2]
+        state = initial.copy()
+        state[3 * b : 3 * b + 2] += move
+        trial = tried(state)
+    return ""
 
 
 def _covered(
@@ -79,6 +124,6 @@ def _covered(
         gap = tried(state).margins.get(f"{names[b]}.gap", np.inf)
         if other != b and gap <= (1.0 - _SAME) * margin:
             one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
-            far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it"
+            far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
             return one, f"body {names[whole]!r}", far
-    return b, "several surfaces", "move it"
+    return b, "several surfaces", "move it out"

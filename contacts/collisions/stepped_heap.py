@@ -92,25 +92,31 @@ class SteppedHeap:
             if np.isfinite(gap)
         }
 
-    def deepest_of(self, body: str) -> tuple[str, str] | None:
-        """Return what a body touches the deepest since the last step, and how it is to move."""
-        b, touches = self._names.index(body), self._room.touches
-        mine = [i for i in range(int(self._memory.many[0])) if b in touches.bodies[i].tolist()]
+    def deepest_of(self, body: int) -> str:
+        """Return what a body touches the deepest since the last step; "" where that is covered."""
+        touches = self._room.touches
+        mine = [i for i in range(int(self._memory.many[0])) if body in touches.bodies[i].tolist()]
         i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]), default=-1)
         # Deeper than all that it touches is what is in the middle of others' pieces.
-        if i < 0 or self._memory.contacts[i, 0] > self._least[b]:
-            return None
-        depth, (nx, ny) = -float(self._memory.contacts[i, 0]), touches.rows[i, 0, :2].tolist()
+        if i < 0 or self._memory.contacts[i, 0] > self._least[body]:
+            return ""
         one, other = touches.bodies[i].tolist()
-        sign, partner = (1.0, other) if one == b else (-1.0, one)
         pieces = len(self.numbers.pieces.sizes)
         surface = int(touches.keys[i, 0]) % (pieces + len(self._surfaces)) - pieces
-        where = f"surface {self._surfaces[surface]!r}" if surface >= 0 else (
-            f"body {self._names[partner]!r}"
-        )  # fmt: skip
-        # Zero has no sign.
-        dx, dy = sign * depth * nx + 0.0, sign * depth * ny + 0.0
-        return where, f"move it by ({dx:.6g}, {dy:.6g})"
+        if surface >= 0:
+            return f"surface {self._surfaces[surface]!r}"
+        return f"body {self._names[other if one == body else one]!r}"
+
+    def pushes_out(self, body: int, near: float) -> tuple[Array, Array]:
+        """Return ways out (k, 2) of what a body is in since the last step, and how far (k,).
+
+        Of what it is in deeper than `near`.
+        """
+        touches, count = self._room.touches, int(self._memory.many[0])
+        sides = touches.bodies[:count] == body
+        deep = sides.any(axis=1) & (touches.memory[:count, 0] < -near)
+        normals = np.where(sides[:, :1], touches.rows[:count, 0, :2], touches.rows[:count, 0, 3:5])
+        return normals[deep], -touches.memory[:count, 0][deep]
 
     def depth_left(self, state: Array, time: float) -> float:
         """Return how deep something stays, whatever moves; see `Stepped`.

@@ -161,7 +161,10 @@ def _check_shape(scene: SceneFields, at: Loc, shape: Shape, values: Mapping[str,
     assert shape.polygon is not None
     for place, corner in enumerate(shape.polygon):
         for axis, text in enumerate(corner):
-            check_names(parse(text), scene.parameters, *at, "polygon", place, axis)
+            loc = (*at, "polygon", place, axis)
+            check_names(parse(text), scene.parameters, *loc)
+            if not math.isfinite(value_of(text, values, *loc)):
+                raise DeclarationProblem("must be finite", loc=loc)
     corners = [(parse(x).value(values), parse(y).value(values)) for x, y in shape.polygon]
     turns, whole = _turns(corners)
     problem = "a polygon is convex, its corners counter-clockwise"

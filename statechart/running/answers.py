@@ -7,9 +7,7 @@ from dataclasses import replace
 
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.declaration import Declaration
-from statechart.documents.document import Document
 from statechart.documents.setting import Setting
-from statechart.documents.validation import located
 from statechart.engines.budget import Allowance
 from statechart.engines.choice import choose
 from statechart.engines.request import Plan
@@ -29,8 +27,8 @@ class Answers:
 
     Parameters
     ----------
-    model, document
-        What is run, and where it is declared.
+    model : Declaration
+        What is run.
     observers : Observers
         Simulators of it at any setting.
     plan : Plan
@@ -50,12 +48,11 @@ class Answers:
     def __init__(
         self,
         model: Declaration,
-        document: Document | None,
         observers: Observers,
         plan: Plan,
         allowance: Allowance | None,
     ) -> None:
-        self._limit, self._document = model.settings.max_jumps, document
+        self._limit = model.settings.max_jumps
         self._observers, self._plan, self._allowance = observers, plan, allowance
         self.setting, self.reason = plan.setting, plan.reason
         if not self.setting.stepped:
@@ -98,17 +95,15 @@ class Answers:
             return trace
         if self._allowance is not None:
             self._allowance.lift()
-        with located(self._document, overrides):
-            return simulator.certified(trace, overrides, until=end, max_jumps=self._limit)
+        return simulator.certified(trace, overrides, until=end, max_jumps=self._limit)
 
     def _once(
         self, setting: Setting, overrides: Mapping[str, float], end: float, *, off: bool = False
     ) -> tuple[Observer, Trace]:
         observer = self._observers.at(setting, off=off)
-        with located(self._document, overrides):
-            return observer, observer.simulator.run(
-                overrides, until=end, max_jumps=self._limit, throw=False
-            )
+        return observer, observer.simulator.run(
+            overrides, until=end, max_jumps=self._limit, throw=False
+        )
 
     def _other_engine(self, trace: Trace) -> bool:
         """Take scipy where taylor was picked and cannot run the model; whether that is so.

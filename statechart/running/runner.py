@@ -129,7 +129,7 @@ class Runner:
         budget = self._plan.setting.budget
         allowance = None if budget is None else Allowance(budget)
         self.observers = Observers(self.automaton, allowance=allowance, progress=progress)
-        self._answers = Answers(model, self.document, self.observers, self._plan, allowance)
+        self._answers = Answers(model, self.observers, self._plan, allowance)
 
     @property
     def setting(self) -> Setting:
@@ -195,7 +195,8 @@ class Runner:
                 "the engine impulse cannot certify: its steps follow no differential equation",
                 advice="leave certify out, or take the engine taylor or scipy",
             )
-        with self._turn:
+        # Where it is declared is known later than what is run, of a runner that travelled.
+        with self._turn, located(self.document, overrides):
             began, answers = working_time(), self._answers
             answer, basis = answers.answer(overrides, end)
             trace, asked = answer.trace, None

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import pickle
+import re
 from functools import cache
 
 import numpy as np
@@ -116,13 +118,49 @@ def test_wrong_declarations_are_refused(old, new, words):
 
 
 def test_bodies_that_overlap_at_the_start_are_refused():
-    words = r"body 'block0' starts 0.5 deep in body 'block1'.*move it by \(-?0, -0.5\) out"
+    # The lower one has nowhere to go.
+    words = r"body 'block1' starts 0.5 deep in body 'block0'; move it by \(0, 0.5\) out"
     with pytest.raises(DeclarationError, match=words):
         Runner(interpret(read_text(TWO.replace("3*index", "1.5*index")))).run()
     with pytest.raises(
         DeclarationError, match=r"0.25 deep in surface 'ground'.*by \(0, 0.25\) out"
     ):
         Runner(interpret(read_text(TWO.replace("1 + 3*index", "0.75 + 3*index")))).run()
+
+
+def test_bodies_in_several_things_are_told_how_to_get_out_of_all_of_them():
+    wall = "  ground: {height: 0}\n  wall: {line: [[-0.7, 5], [-0.7, -5]]}"
+    wedged = TWO.replace("copies: 2", "copies: 1").replace("1 + 3*index", "0.5")
+    wedged = wedged.replace("  ground: {height: 0}", wall)
+    wedged = wedged.replace("surfaces: [ground]", "surfaces: [ground, wall]")
+    with pytest.raises(DeclarationError, match="move it by") as caught:
+        Runner(interpret(read_text(wedged))).run()
+    x, y = re.findall(r"by \((.*), (.*)\) out", str(caught.value))[0]
+    assert (float(x), float(y)) == pytest.approx((0.3, 0.5))
+    Runner(interpret(read_text(wedged.replace("y: 0.5", f"x: {x}, y: 0.5 + {y}")))).start()
+    walls = f"{wall}\n  other: {{line: [[0.9, -5], [0.9, 5]]}}"
+    narrow = TWO.replace("  ground: {height: 0}", walls)
+    narrow = narrow.replace("surfaces: [ground]", "surfaces: [ground, wall, other]")
+    with pytest.raises(DeclarationError, match="no small move takes it out of all that it is in"):
+        Runner(interpret(read_text(narrow))).run()
+
+
+def test_where_copies_that_a_parameter_makes_overlap_is_told():
+    text = TWO.replace("copies: 2", "copies: n").replace("3*index", "(4 - n)*index")
+    text += "parameters: {n: 1}\n"
+    runner = Runner(read_text(text, "two.yaml"))
+    runner.run()
+    with pytest.raises(DeclarationError, match=r"two\.yaml:\d+:\d+: bodies\.block\.start: .* n=3"):
+        runner.run({"n": 3})
+
+
+def test_a_runner_that_travelled_and_corners_at_infinity_are_told_with_their_line():
+    text = TWO.replace("[1, 1], [-1, 1]]", "[1, 1], [-1, a]]") + "parameters: {a: 1}\n"
+    runner = pickle.loads(pickle.dumps(Runner(read_text(text, "two.yaml"))))
+    place = r"two\.yaml:11:\d+: bodies\.block\.shape\.0\.polygon\.3.*"
+    for value, words in ((math.inf, "must be finite"), (-1.0, "corner 4, at")):
+        with pytest.raises(DeclarationError, match=f"{place}{words}.* with a={value:g} set"):
+            runner.run({"a": value})
 
 
 def test_engines_with_events_say_what_runs_it():
