@@ -32,6 +32,7 @@ from contacts.scene.collision_checks import check_shapes
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
+from contacts.scene.unlikely import unlikely
 from contacts.states import FREE, superstates_of
 from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.control import StepControl
@@ -41,7 +42,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Region, State, stop_margins
 from statechart.automaton.time_stepper import USUAL
-from statechart.errors import StepTooLarge
+from statechart.errors import DeclarationProblem, StepTooLarge
 from statechart.kernels.jit import by_python, is_ready
 
 # Bodies may overlap at the start by this part of the scene.
@@ -227,7 +228,10 @@ class BodyStepper(Stepper):
             capture=0.0,
             bands={},
             sizes=np.ones(len(initial)),
-            warnings=implied_remarks(self._scene, bodies.joints, moved),
+            warnings=(
+                *unlikely(self._declared),
+                *implied_remarks(self._scene, bodies.joints, moved),
+            ),
         )  # fmt: skip
 
     def _check_start(
@@ -243,6 +247,13 @@ class BodyStepper(Stepper):
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
         begun = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
+        for surface, frame in zip(touched(scene), begun.frames[0], strict=True):
+            if not np.isfinite(frame).all():
+                turns = not np.isfinite(frame[2])
+                raise DeclarationProblem(
+                    "has no value at the start, or an infinite one",
+                    loc=("surfaces", surface, "turn" if turns else "displacement"),
+                )
         check_inside(scene, owners, bodies, moved, begun.frames[0])
         # Of the second order, from the start on: before it a path need not be.
         rates = np.tensordot([-1.5, 2.0, -0.5], begun.places, axes=1) / soon

@@ -1,4 +1,4 @@
-"""What in a scene may be meant, and hardly ever is: angles in degrees, gravity upwards."""
+"""What in a scene may be meant, and hardly ever is: angles in degrees, walls that stop nothing."""
 
 from __future__ import annotations
 
@@ -40,12 +40,26 @@ def _found(scene: SceneFields) -> Iterator[str]:
             value = _plain(parse(body.start["angle"]).root, scene.parameters)
             if value is not None and abs(value) > _TURN:
                 yield f"bodies.{name}.start.angle: {_degrees(value)}"
+    if scene.collisions:
+        yield from _idle(scene)
     for formula, _ in fields_of(scene):
         for node in nodes(formula):
             if isinstance(node, Call) and node.function in _OF_ANGLES:
                 value = _plain(node.arguments[0], {})
                 if value is not None and abs(value) > _TURN:
                     yield f"{node.function}({value:g}): {_degrees(value)}"
+
+
+def _idle(scene: SceneFields) -> Iterator[str]:
+    """Say what has a shape, or is solid, and collides with nothing."""
+    bodies = {name for law in scene.collisions.values() for name in law.bodies}
+    surfaces = {name for law in scene.collisions.values() for name in law.surfaces}
+    for kind, idle in (
+        ("bodies", [n for n, body in scene.bodies.items() if body.shape and n not in bodies]),
+        ("surfaces", [name for name in scene.surfaces if name not in surfaces]),
+    ):
+        for name in idle:
+            yield f"{kind}.{name}: nothing collides with it, as no collisions list it in {kind}"
 
 
 def _plain(node: Node, parameters: Mapping[str, FormulaText]) -> float | None:

@@ -163,6 +163,27 @@ def test_a_runner_that_travelled_and_corners_at_infinity_are_told_with_their_lin
             runner.run({"a": value})
 
 
+def test_what_hardly_was_meant_of_bodies_with_shapes_is_warned_of():
+    text = TWO.replace("  ground: {height: 0}", "  ground: {height: 0}\n  wall: {height: -9}")
+    text = text.replace("start: {", "start: {angle: 90, ").replace(
+        "surfaces:\n",
+        "  idle: {mass: 1, inertia: 1, shape: {disc: 1}, start: {x: 9}}\nsurfaces:\n",
+        1,
+    )
+    text = text.replace("y: 1 + 3", "y: 2 + 3")
+    assert Runner(interpret(read_text(text))).run().trace.warnings[:3] == (
+        "bodies.block.start.angle: 90 radians are 14.3 turns; of degrees write 90*pi/180",
+        "bodies.idle: nothing collides with it, as no collisions list it in bodies",
+        "surfaces.wall: nothing collides with it, as no collisions list it in surfaces",
+    )
+
+
+def test_a_path_that_begins_nowhere_is_told_with_its_line():
+    text = TWO.replace("{height: 0}", "{height: 0, displacement: [0, 1/time]}")
+    with pytest.raises(DeclarationError, match=r":13:\d+: surfaces\.ground\.displacement: has no"):
+        Runner(read_text(text, "two.yaml")).run()
+
+
 def test_engines_with_events_say_what_runs_it():
     with pytest.raises(StatechartError, match="engine impulse"):
         Runner(interpret(read_text(TWO)), engine="scipy").run()
