@@ -74,14 +74,14 @@ class StopConditions:
     def locate(self, recorder: Recorder, condition: int) -> Array:
         """Cut what is recorded where a condition is met in its last step; return that state."""
         recorder.close()
-        arc = recorder.arcs[-1]
-        while True:
-            begin = arc.times[-2]
-            if len(arc.times) > 2 or self._margin(arc, float(begin), condition) >= 0.0:
-                break
-            # It was met in the half of the step before an impact.
+        arc, before = recorder.arcs[-1], recorder.arcs[-2:-1]
+        begin = float(arc.times[-2])
+        met = len(arc.times) == 2 and self._margin(arc, begin, condition) < 0.0
+        if met and before and self._margin(before[0], before[0].duration, condition) < 0.0:
+            # It was met in the half of the step before an impact; else what begins it meets it.
             arc = recorder.drop()
-        low, high = float(begin), arc.duration
+            begin = float(arc.times[-2])
+        low, high = begin, arc.duration
         if self._margin(arc, low, condition) < 0.0:
             high = low
         for _ in range(_BISECTIONS):

@@ -76,7 +76,8 @@ class Track:
             last = (end - made.start.high) - made.start.low
             if not last < made.times[-1]:
                 return made
-            return cut(made, max(int(np.searchsorted(made.times, last)) - 1, 0), last)
+            step = int(np.searchsorted(made.times, last, side="right")) - 1
+            return cut(made, max(step, 0), last)
 
         return Recorded(arc, lambda: len(blocks), kept=False)
 
