@@ -2,20 +2,25 @@
 
 Off, a contact bears no force and its gap is not watched. It comes back when all its conditions hold
 and its gap is open: a foot that is inside the surface then (scuffing) comes back once it is out.
+One that touches while a condition begins to hold comes back at once: a point that slides from an
+edge onto the next would be below that by the time anything is seen of it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cached_property
 
 import numpy as np
+import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import Snapshot
 from contacts.states import OFF
 from statechart.arrays import Array, Ints32
 from statechart.automaton.trace import Key
+from statechart.formulas.tape import Tape
 from statechart.kernels.jit import seldom
 from statechart.kernels.tapes import tape_values
 
@@ -52,10 +57,21 @@ class Conditions:
             for contact, margins in enumerate(self._margins)
             for margin in margins
         )
-        self.tape = mechanics.tape(
-            [margin.expression for margins in self._margins for margin in margins],
-            definitions=mechanics.controlled(states),
+        self._mechanics, self._states = mechanics, states
+        self.tape = self._tape(lambda margin: margin)
+
+    def _tape(self, of: Callable[[sp.Expr], sp.Expr]) -> Tape:
+        return self._mechanics.tape(
+            [of(margin.expression) for margins in self._margins for margin in margins],
+            definitions=self._mechanics.controlled(self._states),
         )
+
+    @cached_property
+    def _rates(self) -> Tape:
+        """The rates of the margins; 0 where they depend on more than where bodies are, and when."""
+        mechanics = self._mechanics
+        unknown = {*mechanics.v, *mechanics.memory.values(), *mechanics.controls}
+        return self._tape(lambda m: sp.S.Zero if m.free_symbols & unknown else mechanics.rate(m))
 
     def bands(self, values: Array, initial: Array, sizes: Array) -> dict[str, float]:
         """Return how near zero each condition counts as on the edge: name -> band."""
@@ -121,12 +137,37 @@ class Conditions:
                 value < (bands[name] if name in fired else -bands[name]) for value, name in found
             ):
                 result[i] = OFF
+        return result or self._met(mode, snapshot, values, state, time, near, bands)
+
+    def _met(
+        self,
+        mode: Key,
+        snapshot: Snapshot,
+        values: Array,
+        state: Array,
+        time: float,
+        near: float,
+        bands: Mapping[str, float],
+    ) -> dict[int, str]:
+        """Return the contacts that touch while the last of their conditions begin to hold."""
+        result: dict[int, str] = {}
+        for i, found in enumerate(self._numbers(values, state, time)):
+            touches = mode[i] == OFF and abs(snapshot.contacts[i].gap) <= near
+            if touches and found and all(value >= -bands[name] for value, name in found):
+                rates = self._numbers(values, state, time, self._rates)[i]
+                if all(
+                    value > bands[name] or rate > 0.0
+                    for (value, name), (rate, _) in zip(found, rates, strict=True)
+                ):
+                    result[i] = "free"
         return result
 
-    def _numbers(self, values: Array, state: Array, time: float) -> list[list[tuple[float, str]]]:
+    def _numbers(
+        self, values: Array, state: Array, time: float, tape: Tape | None = None
+    ) -> list[list[tuple[float, str]]]:
         if not self.present:
             return [[] for _ in self._names]
-        numbers = iter(self.tape.at(state, values, time).tolist())
+        numbers = iter((tape or self.tape).at(state, values, time).tolist())
         return [[(next(numbers), margin.name) for margin in margins] for margins in self._margins]
 
 

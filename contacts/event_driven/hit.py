@@ -104,6 +104,9 @@ def switched(
 ) -> int:  # fmt: skip
     """Take contacts off or back whose conditions say so; return the first, -1 where there is none.
 
+    -2 where none is and one touches on the edge of its conditions: which way that goes is not known
+    here.
+
     Parameters
     ----------
     values : (k,) array
@@ -118,26 +121,29 @@ def switched(
 
     See `contacts.dynamics.conditions.Conditions.switched`.
     """
-    place, at = -1, 0
+    place, at, edge = -1, 0, False
     for c in range(kept.shape[0]):
         taken[c] = kept[c]
     for c in range(kept.shape[0]):
-        begin, holds, fails = at, True, False
+        begin, holds, fails, met = at, True, False, True
         while at < values.shape[0] and scene.owners[at] == c:
             value, band = values[at], scene.bands[at]
             holds = holds and value > (-band if fired == -1 - c else band)
             fails = fails or value < (band if fired == at + 1 else -band)
+            met = met and value >= -band
             at += 1
         if at == begin:
             continue
         if kept[c] == OFF_CODE:
-            if holds and numbers[first + SCALARS * c] >= -scene.gap:
+            gap = numbers[first + SCALARS * c]
+            if holds and gap >= -scene.gap:
                 taken[c] = FREE
+            edge = edge or (met and not holds and abs(gap) <= scene.gap)
         elif fails:
             taken[c] = OFF_CODE
         if place < 0 and taken[c] != kept[c]:
             place = c
-    return place
+    return -2 if place < 0 and edge else place
 
 
 @part

@@ -218,7 +218,10 @@ def _instant(
         tape_values(code, constants, outputs, state, watch.parameters, high, values)
         laws_at = program.modes[mode, LAWS_AT]
         fired = program.ints[laws_at + contacts + margin] if margin >= 0 else 0
-        found = switched(scene, values, numbers, first, fired, kept, taken) >= 0
+        switching = switched(scene, values, numbers, first, fired, kept, taken)
+        if switching == -2:
+            return FELL, margin, 0.0
+        found = switching >= 0
     switches = found
     if not found:
         for c in range(contacts):

@@ -47,7 +47,7 @@ Gravity = Annotated[
     Annotated[FiniteText, Tag("downwards")] | Annotated[Pair, Tag("components")],
     Discriminator(_components),
 ]
-"""An acceleration downwards, or its two components."""
+"""An acceleration downwards, or the components of one, `[0, -g]`."""
 
 
 class SceneFields(Declaration):
@@ -60,7 +60,7 @@ class SceneFields(Declaration):
     )
     gravity: Gravity = Field(
         default=0,
-        description="Acceleration downwards, or its two components.",
+        description="Acceleration downwards, or the components of one: [0, -9.81] is downwards.",
         examples=[9.81, ["g*sin(slope)", "-g*cos(slope)"]],
         json_schema_extra=unit("length/time**2"),
     )
