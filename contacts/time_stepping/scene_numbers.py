@@ -32,7 +32,7 @@ class SceneNumbers(NamedTuple):
     joints : int
         Number of components of joints.
     near : float
-        Contacts that were off come back where they are no deeper than this.
+        Contacts that were off come back where they are no deeper than this below those that last.
     slowest, negligible : float
         What contacts add to the energy is told in parts of what they move with: at this speed at
         least, and twice this energy at least.

@@ -216,6 +216,8 @@ class SteppedScene:
         # What leaves at its first look, or is deeper than its approach explains, was entered
         # elsewhere.
         deep = (chunk.codes != OFF_CODE) & (chunk.gaps < -self._near)
+        # What was off comes back no deeper than what lasts.
+        deep &= np.vstack([self._kept.codes, chunk.codes[:-1]]) != OFF_CODE
         deep[1:] &= chunk.gaps[:-1] > 0.0
         for k, i in np.argwhere(deep).tolist():
             state = np.concatenate([lines[k, :n].sum(axis=1), rates[k]])

@@ -62,19 +62,22 @@ def taking_part(
     Without contacts the step changes the rates by `change`.
     """
     numbers, n, off, level, h = tape.numbers, tape.size, memory.off, memory.level, chunk.h
+    deepest = -scene.near
+    for i in range(len(scene.cones)):
+        # What lies on one surface comes to the next that goes on from it as deep as it lies.
+        deepest = min(deepest, level[i] - scene.near)
     for i in range(len(scene.cones)):
         row = tape.first + tape.per * i
         gap = numbers[row + 2 * n + 2]
         condition = numbers[row + 2 * n + 5]
-        was_off = off[i]
-        if was_off:
-            off[i] = not (condition > 0.0 and gap >= -scene.near)
+        if off[i]:
+            off[i] = not (condition > 0.0 and gap >= deepest)
         elif condition < 0.0:
             off[i] = True
         if not off[i] and (math.isnan(condition) or not math.isfinite(gap)):
             return False
         chunk.gaps[k, i] = math.inf if off[i] else gap
-        if scene.held[i] > 0 or off[i] or was_off:
+        if scene.held[i] > 0 or off[i]:
             level[i] = 0.0
             continue
         before, free = met.before[i], met.free[i]

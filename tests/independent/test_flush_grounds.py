@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import statechart
 from statechart.documents.yaml_reader import read_text
@@ -125,3 +127,100 @@ def test_a_sled_slides_over_a_ditch_on_two_of_its_feet(engine):
         place = along * np.array([math.cos(q), math.sin(q)])
         place += o * np.array([-math.sin(q), math.cos(q)])
         assert final[:3] == pytest.approx([*place, q], abs=1e-11)
+
+
+ENGINES = [("taylor", None, 1e-10), ("scipy", None, 1e-9), ("impulse", 1e-3, 3e-3)]
+
+BELTS = f"""
+kind: scene
+name: belts
+parameters: {{u: 0.5, v: 1.5, mu: 0.4}}
+gravity: {G}
+bodies: {{p: {{mass: 2, start: {{x: -1, dx: u}}}}}}
+surfaces:
+  slow: {{height: 0, displacement: [u*time, 0]}}
+  fast: {{height: 0, displacement: [v*time, 0]}}
+  table: {{height: 0}}
+contacts:
+  A: {{point: {{body: p}}, surface: slow, friction: mu, restitution: 0, enabled: p.x <= 0}}
+  B: {{point: {{body: p}}, surface: fast, friction: mu, restitution: 0,
+    enabled: [p.x >= 0, p.x <= 1]}}
+  C: {{point: {{body: p}}, surface: table, friction: mu, restitution: 0, enabled: p.x >= 1}}
+stop: {{time: 4}}
+outputs:
+  x: {{value: p.x}}
+  y: {{value: p.y}}
+  rides: {{value: time, at: first B.stick}}
+  off: {{value: time, at: first C.enable}}
+  rests: {{value: time, at: first C.stick}}
+"""
+
+
+@pytest.mark.parametrize(("engine", "step", "error"), ENGINES)
+def test_a_parcel_rides_from_belt_to_belt_and_off_it(engine, step, error):
+    rides = 2 + 1 / (0.4 * G)
+    off = rides + (1 - (1.5**2 - 0.5**2) / (0.8 * G)) / 1.5
+    wanted = [1 + 1.5**2 / (0.8 * G), 0, rides, off, off + 1.5 / (0.4 * G)]
+    found = statechart.run(interpret(read_text(BELTS)), engine=engine, step=step).outputs
+    assert list(found.values()) == pytest.approx(wanted, abs=error)
+
+
+TRAY = f"""
+kind: scene
+name: tray
+parameters: {{w: 0.1, mu: 0.2, nu: 0.1}}
+gravity: {G}
+bodies: {{mug: {{mass: 2, start: {{x: -0.3}}}}}}
+surfaces:
+  left: {{edge: [[-1, 0], [0, 0]], turn: -w*time}}
+  right: {{edge: [[0, 0], [3, 0]], turn: -w*time}}
+contacts:
+  A: {{point: {{body: mug}}, surface: left, friction: mu, restitution: 0}}
+  B: {{point: {{body: mug}}, surface: right, friction: nu, restitution: 0}}
+stop: {{time: 4}}
+outputs:
+  along: {{value: mug.x*cos(w*time) - mug.y*sin(w*time)}}
+  above: {{value: mug.y*cos(w*time) + mug.x*sin(w*time)}}
+  slips: {{value: time, at: first A.slip}}
+  over: {{value: time, at: first B.enable}}
+"""
+
+
+@pytest.mark.parametrize(("engine", "step", "error"), ENGINES)
+def test_a_mug_slides_over_the_joint_of_a_tray_that_is_tilted(engine, step, error):
+    w = 0.1
+
+    def pull(time, place, speed, friction):
+        press = G * math.cos(w * time) - 2 * w * speed
+        return G * math.sin(w * time) + place * w**2 - friction * press
+
+    def slide(friction, begin, state, **settings):
+        def rates(time, s):
+            return s[1], pull(time, *s, friction)
+
+        return solve_ivp(rates, (begin, 4), state, rtol=1e-11, atol=1e-13, **settings)
+
+    def crossing(_, s):
+        return s[0]
+
+    crossing.terminal = True
+    slips = brentq(lambda time: pull(time, -0.3, 0, 0.2), 0, 4)
+    first = slide(0.2, slips, [-0.3, 0], events=crossing)
+    then = slide(0.1, first.t[-1], [0, first.y[1, -1]])
+    found = statechart.run(interpret(read_text(TRAY)), engine=engine, step=step).outputs
+    wanted = [then.y[0, -1], 0, slips, first.t[-1]]
+    assert list(found.values()) == pytest.approx(wanted, abs=error)
+
+
+@pytest.mark.parametrize("step", [4e-3, 1e-3])
+def test_what_has_landed_a_step_deep_slides_on_as_deep(step):
+    text = PATH.replace("SECOND", EDGE).replace("ENABLED", "").replace("modes: {B: off}", "")
+    text = text.replace("y: 0.1*s,", "y: 0.5,").replace("mu: 0.05, nu: 0.3", "mu: 0, nu: 0")
+    text = text.replace("friction: mu", "friction: mu, modes: [free, slide]").replace(
+        "friction: nu", "friction: nu, modes: [free, slide]"
+    )
+    result = statechart.run(
+        interpret(read_text(text)), engine="impulse", step=step, until=0.7, parameters={"a": 0.9}
+    )
+    assert result.outputs["along"] == pytest.approx(0.1 + 2 * 0.7, abs=1e-9)
+    assert abs(result.outputs["above"]) < step * math.sqrt(2 * G * 0.5)
