@@ -13,7 +13,7 @@ from contacts.detection.body_numbers import BodyNumbers, Memory
 from contacts.detection.broad_phase import Grid
 from contacts.detection.look import Look
 from contacts.detection.touches import Touches
-from contacts.solvers.contact_rows import ContactRows, fastest_approach
+from contacts.solvers.contact_rows import ContactRows, scale, scale_beside
 from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.time_stepping.chunk import LIVELY
 from statechart.arrays import Array, Bools, Ints
@@ -183,13 +183,13 @@ def solved(
         in_turn = law == SEQUENTIAL and size > 1 and quiet < size
         sudden, near, turns, left = np.zeros((size if in_turn else 0, 2)), allowed, 0, 0.0
         missed_turn, share = 0.0, 1.0
-        fast = fastest_approach(contacts, unforced, asked)
+        fast = scale_beside(contacts, unforced, asked)
         if in_turn:
             turns, missed_turn, left = carried_out(
                 numbers, touches, members, contacts, h, start, unforced, asked, rebounds, sudden,
                 allowed,
             )  # fmt: skip
-            slow = fastest_approach(contacts, unforced, asked)
+            slow = scale_beside(contacts, unforced, asked)
             in_turn, share, near = left == 0.0, slow / fast, _near(allowed, slow, fast)
         missed, done, softened = island_impulses(
             contacts, start, unforced, asked, rebounds, chosen, near, bound
@@ -216,17 +216,19 @@ def solved(
             if quiet == size or touches.hit[i]:
                 put(chosen[a], touches.pushes[i])
         if forces and quiet < size:
-            _forces(numbers, room, members, quiet, allowed)
+            _forces(numbers, room, members, quiet, allowed, fast)
         effort[0] = max(effort[0], missed)
         effort[1] += done
         effort[3] = max(effort[3], 1.0 if softened else 0.0)
 
 
 @beside
-def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed: float) -> None:
+def _forces(
+    numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed: float, fast: float
+) -> None:
     """Write what is force of an island's impulses: those without what strikes.
 
-    `quiet` of its contacts are not struck.
+    `quiet` of its contacts are not struck; `fast` is the `scale` of all.
     """
     touches = room.touches
     others, last = np.empty(quiet, np.int64), 0
@@ -238,19 +240,15 @@ def _forces(numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed
     if quiet == 0:
         return
     alone, least = np.empty((quiet, 2)), np.empty((quiet, 2))
-    slow = fast = 0.0
     for a in range(quiet):
         for d in range(2):
             least[a, d] = touches.free[others[a], d] + touches.wanted[others[a], d]
         put(touches.pushes[others[a]], alone[a])
-        slow = max(slow, -least[a, 0])
-    for i in members:
-        fast = max(fast, -touches.free[i, 0] - touches.wanted[i, 0])
-    near = _near(allowed, slow, fast)
     contacts = gathered(
         others, touches.bodies, touches.rows, numbers.inverse, touches.materials, room.local,
         room.contacts,
     )  # fmt: skip
+    near = _near(allowed, scale(contacts, least), fast)
     solve_rows(contacts, least, alone, near, False, False)
     for a in range(quiet):
         put(alone[a], room.steady[others[a]])

@@ -191,15 +191,46 @@ def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
 
 
 @part
-def residual(contacts: ContactRows, least: Array, impulses: Array, rates: Array) -> float:
-    """Return how far impulses are from those of the contact laws, relative to the approaches.
+def _to_stop(cone: Array, normal: float, slip: float) -> float:
+    """Return what impulses of a contact are for: its approach, or a part of its slip."""
+    mu = slope(cone)
+    if mu < 0.0:
+        return max(abs(normal), abs(slip))
+    return max(-normal, _RESTING * abs(slip) if mu > 0.0 else 0.0)
+
+
+@part
+def scale(contacts: ContactRows, least: Array) -> float:
+    """Return what residuals are parts of: the fastest approach without impulses (m, 2).
+
+    Or a ten-millionth of the fastest slip; of what is held what it moves at.
+    """
+    size = 0.0
+    for i in range(len(least)):
+        size = max(size, _to_stop(contacts.cones[i], least[i, 0], least[i, 1]))
+    return size
+
+
+@part
+def scale_beside(contacts: ContactRows, free: Array, wanted: Array) -> float:
+    """Return the `scale` of the sum of both."""
+    size = 0.0
+    for i in range(len(free)):
+        normal, slip = free[i, 0] + wanted[i, 0], free[i, 1] + wanted[i, 1]
+        size = max(size, _to_stop(contacts.cones[i], normal, slip))
+    return size
+
+
+@part
+def residual(
+    contacts: ContactRows, least: Array, size: float, impulses: Array, rates: Array
+) -> float:
+    """Return how far impulses are from those of the contact laws, in parts of their `scale`.
 
     That is the natural map of each contact (complementarity, cone, maximal dissipation), as a
-    velocity: how far ``P - u / w`` projected into the cone is from P; over the fastest approach
-    that there would be without impulses, or a ten-millionth of the fastest slip.
+    velocity: how far ``P - u / w`` projected into the cone is from P.
     """
-    missed = size = 0.0
-    own, cones = contacts.own, contacts.cones
+    missed, own, cones = 0.0, contacts.own, contacts.cones
     for i in range(len(impulses)):
         normal, slip = seen(contacts, i, least, rates)
         if not math.isfinite(normal + slip):
@@ -209,28 +240,15 @@ def residual(contacts: ContactRows, least: Array, impulses: Array, rates: Array)
         mu = slope(cones[i])
         if mu < 0.0:
             missed = max(missed, abs(normal), abs(slip) if mu == HELD else 0.0)
-            size = max(size, abs(least[i, 0]), abs(least[i, 1]))
             size = max(size, _ROUNDING * wn * abs(pn), _ROUNDING * wt * abs(pt))
             continue
         missed = max(missed, abs(wn * pn - max(wn * pn - normal, 0.0)))
         edge = wt * mu * pn
         missed = max(missed, abs(wt * pt - min(max(wt * pt - slip, -edge), edge)))
-        size = max(size, -least[i, 0], _ROUNDING * wn * pn)
-        if mu > 0.0:
-            size = max(size, _RESTING * abs(least[i, 1]))
+        size = max(size, _ROUNDING * wn * pn)
     if missed == 0.0:
         return 0.0
     return missed / size if size > 0.0 else math.inf
-
-
-@part
-def fastest_approach(contacts: ContactRows, free: Array, wanted: Array) -> float:
-    """Return that of contacts (m,) without impulses, which residuals are parts of."""
-    fastest = 0.0
-    for i in range(len(free)):
-        approach = -free[i, 0] - wanted[i, 0]
-        fastest = max(fastest, abs(approach) if slope(contacts.cones[i]) < 0.0 else approach)
-    return fastest
 
 
 @part
@@ -280,14 +298,13 @@ def swept(
     """
     rates, carried, earlier = rates_of(contacts), rates_of(contacts), rates_of(contacts)
     moved(contacts, impulses, rates)
-    lowest = residual(contacts, least, impulses, rates)
+    size = scale(contacts, least)
+    lowest = residual(contacts, least, size, impulses, rates)
     best, now, change = impulses.copy(), impulses.copy(), np.empty((len(impulses), 2))
     along, laws = np.zeros((len(impulses), 2)), np.empty((len(impulses), LAW))
-    before = size = 0.0
+    before = 0.0
     for i in range(len(impulses)):
-        mu = slope(contacts.cones[i])
-        law_of(contacts.own[i], mu, laws[i])
-        size = max(size, abs(least[i, 0]) if mu < 0.0 else -least[i, 0])
+        law_of(contacts.own[i], slope(contacts.cones[i]), laws[i])
     for sweep in range(most):
         if lowest <= allowed:
             break
@@ -296,7 +313,7 @@ def swept(
         count += 1
         # The residual takes half a sweep: it is looked at where it may do.
         if energy == 0.0 or missed <= allowed * size or sweep == most - 1:
-            left = residual(contacts, least, now, rates)
+            left = residual(contacts, least, size, now, rates)
             if left < lowest:
                 lowest = left
                 put_rows(now, best)

@@ -26,6 +26,7 @@ from contacts.solvers.contact_rows import (
     own_compliances,
     rates_of,
     residual,
+    scale,
     slope,
     swept,
     without,
@@ -83,9 +84,9 @@ def solve_rows(
     if parting:
         impulses[:] = 0.0
         return 0.0, 0
-    rates = rates_of(contacts)
+    rates, size = rates_of(contacts), scale(contacts, least)
     moved(contacts, impulses, rates)
-    left = residual(contacts, least, impulses, rates)
+    left = residual(contacts, least, size, impulses, rates)
     if left <= _VERIFIED:
         return left, 0
     if count == 1:
@@ -93,7 +94,7 @@ def solve_rows(
         law_of(contacts.own[0], slope(contacts.cones[0]), law)
         impulses[0, 0], impulses[0, 1] = one_contact(law, least[0, 0], least[0, 1])
         moved(contacts, impulses, rates)
-        left = residual(contacts, least, impulses, rates)
+        left = residual(contacts, least, size, impulses, rates)
         if left <= _VERIFIED:
             return left, 1
     done, bodies = 0, contacts.bodies.shape[1] == _OF_BODIES

@@ -21,6 +21,7 @@ from contacts.solvers.contact_rows import (
     moved,
     rates_of,
     residual,
+    scale,
     seen,
     slope,
 )
@@ -130,7 +131,8 @@ def by_proximal_points(
     count = len(impulses)
     rates = rates_of(contacts)
     moved(contacts, impulses, rates)
-    lowest = residual(contacts, least, impulses, rates)
+    size = scale(contacts, least)
+    lowest = residual(contacts, least, size, impulses, rates)
     equations = equations_of(contacts)
     now, centre, shift = impulses.copy(), impulses.copy(), np.zeros((count, 2))
     status, edges = np.full(count, -1), np.zeros(count)
@@ -151,7 +153,7 @@ def by_proximal_points(
             done += taken
         if good:
             moved(contacts, now, rates)
-            left = residual(contacts, least, now, rates)
+            left = residual(contacts, least, size, now, rates)
             idle += 1 if compliance == _LEAST else 0
             if left < lowest:
                 lowest, idle = left, 0

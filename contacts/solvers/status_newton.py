@@ -24,6 +24,7 @@ from contacts.solvers.contact_rows import (
     one_contact,
     rates_of,
     residual,
+    scale,
     seen,
     slope,
     without,
@@ -213,14 +214,11 @@ def by_status(
     """
     rates = rates_of(contacts)
     moved(contacts, impulses, rates)
-    lowest = residual(contacts, least, impulses, rates)
+    size = scale(contacts, least)
+    lowest = residual(contacts, least, size, impulses, rates)
     best, now = impulses, impulses.copy()
     status, edges = np.zeros(len(now), np.int64), np.zeros(len(now))
     _guess(contacts, least, now, rates, status, edges)
-    size = 0.0
-    for i in range(len(least)):
-        held = slope(contacts.cones[i]) < 0.0
-        size = max(size, abs(least[i, 0]) if held else -least[i, 0])
     begin = now.copy()
     most = min(_STEPS + _STEPS_EACH * len(now), most)
     for step in range(most):
@@ -232,7 +230,7 @@ def by_status(
             different = True
         else:
             different = _changed(contacts, least, now, rates, status, edges, _REST * size)
-        left = residual(contacts, least, now, rates)
+        left = residual(contacts, least, size, now, rates)
         if left < lowest:
             lowest = left
             put_rows(now, best)
