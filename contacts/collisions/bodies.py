@@ -14,7 +14,7 @@ import numpy as np
 
 from contacts.collisions.apart import check_apart
 from contacts.collisions.body_step import step_bodies
-from contacts.collisions.declared_joints import check_closed, implied_remarks
+from contacts.collisions.declared_joints import closed, implied_remarks
 from contacts.collisions.declared_surfaces import touched
 from contacts.collisions.inside import check_inside
 from contacts.collisions.mechanics import BodyMechanics
@@ -257,10 +257,11 @@ class BodyStepper(Stepper):
         check_inside(scene, owners, bodies, moved, begun.frames[0])
         # Of the second order, from the start on: before it a path need not be.
         rates = np.tensordot([-1.5, 2.0, -0.5], begun.places, axes=1) / soon
-        check_closed(
+        joints = closed(
             scene, bodies.joints, moved, begun.places[0], rates, _START_DEPTH * length,
             _START_DEPTH * speed,
         )  # fmt: skip
+        bodies = bodies._replace(joints=joints)
 
         def trial(start: Array) -> SteppedHeap:
             found = heap()

@@ -17,6 +17,9 @@ from contacts.solvers.contact_rows import GUIDED, HELD
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
 
+# Of where the ends of a joint are: what that is known to.
+_ROUNDING = 2.0**-50
+
 
 @part
 def _joint_rows(
@@ -42,6 +45,7 @@ def _joint_rows(
     """
     for d in range(2):
         before[d] = free[d] = wanted[d] = 0.0
+        apart = size = 0.0
         for k in range(6):
             rows[d, k] = 0.0
         if d == 1 and joints.holds[j] != BOTH:
@@ -55,7 +59,7 @@ def _joint_rows(
                 now = paths[1, j, axis]
                 before[d] -= (now - paths[0, j, axis]) / h
                 free[d] -= (paths[2, j, axis] - now) / h
-                wanted[d] -= now / h
+                apart, size = apart - now, size + abs(now)
                 continue
             x, y = carried(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
             rx, ry = x - places[b, 0], y - places[b, 1]
@@ -68,7 +72,12 @@ def _joint_rows(
             for k in range(3):
                 before[d] += rows[d, at + k] * old[b, k]
                 free[d] += rows[d, at + k] * loose[b, k]
-            wanted[d] += sign * (ux * (x + c * rx - s * ry) + uy * (y + s * rx + c * ry)) / h
+            wanted[d] += sign * (ux * (c * rx - s * ry) + uy * (s * rx + c * ry)) / h
+            apart += sign * (ux * x + uy * y)
+            size += abs(ux * x + uy * y) + abs(rx) + abs(ry)
+        # Joints that others imply cannot close what rounding opens.
+        if abs(apart) > _ROUNDING * size:
+            wanted[d] += apart / h
     bend_x = paths[2, j, 0] - 2.0 * paths[1, j, 0] + paths[0, j, 0]
     bend_y = paths[2, j, 1] - 2.0 * paths[1, j, 1] + paths[0, j, 1]
     return math.hypot(bend_x, bend_y) / h

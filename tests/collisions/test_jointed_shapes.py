@@ -295,6 +295,84 @@ def test_joints_that_others_imply_are_told():
     assert any("other joints imply 'mid'" in words for words in run(third).warnings)
 
 
+@pytest.mark.parametrize("digits", [6, 8, 12, 17])
+def test_what_more_joints_hold_than_need_be_stands(digits):
+    """However exactly they are declared: the three bear the weight, and the disc does not move."""
+    points = [(0.1 * math.cos(p), 0.1 * math.sin(p)) for p in (0.1, 2.2, 4.3)]
+    c, s = math.cos(0.3), math.sin(0.3)
+    joints = "".join(
+        f"  j{i}: {{point: {{body: disc, at: [{x!r}, {y!r}]}}, "
+        f"to: [{round(c * x - s * y, digits)!r}, {round(s * x + c * y + 1, digits)!r}]}}\n"
+        for i, (x, y) in enumerate(points)
+    )
+    result = run(
+        f"""
+kind: scene
+name: held
+gravity: {G}
+bodies: {{disc: {{mass: 2, inertia: 0.04, shape: {{disc: 0.2}}, start: {{y: 1, angle: 0.3}}}}}}
+surfaces: {{ground: {{height: 0}}}}
+joints:
+{joints}
+collisions: {{all: {{bodies: [disc], surfaces: [ground], friction: 0.5, restitution: 0}}}}
+outputs: {{X: {{value: j0.X + j1.X + j2.X}}, Y: {{value: j0.Y + j1.Y + j2.Y}}}}
+stop: {{time: 0.2}}
+settings: {{engine: impulse, step: 1e-3}}
+"""
+    )
+    trace, outputs = result.trace, result.outputs
+    assert np.abs(trace.final - trace.initial).max() < 1e-14
+    assert trace.counts["inexact_steps"] == 0
+    assert trace.counts["iterations"] < 20
+    assert outputs["Y"] == pytest.approx(2 * G, rel=1e-12)
+    assert outputs["X"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("cranks", [2, 3, 5])
+def test_a_bar_on_parallel_cranks_swings_however_many_there_are(cranks):
+    """All but two say nothing new: the motion is that of one angle."""
+    length, start, mass = 0.5, 1.0, 2.0
+    bodies, joints = "", ""
+    for k, x in enumerate(np.linspace(-0.5, 0.5, cranks).tolist()):
+        bodies += (
+            f"  c{k}: {{mass: 1, inertia: {length**2 / 12!r}, shape: {{disc: 0.01}}, start: "
+            f"{{x: {x + length / 2 * math.cos(start)!r}, y: {length / 2 * math.sin(start)!r}, "
+            f"angle: {start}}}}}\n"
+        )
+        joints += (
+            f"  a{k}: {{point: {{body: c{k}, at: [-{length / 2}, 0]}}, to: [{x!r}, 0]}}\n"
+            f"  b{k}: {{point: {{body: c{k}, at: [{length / 2}, 0]}}, "
+            f"to: {{body: bar, at: [{x!r}, 0]}}}}\n"
+        )
+    trace = run(
+        f"""
+kind: scene
+name: cranks
+gravity: {G}
+bodies:
+  bar: {{mass: {mass}, inertia: 1, shape: {{disc: 0.01}}, start: {{
+    x: {length * math.cos(start)!r}, y: {length * math.sin(start)!r}}}}}
+{bodies}
+surfaces: {{ground: {{height: -10}}}}
+joints:
+{joints}
+collisions: {{all: {{bodies: [bar], surfaces: [ground], friction: 0, restitution: 0}}}}
+stop: {{time: 1}}
+settings: {{engine: impulse, step: 5e-4}}
+"""
+    ).trace
+    inertia = cranks * length**2 / 3 + mass * length**2
+    pull = (cranks * length / 2 + mass * length) * G
+    swing = solve_ivp(
+        lambda _, y: [y[1], -pull / inertia * math.cos(y[0])], (0, 1), [start, 0], rtol=1e-10
+    )
+    angle = float(swing.y[0, -1])
+    assert trace.final[5] == pytest.approx(angle, abs=1e-4)
+    place = [length * math.cos(angle), length * math.sin(angle), 0.0]
+    assert trace.final[:3] == pytest.approx(place, abs=1e-4)
+    assert trace.counts["inexact_steps"] == 0
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
