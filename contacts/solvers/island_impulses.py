@@ -251,6 +251,18 @@ def _pushed(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bo
     return asked and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
 
 
+@part
+def _calmer(contacts: ContactRows, wanted: Array, rebounds: Bools, joints: bool) -> Array:
+    """Return what is wanted without pushing out, or without bringing `joints` back either."""
+    result = wanted.copy()
+    for i in range(len(wanted)):
+        held = slope(contacts.cones[i]) < 0.0
+        if (joints and held) or _pushed(contacts, wanted, rebounds, i):
+            result[i, 0] = 0.0 if held else max(wanted[i, 0], 0.0)
+            result[i, 1] = 0.0
+    return result
+
+
 @late
 def _pushed_in_part(
     contacts: ContactRows, before: Array, free: Array, calmer: Array, wanted: Array,
@@ -323,13 +335,14 @@ def island_impulses(
     bound : float
         The work that impulses may do on bodies in a step: ``h^2/8 f^T M^-1 f``.
     """
-    count, pushed = len(impulses), False
+    count, pushed, joined = len(impulses), False, False
     fastest = slowest = 0.0
     for i in range(count):
         slowest = max(slowest, abs(free[i, 0] - before[i, 0]))
         fastest = max(fastest, abs(before[i, 0]), abs(before[i, 1]))
         pushed = pushed or _pushed(contacts, wanted, rebounds, i)
-    other = impulses.copy() if pushed else impulses
+        joined = joined or slope(contacts.cones[i]) < 0.0
+    other = impulses.copy() if pushed or joined else impulses
     left, done, softened = _rebounding(
         contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest, not pushed
     )
@@ -337,10 +350,7 @@ def island_impulses(
     if pushed and (left > allowed or share < 1.0):
         # What is pushed out may be pushed against others, and gains energy; or wedges, for which
         # there are no impulses: those that were tried press without bound, and are no start.
-        calmer = wanted.copy()
-        for i in range(count):
-            if _pushed(contacts, wanted, rebounds, i):
-                calmer[i, 0], calmer[i, 1] = max(wanted[i, 0], 0.0), 0.0
+        calmer = _calmer(contacts, wanted, rebounds, False)
         calm, further, soft = _rebounding(
             contacts, before, free, calmer, rebounds, other, allowed, False, True
         )
@@ -352,6 +362,19 @@ def island_impulses(
                     bound, calm, soft,
                 )  # fmt: skip
                 done += further
+            left, softened = calm, soft
+            put_rows(other, impulses)
+            share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)
+    if joined and left > allowed:
+        # What sticks or is stuck between joints and others can do nothing but rest: no joint is
+        # brought back there, or follows its arm as that turns.
+        calmer = _calmer(contacts, wanted, rebounds, True)
+        other[:] = 0.0
+        calm, further, soft = _rebounding(
+            contacts, before, free, calmer, rebounds, other, allowed, False, True
+        )
+        done += further
+        if calm < left:
             left, softened = calm, soft
             put_rows(other, impulses)
             share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)

@@ -328,6 +328,41 @@ settings: {{engine: impulse, step: 1e-3}}
     assert outputs["X"] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("friction", [0.3, 1, 5])
+@pytest.mark.parametrize("arm", [0.7, 0.85, 1.0])
+def test_a_jointed_bar_that_falls_on_rough_ground_stays_there(arm, friction):
+    """It slips while it comes; where it then sticks nothing can move, whatever the steps left."""
+    start = -0.3
+    trace = run(
+        f"""
+kind: scene
+name: flap
+gravity: {G}
+bodies:
+  bar: {{mass: 1, inertia: 0.0833, shape: {{polygon: {
+            [[-0.5, -0.05], [0.5, -0.05], [0.5, 0.05], [-0.5, 0.05]]
+        }}}, start: {{x: {arm * math.cos(start)!r}, y: {arm * math.sin(start)!r},
+    angle: {start}}}}}
+surfaces: {{ground: {{height: -0.9}}}}
+joints: {{pin: {{point: {{body: bar, at: [{-arm}, 0]}}, to: [0, 0]}}}}
+collisions: {{all: {{bodies: [bar], surfaces: [ground], friction: {friction}, restitution: 0}}}}
+stop: {{time: 1}}
+settings: {{engine: impulse, step: 1e-3}}
+"""
+    ).trace
+    assert trace.counts["inexact_steps"] == 0
+    x, y, angle = trace.final[:3].tolist()
+    # Its lower corner is on the ground, but for what it went in a step; its pin is off by what the
+    # arm bent in that at most.
+    far = math.hypot(arm + 0.5, 0.05)
+    lies = -math.asin(0.9 / far) + math.atan2(0.05, arm + 0.5)
+    turn = 1e-3 * math.sqrt(2 * G * 0.9 * arm / (0.0833 + arm**2))
+    assert angle == pytest.approx(lies, abs=turn)
+    place = [arm * math.cos(angle), arm * math.sin(angle)]
+    assert [x, y] == pytest.approx(place, abs=0.5 * turn**2 * arm)
+    assert np.abs(trace.final[3:]).max() < 1e-7
+
+
 @pytest.mark.parametrize("cranks", [2, 3, 5])
 def test_a_bar_on_parallel_cranks_swings_however_many_there_are(cranks):
     """All but two say nothing new: the motion is that of one angle."""
