@@ -47,3 +47,9 @@ def test_what_is_pushed_out_with_too_much_energy_goes_as_far_as_the_bound_allows
 def test_what_is_within_the_bound_is_pushed_out_whole_and_without_one_not_at_all():
     assert pushed(2.0, 1.0, 0.2, 0.25) == pytest.approx([2.4, 0.0], rel=1e-12)
     assert pushed(2.0, 1.0, 0.5, 0.0) == pytest.approx([2.0, 0.0], rel=1e-6)
+
+
+@pytest.mark.parametrize("mass", [1e-3, 1e-2, 0.3])
+def test_what_approaches_at_less_than_numbers_have_digits_for_misses_nothing(mass):
+    """The impulse that would stop it has a digit or two, and was 8 % off."""
+    assert pushed(mass, 1.012e-320, 0.0, 1.0)[0] == pytest.approx(0.0, abs=1e-300)
