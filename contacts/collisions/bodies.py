@@ -197,13 +197,15 @@ class BodyStepper(Stepper):
         setup = self._setup(values, moved, remembered, bodies)
         law = get_args(Simultaneous).index(scene.simultaneous)
 
-        def heap(deepest: float = math.inf, forces: bool = True) -> SteppedHeap:
+        def heap(
+            bodies: BodyNumbers, deepest: float = math.inf, forces: bool = True
+        ) -> SteppedHeap:
             around = Surroundings(self._bodies, self._paths, self._recall, known, values)
             names = list(scene.bodies)
             return SteppedHeap(names, touched(scene), bodies, around, law, allowed, deepest, forces)
 
-        self._check_start(setup, bodies, known, heap)
-        return setup, heap(DEEPEST * setup.scales.length, forces)
+        bodies = self._started(setup, bodies, known, heap)
+        return setup, heap(bodies, DEEPEST * setup.scales.length, forces)
 
     def _setup(
         self, values: Array, moved: Array, remembered: Array, bodies: BodyNumbers
@@ -234,14 +236,17 @@ class BodyStepper(Stepper):
             ),
         )  # fmt: skip
 
-    def _check_start(
+    def _started(
         self,
         setup: SceneSetup,
         bodies: BodyNumbers,
         known: Mapping[str, float],
-        heap: Callable[[], SteppedHeap],
-    ) -> None:
-        """Check that bodies start in what is hollow, on their joints, and apart."""
+        heap: Callable[[BodyNumbers], SteppedHeap],
+    ) -> BodyNumbers:
+        """Check that bodies start in what is hollow, on their joints, and apart.
+
+        Return them with their joints closed to rounding.
+        """
         scene, owners = self._scene, self._bodies.owners
         moved, remembered = np.split(setup.initial, [6 * len(bodies.sizes)])
         length, speed = setup.scales.length, setup.scales.speed
@@ -264,7 +269,7 @@ class BodyStepper(Stepper):
         bodies = bodies._replace(joints=joints)
 
         def trial(start: Array) -> SteppedHeap:
-            found = heap()
+            found = heap(bodies)
             found.steps(0.0, 1e-9 * length / speed, start, 1)
             return found
 
@@ -273,3 +278,4 @@ class BodyStepper(Stepper):
             return trial(start) if is_ready(step_bodies) else by_python(lambda: trial(start))
 
         check_apart(looked, list(scene.bodies), owners, setup.initial, _START_DEPTH * length)
+        return bodies
