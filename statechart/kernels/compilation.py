@@ -8,9 +8,9 @@ of a function into each of its callers, where LLVM optimises it again, level by 
 - the code of a part is taken into kernels as it was written, and LLVM sees it there alone;
 - a kernel that another kernel calls is called, not taken in: its machine code stands beside;
 - what most runs never do is compiled when one does (`statechart.kernels.later`);
-- references are counted to arrays that a function makes: whoever called it holds all others.
+- what numba writes is shorter (`statechart.kernels.lowering`).
 
-The last makes what is on disk of a kernel depend on what is there of others (`Callee`).
+That kernels call others makes what is on disk of one depend on what is there of them (`Callee`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 
 from llvmlite.binding import Linkage
 from numba import _dynfunc, types
-from numba.core import ir
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
@@ -31,16 +30,7 @@ from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
 
 from statechart.kernels.later import Entered, Later, Signature
-
-
-def plain(signature: Signature) -> Signature:
-    """Return what a function is compiled for when it is called with arguments of these types."""
-    return tuple(_plain(kind) for kind in signature)
-
-
-def _plain(kind: Any) -> Any:
-    kind = types.unliteral(kind)
-    return types.int64 if isinstance(kind, types.Integer) else kind
+from statechart.kernels.lowering import References, Written
 
 
 class Callee(NamedTuple):
@@ -142,105 +132,6 @@ def _callers_first(libraries: list[Any]) -> list[Any]:
     return found[::-1]
 
 
-# What gives an array, or a tuple of arrays, that somebody holds already.
-_VIEWS = ("getitem", "static_getitem", "getattr", "build_tuple", "cast", "exhaust_iter", "getiter",
-          "iternext", "pair_first", "pair_second", "phi")  # fmt: skip
-
-
-class _References:
-    """Which variables of a function, that has been typed, hold references of their own.
-
-    What a function is given is held by whoever called it, and so is all that it takes out of that;
-    only what it makes itself, and what it gives back, needs to be counted. A part that gives back
-    nothing but views of its arguments lends them to its caller, who holds them.
-
-    Attributes
-    ----------
-    borrowing : set of str
-        Variables whose references are not counted.
-    lends : bool
-        Whether what is given back is held by the caller already.
-    """
-
-    def __init__(self, state: Any, *, may_lend: bool) -> None:
-        self._models, self._kinds = state.targetctx.data_model_manager, state.typemap
-        self._calls = state.calltypes
-        blocks = state.func_ir.blocks.values()
-        assigned = [
-            one
-            for block in blocks
-            for one in block.find_insts(ir.Assign)
-            if self._counted(one.target.name)
-        ]
-        returned = {one.value.name for block in blocks for one in block.find_insts(ir.Return)}
-        self._owning: set[str] = set()
-        self._spread(assigned)
-        self.lends = may_lend and not self._owning & returned
-        if not self.lends:
-            self._owning |= returned
-            self._spread(assigned)
-        self.borrowing = {one.target.name for one in assigned} - self._owning
-
-    def _counted(self, name: str) -> bool:
-        return bool(self._models[self._kinds[name]].contains_nrt_meminfo())
-
-    def _spread(self, assigned: list[Any]) -> None:
-        """Find what owns because of what does: a view holds what it looks at."""
-        found = -1
-        while found < len(self._owning):
-            found = len(self._owning)
-            self._owning |= {one.target.name for one in assigned if self._owns(one.value)}
-
-    def _owns(self, value: Any) -> bool:
-        if not isinstance(value, ir.Expr):
-            return isinstance(value, ir.Var) and value.name in self._owning
-        view = value.op in _VIEWS or (value.op == "call" and self._lent(value))
-        # An array as an index chooses what is copied.
-        view = view and not (value.op == "getitem" and self._counted(value.index.name))
-        return not view or any(one.name in self._owning for one in value.list_vars())
-
-    def _lent(self, call: Any) -> bool:
-        kind = self._kinds[call.func.name]
-        if isinstance(kind, types.BoundFunction):
-            return str(kind.typing_key) == "array.reshape"
-        return _lender(kind, self._calls[call])
-
-
-def _lender(kind: Any, signature: Any) -> bool:
-    """Whether a function is a part that lends what it gives back."""
-    if not isinstance(kind, types.Dispatcher):
-        return False
-    compiled = kind.dispatcher.overloads.get(plain(signature.args))
-    return compiled is not None and getattr(compiled.library, "lends", False)
-
-
-class _Borrowing(Lower):
-    """Lowers a function, counting references to what it makes alone."""
-
-    context: Any
-
-    def __init__(self, references: _References, *arguments: Any, **others: Any) -> None:
-        super().__init__(*arguments, **others)
-        self._borrowing = references.borrowing
-        self._not_counting = self.context.subtarget(enable_nrt=False)
-
-    def lower_inst(self, inst: Any) -> None:
-        name = inst.value if isinstance(inst, ir.Del) else None
-        if isinstance(inst, ir.Assign):
-            name = inst.target.name
-        counting = self.context
-        if name in self._borrowing:
-            self.context = self._not_counting
-        super().lower_inst(inst)
-        self.context = counting
-
-    def _lower_call_normal(self, function: Any, expression: Any, signature: Any) -> Any:
-        result = super()._lower_call_normal(function, expression, signature)
-        if _lender(function, signature):
-            self.incref(signature.return_type, result)
-        return result
-
-
 class _Lowering(NativeLowering):
     """Lowers a function, without counting references where that can be."""
 
@@ -248,13 +139,13 @@ class _Lowering(NativeLowering):
 
     @property
     def lowering_class(self) -> Callable[..., Lower]:
-        return partial(_Borrowing, self._references)
+        return partial(Written, self._references)
 
     def run_pass(self, state: Any) -> bool:
         state.library.later = set(_later(state))
         for called in state.library.later:
             called.note()
-        self._references = _References(state, may_lend=self._may_lend)
+        self._references = References(state, may_lend=self._may_lend)
         changed = bool(super().run_pass(state))
         state.library.lends = self._references.lends
         return changed

@@ -188,9 +188,9 @@ class Late(Inner):
     @cached_property
     def called(self) -> Any:
         """The type by which numba knows it in kernels that call it."""
-        from statechart.kernels import compilation, later
+        from statechart.kernels import later
 
-        return later.type_of(self.py_func, compilation.plain)
+        return later.type_of(self.py_func)
 
 
 class Native(Compiled):

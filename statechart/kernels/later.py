@@ -22,6 +22,17 @@ from numba.core.typing.templates import AbstractTemplate
 Signature = tuple[Any, ...]
 """Types of arguments."""
 
+
+def plain(signature: Signature) -> Signature:
+    """Return what a function is compiled for when it is called with arguments of these types."""
+    return tuple(_plain(kind) for kind in signature)
+
+
+def _plain(kind: Any) -> Any:
+    kind = types.unliteral(kind)
+    return types.int64 if isinstance(kind, types.Integer) else kind
+
+
 _NUMBERS = {type(None): types.none, int: types.int64, float: types.float64, bool: types.boolean}
 _RESOLVER = "statechart_kernel_that_is_entered"
 
@@ -101,15 +112,8 @@ class Entered(NamedTuple):
     function: Any
 
 
-def type_of(function: Any, plain: Any) -> types.Function:
-    """Return the type by which numba knows such a kernel in those that call it.
-
-    Parameters
-    ----------
-    function : callable
-    plain : callable
-        Makes of the types of arguments those that it is compiled for.
-    """
+def type_of(function: Any) -> types.Function:
+    """Return the type by which numba knows such a kernel in those that call it."""
     entered = Entered(function)
 
     class Template(AbstractTemplate):

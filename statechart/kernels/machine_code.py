@@ -30,11 +30,16 @@ from numba.core.typing.typeof import typeof_impl
 from numba.extending import intrinsic
 
 from statechart import compiling, interrupts
-from statechart.kernels.compilation import Callee, KernelCompiler, PartCompiler, plain
+from statechart.kernels.aggregates import Builder
+from statechart.kernels.compilation import Callee, KernelCompiler, PartCompiler
 from statechart.kernels.jit import Compiled, Kernel, Late
-from statechart.kernels.later import Signature, returned
+from statechart.kernels.later import Signature, plain, returned
+from statechart.kernels.lowering import Written
 
 _DIGEST = 16  # bytes: damage is an accident, not an attack
+
+# One of each file that says how kernels are compiled.
+_MAKERS = (returned, Callee.of, Written.setup_function, Builder.extract_value)
 
 
 class _DigestedFile(IndexDataCacheFile):
@@ -130,9 +135,8 @@ class _Cache(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         stamps: dict[str, tuple[float, int]] = {}
-        _collect(plain, stamps)
-        _collect(returned, stamps)
-        _collect(function, stamps)
+        for one in (*_MAKERS, function):
+            _collect(one, stamps)
         self._cache_file: Any = _DigestedFile(
             self._cache_path, self._impl.filename_base, tuple(sorted(stamps.items()))
         )
