@@ -184,11 +184,14 @@ def against_surface(
         ends[0, 0], ends[0, 1], ends[1, 0], ends[1, 1] = a, b, c, d
         about = np.empty(2)
         about[0], about[1] = (a, b) if kind == ROUND else (0.5 * (a + c), 0.5 * (b + d))
-        count = between(
-            corners, middle, radius, ends if kind == PLATE else no_corners, about,
-            c if kind == ROUND else 0.0, within, found, features,
-        )  # fmt: skip
-        if kind == PLATE:
+        if kind == ROUND:
+            count = between(corners, middle, radius, no_corners, about, c, within, found, features)
+        else:
+            # The plate is first: where a body's corner is beside a plate's end, in a valley, its
+            # face is as near to that end as the plate's to the corner, which is what touches.
+            count = between(ends, about, 0.0, corners, middle, radius, within, found, features)
+            for i in range(count):
+                found[i, 0], found[i, 1] = -found[i, 0], -found[i, 1]
             count = _without_joins(surfaces, s, found, features, count)
     elif kind == GRAPH:
         if len(body) == 0:

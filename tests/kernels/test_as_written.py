@@ -165,12 +165,14 @@ def test_what_is_brief_imports_no_compiler_and_has_one_thread(verb, model, tmp_p
         "print(len(os.listdir(tasks)) if os.path.isdir(tasks) else 1, file=sys.stderr); "
         "sys.exit(code)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script, name, model, *options],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    # What the first certificate compiles imports more than one that finds it on disk.
+    for _ in range(2 if options else 1):
+        done = subprocess.run(
+            [sys.executable, "-c", script, name, model, *options],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
     # A run searches for events with heyoka, and a certificate is compiled.
     expected = ["heyoka"] if name == "run" else []
     found, threads = done.stderr.splitlines()[-2:]
