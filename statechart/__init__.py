@@ -39,9 +39,10 @@ if TYPE_CHECKING:
         Zeno,
     )
     from statechart.loading.load import load
+    from statechart.running.answer import Asked
     from statechart.running.asked import Modes, equations, modes
     from statechart.running.drawing import draw, graph
-    from statechart.running.result import Asked, Reading, Result
+    from statechart.running.result import Reading, Result
     from statechart.running.runner import Runner, run
     from statechart.study.record import Study
     from statechart.study.trade import trade
@@ -119,9 +120,10 @@ _HOMES = {
     "documents.settings": ("Settings", "Stop"),
     "documents.outputs": ("Count", "Integral", "Maximum", "Minimum", "Value"),
     "loading.load": ("load",),
+    "running.answer": ("Asked",),
     "running.asked": ("Modes", "equations", "modes"),
     "running.drawing": ("draw", "graph"),
-    "running.result": ("Asked", "Reading", "Result"),
+    "running.result": ("Reading", "Result"),
     "running.runner": ("Runner", "run"),
     "study.record": ("Study",),
     "study.trade": ("trade",),

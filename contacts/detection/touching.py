@@ -11,7 +11,6 @@ from contacts.detection.body_numbers import BodyNumbers, Memory
 from contacts.detection.broad_phase import Grid, near_pairs
 from contacts.detection.convex import FOUND, between
 from contacts.detection.ground import POINTS, Ground, carried_along, is_far, on_surface
-from contacts.detection.joints import held
 from contacts.detection.look import TOUCHING, Look
 from contacts.detection.meeting import (
     arrives,
@@ -20,9 +19,9 @@ from contacts.detection.meeting import (
     nearby,
     overlap,
     turned_past,
-    turning,
     turns_into,
 )
+from contacts.detection.pair import CROSSED, Pair, paired
 from contacts.detection.seams import exposed
 from contacts.detection.touches import Touches, felt, recalled, turned
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
@@ -33,8 +32,6 @@ from statechart.kernels.jit import beside, part
 # What is past another, within this part of their radii, since the last look has missed it; and of
 # what crosses much of its size in a step, where farther out it approaches at a tenth of its speed.
 _CORE, _WHOLE = 0.9, 0.995
-# Bodies that cross less than this part of their size in a step are looked at once.
-_CROSSED = 0.5
 # Of the size of the smaller one: what is hit deeper than this in another is looked at more often.
 _SUNK = 0.25
 # Of that size: so deep something may be at the first look because it starts there, which is checked
@@ -99,42 +96,6 @@ class _Times(NamedTuple):
     lowest: float
 
 
-class _Pair(NamedTuple):
-    """A piece of a body, and what it may touch.
-
-    Attributes
-    ----------
-    p, q : int
-        The piece; another, or a surface, which stand behind all pieces.
-    body, other : int
-        Of the piece; which other body it touches, also one that carries a surface, or -1.
-    key : int
-        See `Memory`.
-    material : int
-        Which law they touch by; -1: they do not.
-    whole, discs, moves : bool
-        Whether both are pieces; both discs; one a surface that moves, and no body.
-    slowly, turns : bool
-        Whether the step is short beside how fast pieces move: all that looks closer at what is fast
-        is within its error; whether they turn much in it.
-    size : float
-        Of the smaller one.
-    """
-
-    p: int
-    q: int
-    body: int
-    other: int
-    key: int
-    material: int
-    whole: bool
-    discs: bool
-    moves: bool
-    slowly: bool
-    turns: bool
-    size: float
-
-
 class _Points(NamedTuple):
     """Where a pair touches, and where the search for that works.
 
@@ -161,31 +122,7 @@ def _note(points: _Points, what: int, value: float) -> None:
 
 
 @part
-def _paired(numbers: BodyNumbers, look: Look, p: int, q: int, since: float) -> _Pair:
-    """Return a piece and what it may touch."""
-    pieces, surfaces = numbers.pieces, numbers.surfaces
-    count, b = len(pieces.sizes), pieces.bodies[p]
-    s, key = q - count, p * (count + len(surfaces.kinds)) + q
-    if s < 0:
-        other = pieces.bodies[q]
-        touch = other != b and not held(numbers.joints, b, other)
-        material = numbers.laws[numbers.kinds[b], numbers.kinds[other]] if touch else -1
-        size, discs = min(pieces.sizes[p], pieces.sizes[q]), pieces.radii[p] * pieces.radii[q] > 0.0
-        turns = since * turning(numbers, look, p, q) > _CROSSED * min(
-            pieces.cores[p], pieces.cores[q]
-        )
-        slowly = not turns and nearby(look.drifts, pieces.sizes, p, q, _CROSSED / since)
-        return _Pair(p, q, b, other, key, material, True, discs, False, slowly, turns, size)
-    other = surfaces.carriers[s]
-    material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s] if other != b else -1
-    moves, size = other < 0 and surfaces.moves[s], pieces.sizes[p]
-    return _Pair(p, q, b, other, key, material, False, False, moves, True, False, size)
-
-
-@part
-def _of_pieces(
-    numbers: BodyNumbers, look: Look, pair: _Pair, times: _Times, points: _Points
-) -> int:
+def _of_pieces(numbers: BodyNumbers, look: Look, pair: Pair, times: _Times, points: _Points) -> int:
     """Find the points where two pieces are near each other, and whether they have passed."""
     pieces, p, q, since = numbers.pieces, pair.p, pair.q, times.since
     radii, cores, firsts, centres = pieces.radii, pieces.cores, pieces.firsts, look.centres
@@ -195,7 +132,7 @@ def _of_pieces(
         deep = (1.0 - core) * (cores[p] + cores[q])
         past = turned_past(numbers, look, (p, q), min(since, times.h), deep, points.aside)
         _note(points, PASSED, past / times.h)
-    elif pair.discs or nearby(look.drifts, cores, p, q, _CROSSED / since):
+    elif pair.discs or nearby(look.drifts, cores, p, q, CROSSED / since):
         begin, end = overlap(centres, look.drifts, p, q, core * (cores[p] + cores[q]))
         if -since < begin and begin + end < 0.0:
             _note(points, PASSED, (end - begin) / times.h)
@@ -211,7 +148,7 @@ def _of_pieces(
 
 @part
 def _met(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: _Pair, times: _Times, points: _Points
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: Pair, times: _Times, points: _Points
 ) -> int:
     """Find the points where a pair is near each other; return their number."""
     pieces, (found, features) = numbers.pieces, points[:2]
@@ -235,7 +172,7 @@ def _met(
 
 @part
 def _strikes(
-    numbers: BodyNumbers, look: Look, pair: _Pair, times: _Times, point: Array, nearing: float,
+    numbers: BodyNumbers, look: Look, pair: Pair, times: _Times, point: Array, nearing: float,
     alike: bool, points: _Points,
 ) -> bool:  # fmt: skip
     """Whether what is near and fast is hit: it may pass beside the other.
@@ -289,7 +226,7 @@ def _kept_up(
 
 @part
 def _takes_part(
-    numbers: BodyNumbers, ground: Ground, memory: Memory, look: Look, pair: _Pair, times: _Times,
+    numbers: BodyNumbers, ground: Ground, memory: Memory, look: Look, pair: Pair, times: _Times,
     at: int, at_old: int, m: int, points: _Points, touches: Touches,
 ) -> bool:  # fmt: skip
     """Whether a pair touches at a point in this step, which is written as contact m then.
@@ -392,7 +329,7 @@ def touching(
             q = pairs[i, 1] if i < end else count + i - end
             if q >= count and is_far(numbers.surfaces, ground, look, p, q - count, sizes[p]):
                 continue
-            pair = _paired(numbers, look, p, q, times.since)
+            pair = paired(numbers, look, p, q, times.since)
             if pair.material < 0:
                 continue
             near = _met(numbers, ground, look, pair, times, points)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 from statechart.automaton.trace import Outcome, Trace
+from statechart.documents.setting import Setting
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.outputs import OutputValue as Output
@@ -40,6 +42,43 @@ class Cost:
             self.evaluations + other.evaluations,
             self.seconds + other.seconds,
         )
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What was asked for instead of a tolerance, and what it took.
+
+    Attributes
+    ----------
+    setting : Setting
+        With the accuracy or the budget allowed.
+    basis : str
+        What the tolerance, or the first of several tolerances or steps, was chosen by.
+    cost : Cost
+        Of all runs.
+    not_judged : tuple of str
+        Outputs that the estimate leaves out: how often a Zeno sequence bounces has no answer.
+    """
+
+    setting: Setting
+    basis: str
+    cost: Cost
+    not_judged: tuple[str, ...] = ()
+
+    def reached(self, estimate: float | None) -> bool:
+        """Whether `estimate` is what was asked for: of an accuracy, any of a budget."""
+        return estimate is not None and estimate <= (self.setting.accuracy or math.inf)
+
+    def report(self, estimate: float | None) -> dict[str, Any]:
+        """Return this as one plain object."""
+        return {
+            "accuracy": self.setting.accuracy,
+            "budget": self.setting.budget,
+            "reached": self.reached(estimate),
+            "basis": self.basis,
+            "cost": asdict(self.cost),
+            "not_judged": list(self.not_judged),
+        }
 
 
 @dataclass(frozen=True, eq=False)

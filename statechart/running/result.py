@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ from statechart.documents.setting import Record, Setting
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.reporting.pieces import Pieces
-from statechart.running.answer import Cost
+from statechart.running.answer import Asked
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,43 +24,6 @@ if TYPE_CHECKING:
     from statechart.diagram.model import Diagram
     from statechart.engines.request import Measured
     from statechart.running.runner import Runner
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What was asked for instead of a tolerance, and what it took.
-
-    Attributes
-    ----------
-    setting : Setting
-        With the accuracy or the budget allowed.
-    basis : str
-        What the tolerance, or the first of several tolerances or steps, was chosen by.
-    cost : Cost
-        Of all runs.
-    not_judged : tuple of str
-        Outputs that the estimate leaves out: how often a Zeno sequence bounces has no answer.
-    """
-
-    setting: Setting
-    basis: str
-    cost: Cost
-    not_judged: tuple[str, ...] = ()
-
-    def reached(self, estimate: float | None) -> bool:
-        """Whether `estimate` is what was asked for: of an accuracy, any of a budget."""
-        return estimate is not None and estimate <= (self.setting.accuracy or math.inf)
-
-    def report(self, estimate: float | None) -> dict[str, Any]:
-        """Return this as one plain object."""
-        return {
-            "accuracy": self.setting.accuracy,
-            "budget": self.setting.budget,
-            "reached": self.reached(estimate),
-            "basis": self.basis,
-            "cost": asdict(self.cost),
-            "not_judged": list(self.not_judged),
-        }
 
 
 @dataclass(frozen=True)

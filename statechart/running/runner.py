@@ -28,9 +28,10 @@ from statechart.loading.kind import kind
 from statechart.loading.load import resolved
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
+from statechart.running.answer import Asked
 from statechart.running.answers import Answers
 from statechart.running.given import Given
-from statechart.running.result import Asked, Result
+from statechart.running.result import Result
 from statechart.running.streaming import placed, sampled, unsearched
 
 if TYPE_CHECKING:
