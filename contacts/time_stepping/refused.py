@@ -112,7 +112,7 @@ def squeezed(chunk: Chunk, regions: Sequence[str], step: float, fastest: float) 
     return Refused(k, UnsolvedImpulses(
         f"no impulses keep {name} out of what it touches: it is {-deepest[k]:.3g} deep, and they "
         f"miss the contact laws by {chunk.efforts[k, 0]:.2g} of the fastest approach; what is led "
-        "or held leaves it no room"
+        "or held leaves it no room, or the masses are too far apart"
     ), name)  # fmt: skip
 
 
