@@ -167,6 +167,9 @@ class Region:
     listed : tuple of str
         Superstates that the declaration lists as states of their own: slide, which runs know by
         its directions alone.
+    blow : str
+        Cause that its jumps have where it is struck, besides that of its change: impact; "" where
+        what strikes it changes it, as a contact.
     nesting : Nesting
         What else its declaration says of states in states.
     forces : tuple of Symbol
