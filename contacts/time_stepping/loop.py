@@ -226,7 +226,8 @@ class SteppedRun:
         if jumps >= self.span.max_jumps:
             self.end(Outcome.TOO_MANY_JUMPS, several(self.span.max_jumps, "jump"))
             return True
-        self.size += (TERMS if modes else 1) * chunk.states[1:].nbytes + chunk.solved.nbytes
+        self.size += chunk.states[1:].nbytes + chunk.solved.nbytes
+        self.size += chunk.impulses.nbytes if modes else 0
         if modes:  # of poses there is as much as the disk takes
             check_size(self.size, jumps, self.time)
         self._check_pace()
@@ -236,7 +237,7 @@ class SteppedRun:
         """Tell those who watch what has happened; keep no more of it than is asked for."""
         record, watch = self.span.keeping
         if record is not Record.MODES:
-            arcs, jumps = self.recorder.taken()
+            arcs, jumps = self.recorder.taken(looked_at=watch is not None)
             if watch is not None and (arcs or jumps):
                 watch.add(replace(self._piece, arcs=arcs, jumps=jumps))
 
@@ -285,7 +286,8 @@ class SteppedRun:
         recorder.close()
         self._hand_on()
         if record is Record.MODES:
-            return self._trace(record, tuple(recorder.arcs), tuple(recorder.jumps))
+            # Of a long run what is looked at is made anew: it takes some times as much.
+            return self._trace(record, *recorder.kept(kept=TERMS * self.size <= LARGEST))
         # The end comes after all jumps, those of which nothing was told, too.
         outputs = {} if watch is None else watch.end(self._trace(Record.MODES, (), ()))
         if self._track is None:

@@ -6,9 +6,11 @@ with impacts has them in its middle, and is two halves with the lasting forces o
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools, Ints
 
 TERMS = 3
 """Terms of the polynomial of a step."""
@@ -64,6 +66,45 @@ def struck(
         half[:, 2 * n :, 1] = sign * (middle - state[:, 2 * n :])
         halves.append(half)
     return halves[0], halves[1]
+
+
+class Pieces(NamedTuple):
+    """The polynomials of consecutive steps: one of each, two of one with impacts.
+
+    Attributes
+    ----------
+    terms : (p, w, TERMS) array
+        Coefficients.
+    places : (k + 1,) array of int
+        Where those of each step begin.
+    """
+
+    terms: Array
+    places: Ints
+
+    @classmethod
+    def of(cls, states: Array, acceleration: Array, h: Array | float, hit: Bools, n: int) -> Pieces:
+        """Return those of steps.
+
+        Parameters
+        ----------
+        states : (k + 1, w) array
+            Where they begin and end.
+        acceleration, h, n
+            As of `struck`.
+        hit : (k,) array of bool
+            In which of them something strikes.
+        """
+        left, right = states[:-1], states[1:]
+        if not hit.any():
+            return cls(smooth(left, right, h, n), np.arange(len(hit) + 1))
+        places = np.concatenate([[0], np.cumsum(1 + hit)])
+        at, lengths = places[:-1], np.broadcast_to(h, (len(hit), 1))
+        halves = struck(left[hit], right[hit], acceleration[hit], lengths[hit], n)
+        found = np.concatenate([smooth(left[~hit], right[~hit], lengths[~hit], n), *halves])
+        # NumPy takes rows ten times as fast as it puts them.
+        order = np.concatenate([at[~hit], at[hit], at[hit] + 1])
+        return cls(found[np.argsort(order)], places)
 
 
 def defined(rows: Array) -> Array:

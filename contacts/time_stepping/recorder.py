@@ -8,14 +8,12 @@ other step of the mode.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from contacts.states import (
-    FREE,
-    OFF_CODE,
     PIN,
     SLIDE_MINUS,
     SLIDE_PLUS,
@@ -24,10 +22,10 @@ from contacts.states import (
     undetermined,
 )
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.polynomials import defined, smooth, struck
+from contacts.time_stepping.pieces import Line, Steps, Stretch, Stroke, made
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
-from statechart.automaton.laws import roles_in
+from statechart.automaton.deferred import Recorded
 from statechart.automaton.trace import Arc, Jump, Key
 
 # An arc longer than so many bytes goes on as another one.
@@ -65,8 +63,8 @@ class Recorder:
 
     Attributes
     ----------
-    arcs, jumps : list
-        Since they were last taken.
+    arcs, jumps : sequence
+        Since they were last taken; each is made when it is looked at.
     told : list of Jump
         Those of further regions, as a trace tells them that has no others, and the stop.
     """
@@ -82,20 +80,30 @@ class Recorder:
     modes: bool = True
     arcs_too: bool = True
     clock: Clock = field(default_factory=Clock)
-    arcs: list[Arc] = field(default_factory=list)
-    jumps: list[Jump] = field(default_factory=list)
     told: list[Jump] = field(default_factory=list)
     count: int = 0
     indeterminate: dict[Key, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._keys: dict[bytes, Key] = {}
         self.row = self.start
         self._raw = self.start
         self.key = self._key(self.start)
         self.start_key = self.key
         self._began = self.clock
-        self._open: list[tuple[Array, Array, Array]] = []
+        self._open: list[Stretch] = []
         self._size = 0
+        self._arcs: list[Line | Arc] = []
+        self._jumps: list[Stroke | Jump] = []
+        self.arcs, self.jumps = self.kept(kept=False)
+
+    def kept(self, *, kept: bool) -> tuple[Recorded[Arc], Recorded[Jump]]:
+        """Return all arcs and jumps up to now and later; `kept`: not made anew at every look."""
+        arcs, jumps = self._arcs, self._jumps
+        return (
+            Recorded(lambda i: made(arcs[i]), lambda: len(arcs), kept=kept),
+            Recorded(lambda i: made(jumps[i]), lambda: len(jumps), kept=kept),
+        )
 
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
@@ -103,26 +111,31 @@ class Recorder:
             chunk = self._last(chunk)
         shown = self._shown(chunk.codes)
         hit: Bools = np.any(chunk.struck, axis=1)
-        changed = self._changed(shown) | hit
-        self._raw = chunk.codes[-1]
-        after = np.concatenate([[False], hit[:-1]])
-        breaks = np.unique(np.concatenate([[0], np.flatnonzero(changed | after), [len(shown)]]))
-        halves = self._halves(chunk, hit)
-        for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
-            if hit[first]:
-                self._strike(chunk, first, shown[first], next(halves))
-                first += 1
+        steps = Steps.of(chunk, hit, self.coordinates, self.clock)
+        if self.forces is not None:
+            steps = steps.without_forces(self._before(shown), shown, self.forces)
+        first, done, shared = 0, 0, self.modes and bool(chunk.shared.any())
+        for k in np.flatnonzero(self._changed(shown) | hit).tolist():
+            if shared:
+                self._note_shared(chunk.shared[first:k])
+            first = k + int(hit[k])
+            done = self._flow(steps, done, int(steps.places[k]) + first - k)
+            if hit[k]:
+                self._strike(steps, k, shown[k])
             else:
-                self._jumps(shown[first], chunk.states[first])
-            if last > first:
-                self._note_shared(chunk.shared[first:last])
-                self._flow(chunk, first, last)
+                self._change(shown[k], chunk.states[k])
+        if shared:
+            self._note_shared(chunk.shared[first:])
+        self._flow(steps, done, int(steps.places[-1]))
+        self._raw = chunk.codes[-1]
+        if self._size > _LONGEST:
+            self.close()
 
     def _last(self, chunk: Chunk) -> Chunk:
         """Count the jumps of all steps but the last, and return that one."""
         last = len(chunk.codes) - 1
         shown, hit = self._shown(chunk.codes)[:last], chunk.struck[:last].any(axis=1)
-        changed = shown != np.vstack([self.row, shown[:-1]]) if last else np.zeros((0, 1))
+        changed = shown != self._before(shown) if last else np.zeros((0, 1))
         self.count += int(hit.sum()) + int(changed[~hit].sum())
         if last:
             self.row, self._raw = shown[-1], chunk.codes[last - 1]
@@ -134,15 +147,16 @@ class Recorder:
         """Return the steps (k,) in which `add` will record jumps."""
         return self._changed(self._shown(chunk.codes)) | np.any(chunk.struck, axis=1)
 
-    def taken(self) -> tuple[list[Arc], list[Jump]]:
+    def taken(self, *, looked_at: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
         """Hand over the arcs that have ended, and the jumps, since the last time."""
-        found = self.arcs, self.jumps
-        self.arcs, self.jumps = [], []
+        found = (tuple(self.arcs), tuple(self.jumps)) if looked_at else ((), ())
+        self._arcs.clear()
+        self._jumps.clear()
         return found
 
-    def since(self, count: int) -> list[Jump]:
+    def since(self, count: int) -> Sequence[Jump]:
         """Return the jumps after so many."""
-        return self.jumps[len(self.jumps) - (self.count - count) :] if self.modes else []
+        return self.jumps[len(self.jumps) - (self.count - count) :] if self.modes else ()
 
     def turn(
         self,
@@ -163,16 +177,16 @@ class Recorder:
 
     def drop(self) -> Arc:
         """Take back the last arc, and the jumps before it; return the one that is the last now."""
-        self.arcs.pop()
+        self._arcs.pop()
         last = self.arcs[-1]
         if self.modes:
-            del self.jumps[len(self.jumps) - (self.count - last.j) :]
+            del self._jumps[len(self._jumps) - (self.count - last.j) :]
         self.count = last.j
         return last
 
     def rewind(self, last: Arc) -> None:
         """Go back to the end of the last arc, cut off, which stands in its place."""
-        self.arcs[-1] = last
+        self._arcs[-1] = last
         self.key, self.clock = last.mode, last.end
 
     def stop(self, name: str, state: Array) -> None:
@@ -189,7 +203,10 @@ class Recorder:
         return tuple(dict.fromkeys(map(undetermined, self.indeterminate.values())))
 
     def _key(self, row: Ints) -> Key:
-        return (*map(STATES.__getitem__, row.tolist()), *self.controls)
+        found = self._keys.get(row.tobytes())
+        if found is None:
+            found = self._keys[row.tobytes()] = tuple(map(STATES.__getitem__, row.tolist()))
+        return (*found, *self.controls) if self.controls else found
 
     def _shown(self, codes: Ints) -> Ints:
         """Let a slip that comes to rest in a step last to its end."""
@@ -197,102 +214,51 @@ class Recorder:
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
         return np.where((codes == PIN) & slid & self.sticks, before, codes)
 
+    def _before(self, shown: Ints) -> Ints:
+        return np.vstack([self.row, shown[:-1]])
+
     def _changed(self, shown: Ints) -> Bools:
-        found: Bools = np.any(shown != np.vstack([self.row, shown[:-1]]), axis=1)
+        found: Bools = np.any(shown != self._before(shown), axis=1)
         return found
 
     def _note_shared(self, shared: Bools) -> None:
-        if shared.any() and self.modes:
+        if shared.any():
             names = {self.regions[i] for i in np.flatnonzero(shared.any(axis=0)).tolist()}
             names.update(self.indeterminate.get(self.key, ()))
             self.indeterminate[self.key] = tuple(n for n in self.regions if n in names)
 
-    def _flow(self, chunk: Chunk, first: int, last: int) -> None:
-        """Append steps of one mode as one arc, or to the last arc."""
-        h, left, right = chunk.h, chunk.states[first:last], chunk.states[first + 1 : last + 1]
-        coefficients = smooth(left, right, h, self.coordinates)
-        times: Array = h * np.arange(last - first + 1, dtype=float)
-        self._arc(times, coefficients, chunk.solved[first:last])
+    def _flow(self, steps: Steps, first: int, last: int) -> int:
+        """Append pieces of one mode to the arc at hand; return where those after them begin."""
+        if last > first:
+            self._open.append(Stretch(steps, first, last))
+            self.clock = steps.at(last)
+            self._size += (last - first) * steps.width
+        return last
 
-    def _halves(self, chunk: Chunk, hit: Bools) -> Iterator[tuple[Array, Array]]:
-        """Yield the coefficients (1, w, TERMS) of both halves of every step with impacts."""
-        steps, n = np.flatnonzero(hit), self.coordinates
-        left, right = chunk.states[steps], chunk.states[steps + 1]
-        first, second = struck(left, right, chunk.solved[steps, :n], chunk.h, n)
-        for i in range(len(steps)):
-            yield first[i : i + 1], second[i : i + 1]
-
-    def _strike(self, chunk: Chunk, k: int, row: Ints, halves: tuple[Array, Array]) -> None:
-        """Append a step with impacts in its middle: one jump, whose impulses all regions feel."""
-        times = np.array([0.0, 0.5 * chunk.h])
-        self._arc(times, halves[0], self._held(chunk.solved[k]))
+    def _strike(self, steps: Steps, k: int, row: Ints) -> None:
+        """Append the jump of a step with impacts in its middle: one, which all regions feel."""
         self.close()
-        if self.modes:
-            self._struck(chunk, k, row, halves[0][0].sum(axis=1), halves[1][0, :, 0].copy())
-        else:
+        if not self.modes:
             self.row, self.count = row, self.count + 1
-        self._arc(times, halves[1], self._held(chunk.solved[k]))
-
-    def _struck(self, chunk: Chunk, k: int, row: Ints, before: Array, after: Array) -> None:
-        """Append the jump of a step with impacts, at the state before and after it."""
-        felt = np.flatnonzero(chunk.impulses[k].any(axis=1))
-        impulses = {
-            self.regions[i]: (normal, tangential)
-            for i, (normal, tangential) in zip(
-                felt.tolist(), chunk.impulses[k, felt].tolist(), strict=True
+            return
+        place = int(steps.struck[k].argmax())
+        cause = self._cause(int(self.row[place]), int(row[place]), True)
+        source, self.row, self.key = self.key, row, self._key(row)
+        self._note(
+            Stroke(
+                steps, k, self.clock.high, self.count, self.regions[place], cause, source,
+                self.key, self.regions, self.energy,
             )
-        }
-        place = int(chunk.struck[k].argmax())
-        time = self.clock.high
-        self._jump(
-            place,
-            self._cause(int(self.row[place]), int(row[place]), True),
-            row,
-            before,
-            after,
-            impulses,
-            (self.energy(before, time), self.energy(after, time)),
-        )
-
-    def _held(self, solved: Array) -> Array:
-        """Return the unknowns (1, u) without forces where the mode at hand is open."""
-        found = solved[None].copy()
-        if self.forces is not None:
-            for i in np.flatnonzero((self.row == FREE) | (self.row == OFF_CODE)).tolist():
-                at = self.forces + 2 * i
-                found[0, at : at + 2] = 0.0
-        return found
-
-    def _arc(self, times: Array, coefficients: Array, solved: Array) -> None:
-        self._open.append((times, coefficients, solved))
-        self.clock = self.clock.later(float(times[-1])).short
-        self._size += coefficients.nbytes
-        if self._size > _LONGEST:
-            self.close()
+        )  # fmt: skip
 
     def close(self) -> None:
         """End the arc at hand."""
         if not self._open:
             return
-        pieces, self._open, self._size = self._open, [], 0
-        ends, reached = [np.zeros(1)], 0.0
-        for times, _, _ in pieces:
-            ends.append(reached + times[1:])
-            reached = float(ends[-1][-1])
-        self.arcs.append(
-            Arc(
-                self.key,
-                roles_in(self.key),
-                self._began,
-                self.count,
-                np.concatenate(ends),
-                np.concatenate([piece[1] for piece in pieces]),
-                defined(np.concatenate([piece[2] for piece in pieces])),
-            )
-        )
-        self._began = self.clock
+        self._arcs.append(Line(self.key, self._began, self.count, tuple(self._open)))
+        self._open, self._size, self._began = [], 0, self.clock
 
-    def _jumps(self, row: Ints, state: Array) -> None:
+    def _change(self, row: Ints, state: Array) -> None:
         """Append a jump for every region that changes."""
         changed = np.flatnonzero(row != self.row).tolist()
         if not self.modes and changed:
@@ -304,37 +270,16 @@ class Recorder:
             following = self.row.copy()
             following[i] = row[i]
             cause = self._cause(int(self.row[i]), int(row[i]), False)
-            self._jump(i, cause, following, state, state, {}, None)
+            source, self.row, self.key = self.key, following, self._key(following)
+            self._note(
+                Jump(
+                    self.clock.high, self.count, self.regions[i], cause, source, self.key,
+                    state, state,
+                )
+            )  # fmt: skip
 
-    def _jump(
-        self,
-        place: int,
-        cause: str,
-        row: Ints,
-        before: Array,
-        after: Array,
-        impulses: Mapping[str, tuple[float, float]],
-        energy: tuple[float, float] | None,
-    ) -> None:
-        target = self._key(row)
-        self._note(
-            Jump(
-                self.clock.high,
-                self.count,
-                self.regions[place],
-                cause,
-                self.key,
-                target,
-                before,
-                after,
-                impulse=impulses,
-                energy=energy,
-            )
-        )
-        self.row, self.key = row, target
-
-    def _note(self, jump: Jump) -> None:
-        self.jumps.append(jump)
+    def _note(self, jump: Stroke | Jump) -> None:
+        self._jumps.append(jump)
         self.count += 1
 
     def _cause(self, before: int, after: int, struck: bool) -> str:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.polynomials import TERMS, defined, smooth, struck
+from contacts.time_stepping.polynomials import Pieces, defined
 from contacts.time_stepping.stops import cut
 from statechart.arrays import Array, Bools
 from statechart.automaton.blocks import Blocks
@@ -99,15 +99,9 @@ class Track:
         self._begun, self._open, self._size = None, [], 0
 
     def _arc(self, block: _Block) -> Arc:
-        n, hit = self._coordinates, np.asarray(block.hit)
-        left, right, h = block.states[:-1], block.states[1:], np.diff(block.times)
-        pieces = 1 + hit
-        places = np.cumsum(pieces) - pieces
-        coefficients = np.empty((int(pieces.sum()), left.shape[1], TERMS))
-        coefficients[places[~hit]] = smooth(left[~hit], right[~hit], h[~hit, None], n)
-        halves = struck(left[hit], right[hit], block.solved[hit, :n], h[hit, None], n)
-        coefficients[places[hit]], coefficients[places[hit] + 1] = halves
+        n, hit, h = self._coordinates, np.asarray(block.hit), np.diff(block.times)
+        terms, _ = Pieces.of(block.states, block.solved[:, :n], h[:, None], hit, n)
         middles = block.times[:-1][hit] + 0.5 * h[hit]
         times = np.insert(block.times, np.flatnonzero(hit) + 1, middles)
-        (start, j, key), solved = block.begun, np.repeat(block.solved, pieces, axis=0)
-        return Arc(key, roles_in(key), start, j, times, coefficients, defined(solved))
+        (start, j, key), solved = block.begun, np.repeat(block.solved, 1 + hit, axis=0)
+        return Arc(key, roles_in(key), start, j, times, terms, defined(solved))

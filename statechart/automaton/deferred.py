@@ -57,6 +57,8 @@ class Recorded(Sequence[T], Generic[T]):
 
     Attributes
     ----------
+    keeps : bool
+        `kept`.
     source : object
         What all of them stand in, for those who read that; does not travel.
     """
@@ -64,7 +66,7 @@ class Recorded(Sequence[T], Generic[T]):
     def __init__(
         self, make: Callable[[int], T], count: Callable[[], int], *, kept: bool = True
     ) -> None:
-        self._make, self._count, self._keeps = make, count, kept
+        self._make, self._count, self.keeps = make, count, kept
         self.source: object = None
         self._seen: dict[int, T] = {}
 
@@ -94,7 +96,7 @@ class Recorded(Sequence[T], Generic[T]):
         found = self._seen.get(place)
         if found is None:
             found = self._make(place)
-            if self._keeps and place < _SHORT:
+            if self.keeps and place < _SHORT:
                 self._seen[place] = found
         return found
 

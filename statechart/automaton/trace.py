@@ -12,6 +12,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
+from statechart.automaton.deferred import Recorded
 from statechart.documents.setting import Record
 from statechart.errors import TooLong
 
@@ -337,7 +338,8 @@ class Trace:
 
         A very long one is returned as it is: made, it takes ten times the memory.
         """
-        if max(len(self.arcs), len(self.jumps)) > _AT_HAND or self.record is not Record.MODES:
+        passing = isinstance(self.arcs, Recorded) and not self.arcs.keeps
+        if passing or max(len(self.arcs), len(self.jumps)) > _AT_HAND:
             return self
         return replace(self, arcs=tuple(self.arcs), jumps=tuple(self.jumps))
 
