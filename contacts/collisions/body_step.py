@@ -160,7 +160,7 @@ def step_bodies(
     law : int
         What is hit together follows; see `contacts.collisions.order`.
     forces : bool
-        Whether somebody reads the unknowns, which else are not those of what lasts.
+        Whether somebody reads the unknowns, which else are not written.
     memory : Memory
         Where it has too little place the status is `FULL`. Changed in place.
     room : Room
@@ -182,7 +182,7 @@ def step_bodies(
     frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), around.forces
     width = 2 * n + around.memories.shape[1]
     acting = filled(applied.code, applied.constants, applied.values, width, 1)
-    steps = len(chunk.codes)
+    steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
     # What is in the way after the last step tells whether that could be taken.
     for k in range(steps + 1):
         if k == steps and not (deepest < math.inf and _hurry(numbers, state, h)):
@@ -210,7 +210,8 @@ def step_bodies(
             places = around.places[k : k + 3]
             count = joined(numbers, places, memory, room.look, h, count, touches)
         solved(numbers, law, forces, h, room, count, allowed, chunk.efforts[k])
-        rates, forced = loose.copy(), loose.copy()
+        put_rows(loose, rates)
+        put_rows(loose, forced)
         for i in range(count):
             for d in range(2):
                 if room.pressed[i, d] != 0.0:
@@ -231,10 +232,11 @@ def step_bodies(
         for b in range(len(numbers.sizes)):
             for d in range(3):
                 at = 3 * b + d
-                # What an impact takes back at once is shown of no force: it would take bodies
-                # deeper into each other than they are where the step looks.
-                most = abs(rates[b, d] - old[b, d])
-                chunk.solved[k, at] = min(max(forced[b, d] - old[b, d], -most), most) / h
+                if forces:
+                    # What an impact takes back at once is shown of no force: it would take bodies
+                    # deeper into each other than they are where the step looks.
+                    most = abs(rates[b, d] - old[b, d])
+                    chunk.solved[k, at] = min(max(forced[b, d] - old[b, d], -most), most) / h
                 state[n + at] = rates[b, d]
                 state[at] += 0.5 * h * rates[b, d]
                 if not math.isfinite(state[at]):

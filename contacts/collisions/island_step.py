@@ -40,8 +40,9 @@ class Room(NamedTuple):
         Slip that the impulses of the island may have missed.
     contacts : ContactRows
         Those of an island.
-    island : (4, c, 2)
-        Their velocities before the step and without impulses, what is wanted, and impulses.
+    island : (5, c, 2)
+        Their velocities before the step and without impulses, what is wanted, and impulses; and
+        those of impacts in turn.
     rebounds : (c,) array of bool
         Which of them do.
     parents, local : (b,) array of int, begins : (b + 1,), order, spare : (c,)
@@ -86,8 +87,8 @@ class Room(NamedTuple):
             np.empty((most, 2)),
             np.empty(most, np.int64),
             np.empty(most),
-            ContactRows.room(most),
-            np.empty((4, most, 2)),
+            ContactRows.room(most, count),
+            np.empty((5, most, 2)),
             np.empty(most, np.bool_),
             np.empty(count, np.int64),
             np.empty(count, np.int64),
@@ -181,7 +182,7 @@ def solved(
                     bound += 0.125 * room.look.pull[b] ** 2 / inverse[b, 0]
                     local[b] = -1
         in_turn = law == SEQUENTIAL and size > 1 and quiet < size
-        sudden, near, turns, left = np.zeros((size if in_turn else 0, 2)), allowed, 0, 0.0
+        sudden, near, turns, left = room.island[4, :size], allowed, 0, 0.0
         missed_turn, share = 0.0, 1.0
         fast = scale_beside(contacts, unforced, asked)
         if in_turn:

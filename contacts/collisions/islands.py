@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contacts.solvers.contact_rows import ContactRows, own_compliances
+from contacts.solvers.contact_rows import ContactRows, complete
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import part
 
@@ -116,9 +116,9 @@ def gathered(
                 room.bodies[a, side] = moved
     contacts = ContactRows(
         room.bodies[:count], moved, room.rows[:count], room.columns[:count], room.own[:count],
-        room.cones[:count],
+        room.cones[:count], room.laws[:count], room.rates, room.spare,
     )  # fmt: skip
-    own_compliances(contacts.rows, contacts.columns, contacts.own)
+    complete(contacts)
     return contacts
 
 

@@ -56,7 +56,8 @@ def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -
     """Whether two pieces cross less than the smaller one's size at this rate, beside each other."""
     x = velocities[one, 0] - velocities[other, 0]
     y = velocities[one, 1] - velocities[other, 1]
-    return norm(x, y) < rate * min(sizes[one], sizes[other])
+    least = rate * min(sizes[one], sizes[other])
+    return x * x + y * y < least * least
 
 
 @part

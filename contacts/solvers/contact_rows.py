@@ -25,6 +25,10 @@ its first one is."""
 LAW = 9
 """Numbers that `law_of` writes."""
 
+BEST, NOW, CHANGE, ALONG, LEAST, TRIED, KEPT = range(7)
+"""What solvers have in `ContactRows.spare`: the best impulses, those of a sweep or a step, by how
+much they change, and how they went on; what is asked; impulses that are tried, and kept."""
+
 # What a contact's own impulses do to its velocity is known to this part.
 _ROUNDING = 1e-13
 # Of the fastest slip: an approach below this is what rounding leaves of rest, and what impulses are
@@ -51,6 +55,11 @@ class ContactRows(NamedTuple):
         Its compliances: normal, tangential, between the two.
     cones : (m, 2)
         ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``; of joints see `HELD`.
+    laws : (m, LAW)
+        See `law_of`.
+    rates : (3, 3 b + 3), spare : (7, m, 2)
+        Where solvers work, who need arrays for every island: rates of what moves, and of what
+        nothing moves, how they went on, and before; see `BEST`.
     """
 
     bodies: Ints
@@ -59,10 +68,13 @@ class ContactRows(NamedTuple):
     columns: Array
     own: Array
     cones: Array
+    laws: Array
+    rates: Array
+    spare: Array
 
     @classmethod
-    def room(cls, most: int) -> ContactRows:
-        """Return place for so many contacts of two bodies each."""
+    def room(cls, most: int, bodies: int) -> ContactRows:
+        """Return place for so many contacts of two bodies each, of so many."""
         return cls(
             np.empty((most, 2), np.int64),
             0,
@@ -70,18 +82,23 @@ class ContactRows(NamedTuple):
             np.empty((most, 2, 6)),
             np.empty((most, 3)),
             np.empty((most, 2)),
+            np.empty((most, LAW)),
+            np.empty((3, 3 * bodies + 3)),
+            np.empty((7, most, 2)),
         )
 
 
 @part
-def own_compliances(rows: Array, columns: Array, own: Array) -> None:
-    """Write what a contact's own impulses do to its velocity: see `ContactRows.own`."""
+def complete(contacts: ContactRows) -> None:
+    """Write what a contact's own impulses do to its velocity, and how it is solved alone."""
+    rows, columns, own = contacts.rows, contacts.columns, contacts.own
     for i in range(len(rows)):
         own[i, 0] = own[i, 1] = own[i, 2] = 0.0
         for k in range(rows.shape[2]):
             own[i, 0] += rows[i, 0, k] * columns[i, 0, k]
             own[i, 1] += rows[i, 1, k] * columns[i, 1, k]
             own[i, 2] += rows[i, 0, k] * columns[i, 1, k]
+        law_of(own[i], slope(contacts.cones[i]), contacts.laws[i])
 
 
 @part
@@ -93,9 +110,12 @@ def slope(cone: Array) -> float:
 
 
 @part
-def rates_of(contacts: ContactRows) -> Array:
-    """Return rates of all bodies, and of what nothing moves: none."""
-    return np.zeros(3 * contacts.moving + 3)
+def rates_of(contacts: ContactRows, which: int) -> Array:
+    """Return rates of all bodies, and of what nothing moves, of those to work with: none."""
+    rates = contacts.rates[which, : 3 * contacts.moving + 3]
+    for k in range(len(rates)):
+        rates[k] = 0.0
+    return rates
 
 
 @part
@@ -254,15 +274,23 @@ def residual(
 
 
 @part
+def measured(contacts: ContactRows, least: Array, size: float, impulses: Array) -> float:
+    """Return the `residual` of impulses, whose rates the first of `ContactRows.rates` then are."""
+    rates = rates_of(contacts, 0)
+    moved(contacts, impulses, rates)
+    return residual(contacts, least, size, impulses, rates)
+
+
+@part
 def _sweep(
-    contacts: ContactRows, laws: Array, least: Array, impulses: Array, rates: Array, change: Array
+    contacts: ContactRows, least: Array, impulses: Array, rates: Array, change: Array
 ) -> tuple[float, float]:
     """Solve contact by contact; write the changes, and return their square as an energy.
 
     And the largest change, as a velocity: that is what contacts missed when it was their turn.
     """
     total = most = 0.0
-    own = contacts.own
+    own, laws = contacts.own, contacts.laws
     for i in range(len(impulses)):
         normal, slip = seen(contacts, i, least, rates)
         before, beside = impulses[i, 0], impulses[i, 1]
@@ -282,39 +310,39 @@ def _sweep(
 
 @late
 def swept(
-    contacts: ContactRows, least: Array, impulses: Array, allowed: float, most: int, count: int
-) -> tuple[float, int]:
-    """Sweep until the residual is as allowed; return that of the best impulses, and all sweeps.
+    contacts: ContactRows, least: Array, size: float, lowest: float, impulses: Array,
+    allowed: float, most: int,
+) -> tuple[float, int]:  # fmt: skip
+    """Sweep until the residual is as allowed; return that of the best impulses, and the sweeps.
 
     Parameters
     ----------
     contacts : ContactRows
+        Its rates are those of the impulses (see `measured`).
     least : (m, 2)
         Velocities without impulses, which these must make no less than zero.
+    size, lowest : float
+        Their `scale`, and the residual of the impulses.
     impulses : (m, 2)
         Where to start; the best ones, in place.
     allowed : float
         Residual.
     most : int
-        Sweeps; `count` are done before.
+        Sweeps.
     """
-    rates, carried, earlier = rates_of(contacts), rates_of(contacts), rates_of(contacts)
-    moved(contacts, impulses, rates)
-    size = scale(contacts, least)
-    lowest = residual(contacts, least, size, impulses, rates)
-    best, now, change = impulses.copy(), impulses.copy(), np.empty((len(impulses), 2))
-    along, laws = np.zeros((len(impulses), 2)), np.empty((len(impulses), LAW))
-    before = 0.0
-    for i in range(len(impulses)):
-        law_of(contacts.own[i], slope(contacts.cones[i]), laws[i])
-    for sweep in range(most):
-        if lowest <= allowed:
-            break
+    m, spare = len(impulses), contacts.spare
+    best, now, change, along = spare[BEST, :m], spare[NOW, :m], spare[CHANGE, :m], spare[ALONG, :m]
+    put_rows(impulses, best)
+    put_rows(impulses, now)
+    along[:] = 0.0
+    rates, carried = contacts.rates[0, : 3 * contacts.moving + 3], rates_of(contacts, 1)
+    earlier, before, count = contacts.rates[2, : len(rates)], 0.0, 0
+    while count < most and lowest > allowed:
         put(rates, earlier)
-        energy, missed = _sweep(contacts, laws, least, now, rates, change)
+        energy, missed = _sweep(contacts, least, now, rates, change)
         count += 1
         # The residual takes half a sweep: it is looked at where it may do.
-        if energy == 0.0 or missed <= allowed * size or sweep == most - 1:
+        if energy == 0.0 or missed <= allowed * size or count == most:
             left = residual(contacts, least, size, now, rates)
             if left < lowest:
                 lowest = left
@@ -328,7 +356,7 @@ def swept(
             step = rates[k] - earlier[k]
             rates[k] += beta * carried[k]
             carried[k] = beta * carried[k] + step
-        for i in range(len(now)):
+        for i in range(m):
             for d in range(2):
                 now[i, d] += beta * along[i, d]
                 along[i, d] = beta * along[i, d] + change[i, d]

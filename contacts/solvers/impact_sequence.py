@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.solvers.contact_rows import ContactRows, add, rates_of, seen, slope
+from contacts.solvers.contact_rows import LAW, ContactRows, add, seen, slope
 from contacts.solvers.island_impulses import island_impulses
 from contacts.solvers.step_impulses import LONGEST_SEQUENCE
 from statechart.arrays import Array, Bools, Ints
@@ -52,6 +52,7 @@ def _rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
     room = ContactRows(
         np.empty((count, 2), np.int64), contacts.moving, np.empty((count, 2, 6)),
         np.empty((count, 2, 6)), np.empty((count, 3)), np.empty((count, 2)),
+        np.empty((count, LAW)), contacts.rates, contacts.spare,
     )  # fmt: skip
     for a in range(count):
         i = chosen[a]
@@ -60,6 +61,7 @@ def _rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
             put(contacts.rows[i, side], room.rows[a, side])
             put(contacts.columns[i, side], room.columns[a, side])
         put(contacts.own[i], room.own[a])
+        put(contacts.laws[i], room.laws[a])
         put(contacts.cones[i], room.cones[a])
     return room
 
@@ -126,7 +128,7 @@ def in_turn(
         impulses that stop it; zero where the impacts end.
     """
     count, iterations, worst = len(pairs), 0, 0.0
-    rates, start, largest = rates_of(contacts), now.copy(), 0.0
+    rates, start, largest = np.zeros(3 * contacts.moving + 3), now.copy(), 0.0
     next_ones, done = np.empty(count, np.bool_), np.empty(count, np.bool_)
     impulses[:] = 0.0
     for turn in range(LONGEST_SEQUENCE + 1):

@@ -16,16 +16,19 @@ import numpy as np
 
 from contacts.solvers.contact_lcp_kernels import impulses_by_lemke
 from contacts.solvers.contact_rows import (
+    CHANGE,
+    KEPT,
     LAW,
+    LEAST,
+    TRIED,
     ContactRows,
     add,
     along,
-    law_of,
+    complete,
+    measured,
     moved,
     one_contact,
-    own_compliances,
     rates_of,
-    residual,
     scale,
     slope,
     swept,
@@ -84,28 +87,25 @@ def solve_rows(
     if parting:
         impulses[:] = 0.0
         return 0.0, 0
-    rates, size = rates_of(contacts), scale(contacts, least)
-    moved(contacts, impulses, rates)
-    left = residual(contacts, least, size, impulses, rates)
+    size = scale(contacts, least)
+    left = measured(contacts, least, size, impulses)
     if left <= _VERIFIED:
         return left, 0
     if count == 1:
-        law = np.empty(LAW)
-        law_of(contacts.own[0], slope(contacts.cones[0]), law)
-        impulses[0, 0], impulses[0, 1] = one_contact(law, least[0, 0], least[0, 1])
-        moved(contacts, impulses, rates)
-        left = residual(contacts, least, size, impulses, rates)
+        alone = one_contact(contacts.laws[0], least[0, 0], least[0, 1])
+        impulses[0, 0], impulses[0, 1] = alone
+        left = measured(contacts, least, size, impulses)
         if left <= _VERIFIED:
             return left, 1
     done, bodies = 0, contacts.bodies.shape[1] == _OF_BODIES
     sparse = bodies and count > _EXACT
     if count <= _EXACT or (rests and count <= _DENSE):
         most = STEPS if count <= _RESTS else _FEW_STEPS
-        left, done = by_status(contacts, least, impulses, _VERIFIED, most)
+        left, done = by_status(contacts, least, size, left, impulses, _VERIFIED, most)
     if sparse and rests and left > _VERIFIED:
         left, steps = by_proximal_points(contacts, least, impulses, _VERIFIED)
         done += steps
-    other = impulses.copy()
+    other, missed, known = contacts.spare[TRIED, :count], left, done == 0
     for trial in range(_SPARSE if sparse else len(_SWEEPS)):
         if left <= allowed:
             break
@@ -114,9 +114,14 @@ def solve_rows(
             other[:] = 0.0
         else:
             put_rows(impulses, other)
-        missed, done = swept(contacts, least, other, allowed, _SWEEPS[trial], done)
+        if not known:
+            missed = measured(contacts, least, size, other)
+        known = False
+        missed, steps = swept(contacts, least, size, missed, other, allowed, _SWEEPS[trial])
+        done += steps
         if missed > allowed and not sparse and count <= _MANY:
-            missed, steps = by_status(contacts, least, other, allowed, STEPS)
+            missed = measured(contacts, least, size, other)
+            missed, steps = by_status(contacts, least, size, missed, other, allowed, STEPS)
             done += steps
         if missed > allowed and bodies:
             missed, steps = by_proximal_points(contacts, least, other, allowed)
@@ -158,8 +163,11 @@ def dense_impulses(
             rows[i, d, 2 * i + d] = 1.0
             for k in range(2 * count):
                 columns[i, d, k] = delassus[k, 2 * i + d]
-    own_compliances(rows, columns, own)
-    contacts = ContactRows(bodies, threes, rows, columns, own, cones)
+    contacts = ContactRows(
+        bodies, threes, rows, columns, own, cones, np.empty((count, LAW)),
+        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)),
+    )  # fmt: skip
+    complete(contacts)
     left, _ = solve_rows(contacts, least, impulses, allowed, False, True)
     return left, impulses
 
@@ -175,21 +183,22 @@ def _by_lemke(
     the other seldom does.
     """
     count = len(least)
-    delassus, felt = np.empty((2 * count, 2 * count)), rates_of(contacts)
+    delassus, felt = np.empty((2 * count, 2 * count)), rates_of(contacts, 0)
     for b in range(2 * count):
         j = b // 2
         add(contacts, j, 1.0 - b % 2, 1.0 * (b % 2), felt)
         for a in range(2 * count):
             delassus[a, b] = along(contacts, a // 2, a % 2, felt)
         without(contacts, j, felt)
-    left, done = math.inf, 0
+    left, done, size = math.inf, 0, scale(contacts, least)
     for by_sizes in range(2):
         if left <= allowed:
             break
         good, found = impulses_by_lemke(delassus, least, contacts.cones, by_sizes == 1)
         if not good:
             continue
-        missed, steps = by_status(contacts, least, found, allowed, STEPS)
+        missed = measured(contacts, least, size, found)
+        missed, steps = by_status(contacts, least, size, missed, found, allowed, STEPS)
         done += steps
         if missed > allowed and bodies:
             missed, steps = by_proximal_points(contacts, least, found, allowed)
@@ -201,15 +210,29 @@ def _by_lemke(
 
 
 @part
-def _velocities(contacts: ContactRows, impulses: Array) -> Array:
-    """Return how impulses change the velocities (m, 2) of the contacts."""
-    rates = rates_of(contacts)
+def _changed(contacts: ContactRows, impulses: Array, changes: Array) -> Array:
+    """Write, and return, how impulses change the velocities (m, 2) of the contacts."""
+    rates = rates_of(contacts, 0)
     moved(contacts, impulses, rates)
-    result = np.empty((len(impulses), 2))
     for i in range(len(impulses)):
         for d in range(2):
-            result[i, d] = along(contacts, i, d, rates)
-    return result
+            changes[i, d] = along(contacts, i, d, rates)
+    return changes
+
+
+@part
+def _velocities(contacts: ContactRows, impulses: Array) -> Array:
+    """Return how impulses change the velocities (m, 2) of the contacts."""
+    return _changed(contacts, impulses, np.empty((len(impulses), 2)))
+
+
+@part
+def _within(
+    contacts: ContactRows, impulses: Array, before: Array, free: Array, bound: float
+) -> float:
+    """Return the part of impulses whose work is within a bound; see `part_within`."""
+    changes = _changed(contacts, impulses, contacts.spare[CHANGE, : len(impulses)])
+    return part_within(impulses, before, free, changes, bound)
 
 
 @part
@@ -218,8 +241,9 @@ def _rebounding(
     impulses: Array, allowed: float, rests: bool, last: bool,
 ) -> tuple[float, int, bool]:  # fmt: skip
     """Find impulses with restitution that adds no energy; see `island_impulses`."""
-    least, some = free + wanted, False
+    least, some = contacts.spare[LEAST, : len(impulses)], False
     for i in range(len(impulses)):
+        least[i, 0], least[i, 1] = free[i, 0] + wanted[i, 0], free[i, 1] + wanted[i, 1]
         some = some or rebounds[i]
     if not some:
         left, done = solve_rows(contacts, least, impulses, allowed, rests, last)
@@ -293,7 +317,7 @@ def _pushed_in_part(
         done += further
         if missed > allowed:
             break
-        within = part_within(chosen, before, free, _velocities(contacts, chosen), bound)
+        within = _within(contacts, chosen, before, free, bound)
         if within >= 1.0 - _AT_BOUND:
             put_rows(chosen, impulses)
             return missed, done, soft
@@ -342,11 +366,12 @@ def island_impulses(
         fastest = max(fastest, abs(before[i, 0]), abs(before[i, 1]))
         pushed = pushed or _pushed(contacts, wanted, rebounds, i)
         joined = joined or slope(contacts.cones[i]) < 0.0
-    other = impulses.copy() if pushed or joined else impulses
+    other = contacts.spare[KEPT, :count]
+    put_rows(impulses, other)
     left, done, softened = _rebounding(
         contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest, not pushed
     )
-    share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)
+    share = _within(contacts, impulses, before, free, bound)
     if pushed and (left > allowed or share < 1.0):
         # What is pushed out may be pushed against others, and gains energy; or wedges, for which
         # there are no impulses: those that were tried press without bound, and are no start.
@@ -364,7 +389,7 @@ def island_impulses(
                 done += further
             left, softened = calm, soft
             put_rows(other, impulses)
-            share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)
+            share = _within(contacts, impulses, before, free, bound)
     if joined and left > allowed:
         # What sticks or is stuck between joints and others can do nothing but rest: no joint is
         # brought back there, or follows its arm as that turns.
@@ -377,7 +402,7 @@ def island_impulses(
         if calm < left:
             left, softened = calm, soft
             put_rows(other, impulses)
-            share = part_within(impulses, before, free, _velocities(contacts, impulses), bound)
+            share = _within(contacts, impulses, before, free, bound)
     if share < 1.0:
         for i in range(count):
             impulses[i, 0] *= share

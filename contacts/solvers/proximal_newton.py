@@ -129,7 +129,7 @@ def by_proximal_points(
         Residual.
     """
     count = len(impulses)
-    rates = rates_of(contacts)
+    rates = rates_of(contacts, 0)
     moved(contacts, impulses, rates)
     size = scale(contacts, least)
     lowest = residual(contacts, least, size, impulses, rates)

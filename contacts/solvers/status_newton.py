@@ -14,17 +14,16 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.solvers.contact_rows import (
+    CHANGE,
     HELD,
-    LAW,
+    NOW,
     ContactRows,
     add,
     along,
-    law_of,
     moved,
     one_contact,
     rates_of,
     residual,
-    scale,
     seen,
     slope,
     without,
@@ -52,7 +51,6 @@ def _guess(
     contacts: ContactRows, least: Array, impulses: Array, rates: Array, status: Ints, edges: Array
 ) -> None:
     """Write the status of contacts, and the edges that impulses are on, from impulses."""
-    law = np.empty(LAW)
     for i in range(len(impulses)):
         pn, pt = impulses[i]
         mu = slope(contacts.cones[i])
@@ -62,8 +60,7 @@ def _guess(
             continue
         if not pn > 0.0:
             normal, slip = seen(contacts, i, least, rates)
-            law_of(contacts.own[i], mu, law)
-            pn, pt = one_contact(law, normal, slip)
+            pn, pt = one_contact(contacts.laws[i], normal, slip)
         if not pn > 0.0:
             status[i] = OPEN
         elif abs(pt) < mu * pn * (1.0 - _EDGE):
@@ -83,7 +80,7 @@ def _changed(
     rest: float,
 ) -> bool:
     """Write what the status is after a solution; False where it is as before."""
-    different, law = False, np.empty(LAW)
+    different = False
     for i in range(len(impulses)):
         pn, pt = impulses[i]
         mu = slope(contacts.cones[i])
@@ -93,8 +90,7 @@ def _changed(
         new = status[i]
         if new == OPEN:
             if normal < -rest:
-                law_of(contacts.own[i], mu, law)
-                first, beside = one_contact(law, normal, slip)
+                first, beside = one_contact(contacts.laws[i], normal, slip)
                 new = STICKS if abs(beside) < mu * first else SLIDES
                 edges[i] = mu if beside > 0.0 else -mu
         elif pn < 0.0:
@@ -125,17 +121,18 @@ def _solve(
     moved(contacts, impulses, rates)
     if count == 0:
         return True
-    whose, which = np.empty(count, np.int64), np.empty(count, np.int64)
-    at = 0
+    # Few arrays for many numbers: most islands are small, and an array costs what it holds.
+    places, numbers, at = np.empty((3, count), np.int64), np.empty((3, count)), 0
+    whose, which, order = places[0], places[1], places[2]
+    scales, right, step = numbers[0], numbers[1], numbers[2]
     for i in range(len(impulses)):
         for d in range(2 if status[i] == STICKS else 1 if status[i] == SLIDES else 0):
             whose[at], which[at] = i, d
             at += 1
-    scales, order = np.empty(count), np.empty(count, np.int64)
     for a in range(count):
         order[a] = a
         scales[a] = 1.0 / np.sqrt(max(contacts.own[whose[a], which[a]], 1e-300))
-    matrix, felt = np.empty((count, count)), rates_of(contacts)
+    matrix, felt = np.empty((count, count)), rates_of(contacts, 1)
     for b in range(count):
         j = whose[b]
         slides = status[j] == SLIDES
@@ -146,7 +143,6 @@ def _solve(
             matrix[a, b] = scales[a] * along(contacts, whose[a], which[a], felt) * scales[b]
         without(contacts, j, felt)
         matrix[b, b] += _PROXIMAL
-    right, step = np.empty(count), np.empty(count)
     if not eliminated(matrix, order):
         return False
     for _ in range(_CORRECTIONS):
@@ -198,28 +194,25 @@ def _blocked(contacts: ContactRows, begin: Array, end: Array, status: Ints, edge
 
 @late
 def by_status(
-    contacts: ContactRows, least: Array, impulses: Array, allowed: float, most: int
-) -> tuple[float, int]:
+    contacts: ContactRows, least: Array, size: float, lowest: float, impulses: Array,
+    allowed: float, most: int,
+) -> tuple[float, int]:  # fmt: skip
     """Improve impulses by Newton's method; return the residual of the best ones, and the steps.
 
     Parameters
     ----------
-    contacts : ContactRows
-    least, impulses : (m, 2)
+    contacts, least, size, lowest, impulses
         See `contacts.solvers.contact_rows.swept`.
     allowed : float
         What is as near as this is taken, if its status is its own or not.
     most : int
         Steps, `STEPS` of which are of use.
     """
-    rates = rates_of(contacts)
-    moved(contacts, impulses, rates)
-    size = scale(contacts, least)
-    lowest = residual(contacts, least, size, impulses, rates)
-    best, now = impulses, impulses.copy()
-    status, edges = np.zeros(len(now), np.int64), np.zeros(len(now))
+    count, rates = len(impulses), contacts.rates[0, : 3 * contacts.moving + 3]
+    best, now, begin = impulses, contacts.spare[NOW, :count], contacts.spare[CHANGE, :count]
+    put_rows(impulses, now)
+    status, edges = np.zeros(count, np.int64), np.zeros(count)
     _guess(contacts, least, now, rates, status, edges)
-    begin = now.copy()
     most = min(_STEPS + _STEPS_EACH * len(now), most)
     for step in range(most):
         put_rows(now, begin)

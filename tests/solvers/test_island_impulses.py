@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from rows import contact_rows
 
-from contacts.solvers.contact_rows import ContactRows
 from contacts.solvers.island_impulses import island_impulses
 from statechart.kernels.jit import kernel
 
@@ -25,9 +25,8 @@ def pushed(mass, fall, back, bound):
     """
     rows = np.zeros((1, 2, 6))
     rows[0, 0, 1], rows[0, 1, 0], rows[0, 1, 2] = 1.0, 1.0, 1.0
-    own = np.array([[1.0, 3.0, 0.0]]) / mass
     columns = rows * (np.array([1.0, 1.0, 2.0, 0.0, 0.0, 0.0]) / mass)
-    contacts = ContactRows(np.array([[0, 1]]), 1, rows, columns, own, np.array([[1.0, 0.5]]))
+    contacts = contact_rows(np.array([[0, 1]]), 1, rows, columns, np.array([[1.0, 0.5]]))
     free, wanted = np.array([[-fall, 0.0]]), np.array([[-back, 0.0]])
     impulses, rest = np.zeros((1, 2)), np.zeros((1, 2))
     left, _, _ = found(contacts, rest, free, wanted, np.array([False]), impulses, 1e-6, bound)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rows import contact_rows
 
-from contacts.solvers.contact_rows import ContactRows
 from contacts.solvers.island_impulses import solve_rows
 from contacts.solvers.proximal_newton import by_proximal_points
 from statechart.kernels.jit import kernel
@@ -55,9 +55,8 @@ def wall(rows, across, mu, generator):
                 lines[i, d, 3 * side : 3 * side + 3] = row if side == 0 else -row
     inverse = np.tile([1.0, 1.0, 2.0], rows * across)
     columns = lines * np.append(inverse, np.zeros(3))[places][:, None]
-    own = np.stack([(lines[:, a] * columns[:, b]).sum(-1) for a, b in ((0, 0), (1, 1), (0, 1))], 1)
-    contacts = ContactRows(
-        places[:, ::3] // 3, rows * across, lines, columns, own, np.tile([1.0, mu], (count, 1))
+    contacts = contact_rows(
+        places[:, ::3] // 3, rows * across, lines, columns, np.tile([1.0, mu], (count, 1))
     )
     rates = np.tile([0.0, -1.0, 0.0], rows * across) + 0.1 * generator.normal(size=last)
     free = np.einsum("idk,ik->id", lines, np.append(rates, np.zeros(3))[places])

@@ -1,0 +1,17 @@
+"""Contacts as rows, for tests of what solves them."""
+
+from __future__ import annotations
+
+from contacts.solvers.contact_rows import ContactRows, complete
+from statechart.arrays import Array, Ints
+
+
+def contact_rows(
+    bodies: Ints, moving: int, rows: Array, columns: Array, cones: Array
+) -> ContactRows:
+    """Return contacts of so many bodies, with what follows from their rows."""
+    contacts = ContactRows.room(len(bodies), moving)._replace(
+        bodies=bodies, moving=moving, rows=rows, columns=columns, cones=cones
+    )
+    complete.as_written(contacts)
+    return contacts
