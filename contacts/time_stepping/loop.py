@@ -72,7 +72,7 @@ def made_ready(stepping: Stepping, begun: Begun, span: Span) -> SteppedRun:
         stepping.sticks,
         stepping.again,
         stepping.forces,
-        lambda state, time: float(stepping.energy.at(state, values, time)[0]),
+        lambda states, times: stepping.energy.table(states, values, times)[:, 0],
         len(stepping.angles),
         # Controllers wait for the events of regions.
         told or (watch is not None and watch.events),

@@ -6,7 +6,8 @@ A run keeps what its steps are, which is a quarter of the polynomials of its arc
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar, overload
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,33 +96,9 @@ class Steps(NamedTuple):
             halves[at, column] = halves[at, column + 1] = 0.0
         return self._replace(halves=halves)
 
-    def step_of(self, piece: int) -> int:
-        """Return which step a piece is of."""
-        return int(np.searchsorted(self.places, piece, side="right")) - 1
-
-    def mark(self, piece: int) -> int:
-        """Return after how many half steps a piece begins."""
-        step = self.step_of(piece)
-        return 2 * step + piece - int(self.places[step])
-
-    def at(self, piece: int) -> Clock:
-        """Return when a piece begins."""
-        return self.begin.later(0.5 * self.h * self.mark(piece)).short
-
-    def parts(self, first: int, last: int) -> tuple[Array, Array, Array]:
-        """Return pieces as those of an arc: their ends (p + 1,), coefficients, unknowns (p, u)."""
-        begin, end = self.step_of(first), self.step_of(last - 1) + 1
-        hit, solved, left = self.hit[begin:end], self.solved[begin:end], int(self.places[begin])
-        found = Pieces.of(
-            self.states[begin : end + 1], solved[:, : self.coordinates], self.h, hit,
-            self.coordinates,
-        )  # fmt: skip
-        marks = np.append(0, np.cumsum(np.repeat(2 - hit, 1 + hit)))[first - left : last - left + 1]
-        unknowns = np.repeat(solved, 1 + hit, axis=0)[first - left : last - left]
-        if self.halves is not None:
-            unknowns = self.halves[first:last]
-        ends: Array = 0.5 * self.h * (marks - marks[0])
-        return ends, found.terms[first - left : last - left], unknowns
+    def at(self, step: int, half: int) -> Clock:
+        """Return when a step begins, or its second half."""
+        return self.begin.later(0.5 * self.h * (2 * step + half)).short
 
 
 class Stretch(NamedTuple):
@@ -140,18 +117,6 @@ class Line(NamedTuple):
     j: int
     stretches: tuple[Stretch, ...]
 
-    def made(self) -> Arc:
-        """Return the arc."""
-        parts = [steps.parts(first, last) for steps, first, last in self.stretches]
-        ends, reached = [np.zeros(1)], 0.0
-        for times, _, _ in parts:
-            ends.append(reached + times[1:])
-            reached = float(ends[-1][-1])
-        terms, solved = (np.concatenate([part[i] for part in parts]) for i in (1, 2))
-        times = np.concatenate(ends)
-        roles = roles_in(self.mode)
-        return Arc(self.mode, roles, self.start, self.j, times, terms, defined(solved))
-
 
 class Stroke(NamedTuple):
     """What the jump of a step with impacts is made of."""
@@ -164,31 +129,82 @@ class Stroke(NamedTuple):
     cause: str
     source: Key
     target: Key
-    regions: Sequence[str]
-    energy: Callable[[Array, float], float]
 
-    def made(self) -> Jump:
-        """Return the jump, at the state before and after it."""
-        first = int(self.steps.places[self.step])
-        _, terms, _ = self.steps.parts(first, first + 2)
-        before, after = terms[0].sum(axis=1), terms[1, :, 0].copy()
-        felt = self.steps.felt[self.step]
-        places = np.flatnonzero(felt.any(axis=1))
-        impulses = {
-            self.regions[i]: (normal, tangential)
-            for i, (normal, tangential) in zip(places.tolist(), felt[places].tolist(), strict=True)
-        }
-        energies = self.energy(before, self.t), self.energy(after, self.t)
-        return Jump(
-            self.t, self.j, self.region, self.cause, self.source, self.target, before, after,
-            impulse=impulses, energy=energies,
+
+class _Whole:
+    """All pieces of steps: coefficients, after how many half steps they begin, their unknowns."""
+
+    def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array]) -> None:
+        n, hit = steps.coordinates, steps.hit
+        self.terms, _ = Pieces.of(steps.states, steps.solved[:, :n], steps.h, hit, n)
+        self.marks = np.append(0, np.cumsum(np.repeat(2 - hit, 1 + hit)))
+        halves = steps.halves
+        self.unknowns = np.repeat(steps.solved, 1 + hit, axis=0) if halves is None else halves
+        self.steps, self._energy = steps, energy
+
+    @cached_property
+    def energies(self) -> dict[int, tuple[float, float]]:
+        """Those before and after the impacts of each step that has some."""
+        hit = np.flatnonzero(self.steps.hit)
+        second = self.steps.places[hit] + 1
+        times = np.array([self.steps.at(k, 1).high for k in hit.tolist()])
+        sides = (self.terms[second - 1].sum(axis=2), self.terms[second, :, 0])
+        found = (self._energy(side, times).tolist() for side in sides)
+        return dict(zip(hit.tolist(), zip(*found, strict=True), strict=True))
+
+
+class Maker:
+    """Makes arcs and jumps, in order: it remembers all of the steps that it is at.
+
+    Parameters
+    ----------
+    regions : sequence of str
+        Their names.
+    energy : callable
+        (states, times) -> energies.
+    """
+
+    def __init__(self, regions: Sequence[str], energy: Callable[[Array, Array], Array]) -> None:
+        self._regions, self._energy = regions, energy
+        self._whole: _Whole | None = None
+
+    def arc(self, kept: Line | Arc) -> Arc:
+        """Return the arc that something is, or is made to."""
+        if isinstance(kept, Arc):
+            return kept
+        ends, reached, terms, unknowns = [np.zeros(1)], 0.0, [], []
+        for steps, first, last in kept.stretches:
+            whole = self._all_of(steps)
+            marks = whole.marks[first + 1 : last + 1] - whole.marks[first]
+            ends.append(reached + 0.5 * steps.h * marks)
+            reached = float(ends[-1][-1])
+            terms.append(whole.terms[first:last])
+            unknowns.append(whole.unknowns[first:last])
+        return Arc(
+            kept.mode, roles_in(kept.mode), kept.start, kept.j, np.concatenate(ends),
+            np.concatenate(terms), defined(np.concatenate(unknowns)),
         )  # fmt: skip
 
+    def jump(self, kept: Stroke | Jump) -> Jump:
+        """Return the jump that something is, or is made to."""
+        if isinstance(kept, Jump):
+            return kept
+        whole, steps = self._all_of(kept.steps), kept.steps
+        first = int(steps.places[kept.step])
+        felt = steps.felt[kept.step]
+        places = np.flatnonzero(felt.any(axis=1))
+        impulses = {
+            self._regions[i]: (normal, tangential)
+            for i, (normal, tangential) in zip(places.tolist(), felt[places].tolist(), strict=True)
+        }
+        return Jump(
+            kept.t, kept.j, kept.region, kept.cause, kept.source, kept.target,
+            whole.terms[first].sum(axis=1), whole.terms[first + 1, :, 0].copy(),
+            impulse=impulses, energy=whole.energies[kept.step],
+        )  # fmt: skip
 
-@overload
-def made(kept: Line | Arc) -> Arc: ...
-@overload
-def made(kept: Stroke | Jump) -> Jump: ...
-def made(kept: Line | Arc | Stroke | Jump) -> Arc | Jump:
-    """Return the arc or the jump that something is, or is made to."""
-    return kept.made() if isinstance(kept, Line | Stroke) else kept
+    def _all_of(self, steps: Steps) -> _Whole:
+        whole = self._whole
+        if whole is None or whole.steps is not steps:
+            whole = self._whole = _Whole(steps, self._energy)
+        return whole

@@ -22,7 +22,7 @@ from contacts.states import (
     undetermined,
 )
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.pieces import Line, Steps, Stretch, Stroke, made
+from contacts.time_stepping.pieces import Line, Maker, Steps, Stretch, Stroke
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.deferred import Recorded
@@ -51,7 +51,7 @@ class Recorder:
     forces : int or None
         Place of the first region's V and H among the further unknowns; None: they have none.
     energy : callable
-        (state, time) -> energy.
+        (states, times) -> energies.
     coordinates : int
         How many there are; behind them and their rates stands what controllers remember.
     modes : bool
@@ -75,7 +75,7 @@ class Recorder:
     sticks: Bools
     again: str
     forces: int | None
-    energy: Callable[[Array, float], float]
+    energy: Callable[[Array, Array], Array]
     coordinates: int
     modes: bool = True
     arcs_too: bool = True
@@ -93,16 +93,17 @@ class Recorder:
         self._began = self.clock
         self._open: list[Stretch] = []
         self._size = 0
+        self._maker = Maker(self.regions, self.energy)
         self._arcs: list[Line | Arc] = []
         self._jumps: list[Stroke | Jump] = []
         self.arcs, self.jumps = self.kept(kept=False)
 
     def kept(self, *, kept: bool) -> tuple[Recorded[Arc], Recorded[Jump]]:
         """Return all arcs and jumps up to now and later; `kept`: not made anew at every look."""
-        arcs, jumps = self._arcs, self._jumps
+        arcs, jumps, maker = self._arcs, self._jumps, self._maker
         return (
-            Recorded(lambda i: made(arcs[i]), lambda: len(arcs), kept=kept),
-            Recorded(lambda i: made(jumps[i]), lambda: len(jumps), kept=kept),
+            Recorded(lambda i: maker.arc(arcs[i]), lambda: len(arcs), kept=kept),
+            Recorded(lambda i: maker.jump(jumps[i]), lambda: len(jumps), kept=kept),
         )
 
     def add(self, chunk: Chunk) -> None:
@@ -119,14 +120,14 @@ class Recorder:
             if shared:
                 self._note_shared(chunk.shared[first:k])
             first = k + int(hit[k])
-            done = self._flow(steps, done, int(steps.places[k]) + first - k)
+            done = self._flow(steps, done, k, first - k)
             if hit[k]:
                 self._strike(steps, k, shown[k])
             else:
                 self._change(shown[k], chunk.states[k])
         if shared:
             self._note_shared(chunk.shared[first:])
-        self._flow(steps, done, int(steps.places[-1]))
+        self._flow(steps, done, len(shown), 0)
         self._raw = chunk.codes[-1]
         if self._size > _LONGEST:
             self.close()
@@ -227,11 +228,12 @@ class Recorder:
             names.update(self.indeterminate.get(self.key, ()))
             self.indeterminate[self.key] = tuple(n for n in self.regions if n in names)
 
-    def _flow(self, steps: Steps, first: int, last: int) -> int:
-        """Append pieces of one mode to the arc at hand; return where those after them begin."""
+    def _flow(self, steps: Steps, first: int, step: int, half: int) -> int:
+        """Append pieces up to a step, or to its second half; return where those after begin."""
+        last = int(steps.places[step]) + half
         if last > first:
             self._open.append(Stretch(steps, first, last))
-            self.clock = steps.at(last)
+            self.clock = steps.at(step, half)
             self._size += (last - first) * steps.width
         return last
 
@@ -247,7 +249,7 @@ class Recorder:
         self._note(
             Stroke(
                 steps, k, self.clock.high, self.count, self.regions[place], cause, source,
-                self.key, self.regions, self.energy,
+                self.key,
             )
         )  # fmt: skip
 
