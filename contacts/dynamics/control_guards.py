@@ -154,8 +154,3 @@ class ControlGuards:
     def _sizes(self, setup: SceneSetup) -> Array:
         assert setup.sizes is not None
         return np.concatenate([setup.sizes, self.typical(setup), [0.0]])
-
-
-def precision(setup: SceneSetup) -> float:
-    """Return how well margins and their rates are known: as the contacts' gaps are."""
-    return setup.tolerances["gap"] / setup.scales.length

@@ -197,6 +197,7 @@ class SceneNumbers:
             sizes=np.concatenate([scales.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))])
             if len(memory)
             else scales.sizes,
+            precision=gap,
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),

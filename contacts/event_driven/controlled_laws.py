@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions
-from contacts.dynamics.control_guards import Controllers, precision
+from contacts.dynamics.control_guards import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.memory import Memory
 from contacts.dynamics.setup import SceneSetup
@@ -216,7 +216,7 @@ class ControlledLaws:
             forces = np.where(captured[:, None], 0.0, solved.forces)
             found = np.concatenate([accelerations, forces.ravel(), joints])
         rows = guarded.rows(setup, clock.high, state, found)
-        relative = precision(setup)
+        relative = setup.precision
 
         assert setup.sizes is not None
         sizes = setup.sizes
@@ -252,7 +252,7 @@ class ControlledLaws:
         guarded = self._states.guards(states)
         # The size of a guard's terms is asked for, not its value: forces of the scene's size do.
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
-        tolerances = guarded.watch.tolerances(rows, precision(setup))
+        tolerances = guarded.watch.tolerances(rows, setup.precision)
         return flow._replace(
             mode=(*flow.mode, *states),
             roles=(*flow.roles, *roles_in(states)),

@@ -16,6 +16,7 @@ from statechart.engines.mode_table import (
     STOPS,
     Program,
     Scratch,
+    stands,
     tape_of,
 )
 from statechart.engines.whole_flow import ENDED, SPEED, UNUSUAL, Watch, flow_to_event
@@ -379,3 +380,7 @@ def run_on(
             margin = -1
             if asked > MOST_AT_ONCE:
                 return FELL, -1, 0.0
+        at_stop = stands(program, place[N_MODE], watch.parameters, watch.floors, state, now[T_HIGH])
+        if at_stop:
+            place[N_ASKED] = 1
+            return FELL, -1, 0.0

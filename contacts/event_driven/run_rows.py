@@ -23,6 +23,7 @@ from statechart.engines.mode_table import (
     WATCHED,
     Program,
     Scratch,
+    stands,
     tape_of,
 )
 from statechart.engines.whole_flow import GAP, PLAIN, SPEED, Watch
@@ -178,7 +179,10 @@ def _start(
     for c in range(contacts):
         if not scene.starts[c, taken[c]]:
             return -1
-    return row_of(program, taken)
+    mode = row_of(program, taken)
+    if mode >= 0 and stands(program, mode, watch.parameters, watch.floors, state, 0.0):
+        return -1
+    return mode
 
 
 @part
@@ -200,6 +204,21 @@ def _closing(program: Program, mode: int, watch: Watch, state: Array, time: floa
 
 
 @part
+def _alone(program: Program, mode: int, watch: Watch, state: Array, time: float) -> bool:
+    """Whether nothing but a stop happens at an instant: what else does comes first."""
+    row = program.modes[mode]
+    code, constants, outputs, _, _ = tape_of(program, row[WATCHED : WATCHED + TAPE])
+    margins = np.empty(row[STOPS])
+    tape_values(code, constants, outputs[: row[STOPS]], state, watch.parameters, time, margins)
+    for i in range(margins.shape[0]):
+        own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
+        kind = program.ints[row[MARGINS_AT] + 2 * i]
+        if not margins[i] > (own if own >= 0.0 else watch.kinds[kind]):
+            return False
+    return True
+
+
+@part
 def _end(
     program: Program, reason: int, margin: int, place: Ints, been: Bools, watch: Watch,
     state: Array, time: float,
@@ -207,7 +226,7 @@ def _end(
     """Return how a row ends that its loop has left."""
     mode = place[N_MODE]
     if reason == FELL and margin >= program.modes[mode, STOPS]:
-        return STOPPED
+        return STOPPED if _alone(program, mode, watch, state, time) else UNUSUAL
     if reason != OVER:
         return UNUSUAL
     return _closing(program, mode, watch, state, time) if been[mode] else ENDED

@@ -320,7 +320,7 @@ class Scene(SceneFields):
         names |= {"energy", *self.controls}
         gates = {c: self.gate(c) for c in self.contacts}
         found = {c: {*_active(states(x, gate=gates[c]))} for c, x in self.contacts.items()} | {
-            name: set(region.states) for name, region in self.regions.items()
+            name: {*region.named} for name, region in self.controlled.flat.items()
         }
         causes = {
             c: {

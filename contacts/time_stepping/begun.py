@@ -41,7 +41,7 @@ class Stepping:
     stops : Tape
         Margins of the stop conditions, over variables and unknowns.
     stop_names : tuple of str
-    stop_counts : (s,) array of bool
+    stop_counts : (2, s) array of bool
         Which of them hold on their boundary, too; see `counting`.
     energy : Tape
     """

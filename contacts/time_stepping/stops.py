@@ -16,6 +16,8 @@ from statechart.formulas.formula import parse_relation
 
 # A condition is located within its step to this part of it.
 _BISECTIONS = 60
+# So small a part of what a margin has just been is what rounding leaves of zero.
+_ROUNDED = 1e-13
 
 
 class StopConditions:
@@ -31,7 +33,8 @@ class StopConditions:
 
     def __init__(self, stepping: Stepping, values: Array) -> None:
         self._tape, self._names, self._values = stepping.stops, stepping.stop_names, values
-        self._counts = stepping.stop_counts
+        self._stays, self._counts = stepping.stop_counts
+        self._last = np.full((2, len(self._names)), np.nan)  # of the margins, as they were last
 
     def unknown(self, state: Array) -> Array:
         """Return what is solved for where it is not known yet, before the first step."""
@@ -41,7 +44,8 @@ class StopConditions:
         """Return the condition that holds at the start; those on unknowns wait for a step."""
         if not self._names:
             return None
-        below = self._met(self._margins(np.concatenate([state, self.unknown(state)])[None], 0.0))[0]
+        margins = self._margins(np.concatenate([state, self.unknown(state)])[None], 0.0)
+        below = self._met(margins)[0]
         return int(np.argmax(below)) if below.any() else None
 
     def met(self, chunk: Chunk, start: float) -> tuple[int, int] | None:
@@ -55,7 +59,12 @@ class StopConditions:
         return k, int(np.argmax(below[k]))
 
     def _met(self, margins: Array) -> Bools:
-        found: Bools = (margins < 0.0) | (self._counts & (margins == 0.0))
+        ends = np.abs(np.vstack([self._last, margins]))
+        before, begun, now = ends[:-2], ends[1:-1], ends[2:]
+        near = _ROUNDED * np.fmax(np.fmax(before, begun), now)
+        stands = self._stays & (begun <= near) & (now <= near) & (near < np.inf)
+        self._last = ends[-2:]
+        found: Bools = (margins < 0.0) | (self._counts & (margins == 0.0)) | stands
         return found
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
@@ -108,9 +117,13 @@ class StopConditions:
 
 
 def counting(scene: Scene) -> Bools:
-    """Return which stop conditions (s,) hold on their boundary, too.
+    """Return which stop conditions hold on their boundary, too, where their relation counts it.
 
-    Those whose relation counts it, of what jumps alone change: no motion tells the way it goes.
+    Returns
+    -------
+    (2, s) array of bool
+        Those that do where they stay there for a step; and at once, of what jumps alone change,
+        so that no motion tells the way it goes.
     """
     flowing = {
         variable
@@ -122,13 +135,9 @@ def counting(scene: Scene) -> Bools:
     kept = {variable for region in scene.regions.values() for variable in region.variables}
     still = {*scene.parameters, *(kept - flowing)}
     relations = [parse_relation(text) for text in scene.stop.conditions.values()]
-    return np.array(
-        [
-            r.operator in ("<=", ">=") and {*r.left.names, *r.right.names} <= still
-            for r in relations
-        ],
-        np.bool_,
-    )
+    stays = np.array([r.operator in ("<=", ">=") for r in relations], np.bool_)
+    jumps = np.array([{*r.left.names, *r.right.names} <= still for r in relations], np.bool_)
+    return np.stack([stays, stays & jumps])
 
 
 def first_lost(margins: Array, inputs: Array) -> tuple[int, int] | None:

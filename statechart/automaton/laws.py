@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from statechart.formulas.tape import Tape
 
 
+_EPS = float(np.finfo(float).eps)
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 HELD = ""
@@ -72,6 +73,9 @@ class Setup:
         What a reader must know of these numbers.
     sizes : (n,) array or None
         How large each variable is, where the model has scales of its own.
+    precision : float
+        How well margins are known, in parts of their terms: a value summed from them is off by a
+        few units in the last place of the largest.
     horizon : float
         A long time for the first flow, in the model's own scales: how far to look ahead at first.
     modes : callable or None
@@ -84,6 +88,7 @@ class Setup:
     short: float = 0.0
     warnings: tuple[str, ...] = ()
     sizes: Array | None = None
+    precision: float = 64.0 * _EPS
     horizon: float = float("inf")
     modes: Callable[[Roles], Mode] | None = None
 

@@ -44,9 +44,6 @@ from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
-# A value summed from terms is off by a few units in the last place of the largest of them.
-_ROUNDING = 64.0 * float(np.finfo(float).eps)
-
 
 def automaton(chart: Chart) -> Automaton:
     """Compose the automaton of a chart; modes are built when a run enters them.
@@ -206,11 +203,11 @@ class ChartLaws:
 
             def later(guard: Guard) -> float:
                 return self._courses.sign(
-                    setup, flow.roles, guard.margin, state, sizes, clock.high, _ROUNDING
+                    setup, flow.roles, guard.margin, state, sizes, clock.high, setup.precision
                 )
 
             rows = watch.at(setup, state, sizes, clock.high)
-            guarded = watch.due(rows, flow.tolerances, fired, _ROUNDING, later)
+            guarded = watch.due(rows, flow.tolerances, fired, setup.precision, later)
             firing = self._listening.first(self._regions, flow.mode, pending, guarded)
             if firing is None:
                 return None
@@ -281,7 +278,7 @@ class ChartLaws:
         if np.isnan(rows[:, 0]).any():
             place = int(np.flatnonzero(np.isnan(rows[:, 0]))[0])
             raise NonFinite(f"the guard of {watch.guards[place].margin} has no value")
-        return flow._replace(tolerances=watch.tolerances(rows, _ROUNDING))
+        return flow._replace(tolerances=watch.tolerances(rows, setup.precision))
 
     def _watch(self, roles: Roles) -> GuardWatch:
         """Return the guards of a mode; regions that are held have none."""

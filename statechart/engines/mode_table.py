@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Bools, Ints32
 from statechart.kernels.jit import part
 from statechart.kernels.search_memory import Memory, room
+from statechart.kernels.tapes import tape_values
+
+# A part of a variable that is more than it is off by.
+_SMALL = 1e-9
 
 TAPE = 9
 """Columns of a tape in a table: begin and number of operations, constants, outputs, reads; n_fixed.
@@ -60,6 +64,36 @@ def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, In
         ints[row[6] : row[6] + row[7]],
         row[8],
     )
+
+
+@part
+def stands(
+    program: Program, mode: int, parameters: Array, floors: Array, state: Array, time: float
+) -> bool:
+    """Whether a flow may begin on the boundary of a stop condition, so that it is to be judged.
+
+    See `statechart.execution.standing`; `floors` (n,) are small for the variables, and more than
+    what they are off by.
+    """
+    row = program.modes[mode]
+    first, margins = row[STOPS], row[MARGINS]
+    if first == margins:
+        return False
+    code, constants, outputs, _, _ = tape_of(program, row[WATCHED : WATCHED + TAPE])
+    stops, moved = outputs[first:margins], state.copy()
+    values, others = np.empty(margins - first), np.empty(margins - first)
+    reach = np.zeros(margins - first)
+    tape_values(code, constants, stops, state, parameters, time, values)
+    for v in range(state.shape[0]):
+        moved[v] += max(floors[v], _SMALL * abs(state[v]))
+        tape_values(code, constants, stops, moved, parameters, time, others)
+        moved[v] = state[v]
+        for i in range(reach.shape[0]):
+            reach[i] += abs(others[i] - values[i])
+    near = False
+    for i in range(reach.shape[0]):
+        near = near or not abs(values[i]) > reach[i]
+    return near
 
 
 class Scratch(NamedTuple):

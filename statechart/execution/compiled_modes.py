@@ -134,7 +134,7 @@ class CompiledModes:
     """
 
     def __init__(self, solved: SolvedModes, engine: Engine) -> None:
-        self.automaton, self.mode = solved.automaton, solved.mode
+        self.automaton, self.mode, self.taped = solved.automaton, solved.mode, solved.taped
         self.standing = solved.standing
         self.engine = engine
         self._solved = solved

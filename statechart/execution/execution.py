@@ -19,7 +19,7 @@ from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.execution.ahead import AHEAD, Ahead, Begun
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
-from statechart.execution.finding import closing, from_here
+from statechart.execution.finding import alone, closing, from_here
 from statechart.execution.flow import UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
 from statechart.execution.outcome import Progress
@@ -171,15 +171,9 @@ class Execution:
         if flow.doubted:
             flow = self.flow = from_here(compiled, flow, self.setup, self.state, self.clock.high)
         watch = self._watch(flow, compiled)
+        begun, told = watch.lift.onto(self.state, watch.start), self.show if self.progress else None
         reached = Advance(
-            self.engine,
-            compiled,
-            self.path,
-            watch,
-            watch.lift.onto(self.state, watch.start),
-            duration,
-            self.horizon,
-            self.show if self.progress else None,
+            self.engine, compiled, self.path, watch, begun, duration, self.horizon, told
         ).run()
         self._keep(flow, reached)
         if isinstance(reached.failure, StepFailure | NonFinite | TooLong):
@@ -236,7 +230,7 @@ class Execution:
         self.flow = following._replace(held=flow.held, tolerances=flow.tolerances, terms=terms)
 
     def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:
-        """Return what fired where a margin fell; a stop ends the run."""
+        """Return what fired where a margin fell; a stop ends the run, if nothing else happens."""
         margin, self.grazed = compiled.mode.margins[guard], graze
         # They stand last; zeros and controls have been replaced in their formulas.
         stops = guard >= len(compiled.mode.margins) - len(self.automaton.stops)
@@ -247,7 +241,11 @@ class Execution:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.6g}"] = None
         if stops:
-            self._stop(margin.name)
+            # What else happens at this instant comes first.
+            at, laws = self._instant(), self.automaton.laws_of_events
+            made = None if alone(compiled, at, len(self.automaton.stops)) else laws.jump(at)
+            if made is None or made[0] is None:
+                self._stop(margin.name)
         return (margin.name,)
 
     def _unbounded(self) -> bool:
@@ -256,9 +254,8 @@ class Execution:
         if flow.terms is None or not self.record.arcs:
             return False
         sizes = np.abs(self.record.arcs[-1].coefficients[:, :, 0]).max(axis=0)
-        if not (np.abs(flow.terms[:, -1]) > _STEEP * sizes).any():
-            return False
-        return laws.jump(self._instant(UNBOUNDED)) is not None
+        steep = bool((np.abs(flow.terms[:, -1]) > _STEEP * sizes).any())
+        return steep and laws.jump(self._instant(UNBOUNDED)) is not None
 
     def _instant(self, *fired: str) -> Instant:
         return Instant(self.setup, self.clock, len(self.record.jumps), self.flow, self.state, fired)
@@ -330,8 +327,9 @@ class Execution:
     def _stands(self) -> bool:
         """Whether the run ends here, on the boundary of a stop condition that counts it."""
         if standing := self.modes.standing:
-            mode = self.modes.mode(self.flow.roles, self.zeros)
-            if met := standing.met(mode, self.state, self.setup.values):
+            taped = self.modes.taped(self.flow.roles, self.zeros)
+            met, self.flow = standing.judged(taped.mode, taped.guards, self._instant())
+            if met:
                 self._stop(met)
         return self.outcome is Outcome.STOPPED
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.laws import Flow, Setup
+from statechart.automaton.laws import Flow, Instant, Setup
 from statechart.engines.engine import Engine, FlowWatch
 from statechart.engines.event_location import Crossing, Search, Verdict
 from statechart.engines.path import Path
@@ -110,6 +110,18 @@ def closing(
             tolerances[name] = max(tolerances[name], engine.tolerance * terms[place])
             closed |= margin <= tolerances[name]
     return closed, tolerances
+
+
+def alone(compiled: CompiledMode, at: Instant, stops: int) -> bool:
+    """Return whether nothing but stops, which stand last, is on its boundary at an instant."""
+    margins = compiled.guards.values(at.state, at.setup.values, at.clock.high).tolist()
+    usual, special = at.setup.tolerances, at.flow.tolerances
+    return all(
+        margin > special.get(name, usual[kind])
+        for (name, kind), margin in zip(
+            compiled.watched[: len(margins) - stops], margins, strict=False
+        )
+    )
 
 
 def from_here(compiled: CompiledMode, flow: Flow, setup: Setup, state: Array, time: float) -> Flow:

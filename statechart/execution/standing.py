@@ -1,18 +1,28 @@
-"""Stop conditions on whose boundary a state stands still: ``n >= 5`` where n is 5, and counts."""
+"""Stop conditions where a flow begins on their boundary: ``n >= 5`` where n is 5, a speed of 0."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.course import Courses
+from statechart.automaton.laws import Flow, Instant, Setup
 from statechart.automaton.regions import Mode
 from statechart.formulas.formula import parse_relation
+from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
+
+# Terms that are all zero leave no rounding; a margin that stays at zero is given some room.
+_UNDERFLOW = 1e-290
 
 
 class StandingStops:
-    """What ends a run though no margin falls: it is zero, stays so, and its relation counts that.
+    """Judges stop conditions where a flow begins, as guards are (`statechart.charts.firing`).
 
-    Where a margin changes in the mode, the way that it goes decides, as everywhere.
+    Within the rounding of its terms a margin is on its boundary, and the way that it goes in the
+    mode decides: one that falls is found by the flow, one that rises is let go, and where it stays
+    the relation says whether that counts.
 
     Parameters
     ----------
@@ -21,47 +31,56 @@ class StandingStops:
     """
 
     def __init__(self, automaton: Automaton) -> None:
-        self._automaton = automaton
         stops = automaton.declaration.stop.conditions if automaton.stops else {}
-        self._counted = {
-            name for name, text in stops.items() if parse_relation(text).operator in ("<=", ">=")
-        }
-        self._tapes: dict[Mode, tuple[tuple[str, ...], Tape]] = {}
+        self._strict = [parse_relation(text).operator in "<>" for text in stops.values()]
+        self._courses = Courses(automaton.variables, automaton.parameters, automaton.time)
 
     def __bool__(self) -> bool:
-        return bool(self._counted)
+        return bool(self._strict)
 
-    def met(self, mode: Mode, state: Array, values: Array) -> str | None:
-        """Return the condition that the state stands on the boundary of.
+    def judged(self, mode: Mode, guards: Tape, at: Instant) -> tuple[str | None, Flow]:
+        """Return the condition that ends the run here, and the flow that begins where none does.
 
         Parameters
         ----------
         mode : Mode
-            Where the state is.
-        state, values : array
-            Variables and parameters.
-        """
-        found = self._tapes.get(mode)
-        if found is None:
-            found = self._tapes[mode] = self._standing(mode)
-        names, tape = found
-        margins = tape.values(state, values, 0.0).tolist() if names else ()
-        return next((n for n, margin in zip(names, margins, strict=True) if margin == 0.0), None)
+            Of the flow that begins.
+        guards : Tape
+            Outputs: its margins.
+        at : Instant
+            Where it begins.
 
-    def _standing(self, mode: Mode) -> tuple[tuple[str, ...], Tape]:
-        """Return the conditions whose margins do not change in a mode, and these on tape."""
-        automaton = self._automaton
-        still, solved = set(automaton.parameters), dict(mode.definitions)
-        still |= {
-            variable
-            for place, (variable, rate) in enumerate(
-                zip(automaton.variables, mode.rates, strict=True)
-            )
-            if solved.get(rate, rate).is_zero and place not in mode.eliminated
-        }
-        margins = {
-            margin.name: margin.expression
-            for margin in mode.margins[len(mode.margins) - len(automaton.stops) :]
-            if margin.name in self._counted and margin.expression.free_symbols <= still
-        }
-        return tuple(margins), automaton.tape(tuple(margins.values()))
+        Returns
+        -------
+        met : str or None
+        flow : Flow
+            With room for the conditions that begin on their boundary and do not fall.
+        """
+        setup, clock, _, flow, state, _ = at
+        time, first = clock.high, len(mode.margins) - len(self._strict)
+        values = guards.values(state, setup.values, time)[first:].tolist()
+        sizes = _sizes(setup, flow, state)
+        terms = sizes_at(guards, state, sizes, setup.values, time)[first:]
+        names = [margin.name for margin in mode.margins[first:]]
+        tolerances: dict[str, float] = {}
+        for name, value, term, strict in zip(names, values, terms, self._strict, strict=True):
+            near = max(setup.precision * term, _UNDERFLOW)
+            if not abs(value) <= near:
+                continue
+            way = self._courses.sign(setup, flow.roles, name, state, sizes, time, setup.precision)
+            if way == 0.0 and not strict:
+                return name, flow
+            if way >= 0.0:
+                tolerances[name] = max(near, flow.tolerances.get(name, 0.0))
+        if tolerances:
+            flow = flow._replace(tolerances={**flow.tolerances, **tolerances})
+        return None, flow
+
+
+def _sizes(setup: Setup, flow: Flow, state: Array) -> Array:
+    """Return how large what the variables were summed from is, or they are."""
+    found = np.abs(state)
+    for sizes in (setup.sizes, flow.sizes if flow.summed is None else flow.summed):
+        if sizes is not None:
+            found = np.maximum(found, sizes)
+    return found

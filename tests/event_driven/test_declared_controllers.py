@@ -12,6 +12,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError
 from statechart.loading.load import interpret
+from statechart.running.runner import run
 
 
 def refused(text: str) -> str:
@@ -112,3 +113,47 @@ def test_every_mode_of_contacts_is_possible_with_every_state_of_controllers() ->
     found = feasibility(built, setup, setup.initial, 0.0)
     assert found is not None
     assert found.declared == {(m, w): "" for m in ("slide", "pin") for w in ("dry", "icy", "wet")}
+
+
+_NESTED = """
+kind: scene
+name: nested
+gravity: 10
+controls: {x: 0}
+bodies: {b: {mass: 1, start: {y: 20}}}
+surfaces: {}
+contacts: {}
+forces: {f: {body: b, force: [x, 0]}}
+regions:
+  arm:
+    initial: wait
+    states:
+      wait: {}
+      work:
+        initial: push
+        states: {push: {sets: {x: 2}}, pull: {sets: {x: -1}}}
+        transitions:
+          - {name: back, from: push, to: pull, after: 0.25}
+          - {name: forth, from: pull, to: push, after: 0.5}
+    transitions: [{name: go, from: wait, to: work, after: 1}]
+  lamp:
+    initial: dark
+    states: {dark: {}, lit: {}}
+    transitions: [{name: on, from: dark, to: lit, on: arm.pull}]
+stop: {time: 2.5}
+outputs:
+  pushed: {value: time, at: each arm.push}
+  pulled: {count: arm.pull}
+  pushing: {integral: 1, during: {arm: push}}
+  lit: {value: time, at: first lamp.lit}
+  speed: {value: b.dx, at: first arm.pull}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_outputs_and_events_name_states_that_are_in_others(engine: str) -> None:
+    found = run(interpret(read_text(_NESTED)), engine=engine).outputs
+    wanted = {"pushed": [1.0, 1.75, 2.5], "pulled": 2, "pushing": 0.5, "lit": 1.25, "speed": 0.5}
+    assert found == {name: pytest.approx(value, rel=1e-9) for name, value in wanted.items()}
+    with pytest.raises(DeclarationError, match="no state 'puss'; did you mean 'push'"):
+        interpret(read_text(_NESTED.replace("{arm: push}", "{arm: puss}")))
