@@ -268,14 +268,17 @@ class BodyStepper(Stepper):
         )  # fmt: skip
         bodies = bodies._replace(joints=joints)
 
-        def trial(start: Array) -> SteppedHeap:
-            found = heap(bodies)
+        def trial(numbers: BodyNumbers, start: Array) -> SteppedHeap:
+            found = heap(numbers)
             found.steps(0.0, 1e-9 * length / speed, start, 1)
             return found
 
-        def looked(start: Array) -> SteppedHeap:
+        def looked(numbers: BodyNumbers, start: Array) -> SteppedHeap:
             # One step does not pay to compile it.
-            return trial(start) if is_ready(step_bodies) else by_python(lambda: trial(start))
+            if is_ready(step_bodies):
+                return trial(numbers, start)
+            return by_python(lambda: trial(numbers, start))
 
-        check_apart(looked, list(scene.bodies), owners, setup.initial, _START_DEPTH * length)
+        names, near = list(scene.bodies), _START_DEPTH * length
+        check_apart(looked, bodies, names, owners, setup.initial, near)
         return bodies

@@ -57,7 +57,7 @@ class SteppedHeap:
         deepest: float = math.inf,
         forces: bool = True,
     ) -> None:
-        self._surfaces = surfaces
+        self.surfaces = surfaces
         self.numbers, self._names, self._around, self._law = numbers, names, around, law
         count = len(names)
         self._memory = self._kept = Memory.room(numbers)
@@ -102,9 +102,9 @@ class SteppedHeap:
             return ""
         one, other = touches.bodies[i].tolist()
         pieces = len(self.numbers.pieces.sizes)
-        surface = int(touches.keys[i, 0]) % (pieces + len(self._surfaces)) - pieces
+        surface = int(touches.keys[i, 0]) % (pieces + len(self.surfaces)) - pieces
         if surface >= 0:
-            return f"surface {self._surfaces[surface]!r}"
+            return f"surface {self.surfaces[surface]!r}"
         return f"body {self._names[other if one == body else one]!r}"
 
     def pushes_out(self, body: int, near: float) -> tuple[Array, Array]:

@@ -369,10 +369,19 @@ class located:  # noqa: N801 - used as a statement, and in every run: cheaper th
             raise _located(self._document, problem, {}) from None
 
 
+def _written(document: Document | None, loc: Loc) -> Iterator[str]:
+    """Yield the parts of a place: a file that writes one thing where a list may be counts none."""
+    at: Loc = ()
+    for part in loc:
+        above, at = at, at if document is None else document.existing((*at, part))
+        if document is None or isinstance(part, str) or at != above:
+            yield str(part)
+
+
 def _located(
     document: Document | None, problem: DeclarationProblem, overrides: Mapping[str, float]
 ) -> DeclarationError:
-    path = ".".join(map(str, problem.loc))
+    path = ".".join(_written(document, problem.loc))
     message = f"{path}: {problem.message}" if path else problem.message
     if overrides:
         message += " with " + ", ".join(f"{k}={v:g}" for k, v in overrides.items()) + " set"
