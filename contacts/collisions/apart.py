@@ -48,6 +48,7 @@ def check_apart(
     DeclarationProblem
         If one is.
     """
+    _check_places(numbers, names, owners, initial)
     trial = tried(numbers, initial)
     deep = {
         list(names).index(name.removesuffix(".gap")): margin
@@ -71,6 +72,24 @@ def check_apart(
         advice=out,
         loc=("bodies", owners[b], "start"),
     )
+
+
+def _check_places(
+    numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
+) -> None:
+    """Check that no copies that collide with each other start in one place."""
+    poses = np.column_stack([numbers.kinds, initial[: 3 * len(names)].reshape(-1, 3)])
+    _, places, which = np.unique(poses, axis=0, return_index=True, return_inverse=True)
+    firsts = places[which.reshape(-1)]
+    for b in np.flatnonzero(firsts != np.arange(len(names))).tolist():
+        kind = numbers.kinds[b]
+        if numbers.laws[kind, kind] >= 0:
+            raise DeclarationProblem(
+                f"bodies {names[firsts[b]]!r} and {names[b]!r} start in one place",
+                advice="let where they start depend on index, such as x: "
+                f"{float(f'{2.1 * numbers.sizes[b]:.2g}'):g}*index",
+                loc=("bodies", owners[b], "start"),
+            )
 
 
 def _way_out(tried: Tried, trial: SteppedHeap, initial: Array, b: int, near: float) -> str:

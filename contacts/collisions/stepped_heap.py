@@ -195,7 +195,10 @@ class SteppedHeap:
             else:
                 self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
         if status == NOT_FINITE and not len(chunk.codes):
-            raise NonFinite("a coordinate became infinite or undefined")
+            loose = ~np.isfinite(self._room.look.loose).all(axis=1)
+            which = [name for name, lost in zip(self._names, loose, strict=True) if lost]
+            what = f"a force on body {which[0]!r}" if which else "a coordinate"
+            raise NonFinite(f"{what} became infinite or undefined")
         bodies = len(self._names)
         self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
         self._around.passed(len(chunk.codes))
@@ -212,9 +215,11 @@ class SteppedHeap:
         bodies = len(self._names)
         joint_forces = int((1 + (self.numbers.joints.holds == BOTH)).sum())
         solved = 3 * bodies + joint_forces
-        chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
         # Of one step more, which is looked at.
-        ahead, remembered = self._around.ahead(start, h, state[6 * bodies :], count + 1)
+        ahead, remembered, known = self._around.ahead(start, h, state[6 * bodies :], count + 1)
+        count = min(count, known)
+        remembered = remembered[: count + 1]
+        chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
         done, status = 0, FULL
         while status == FULL:
             taken, status = step_bodies(

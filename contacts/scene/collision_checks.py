@@ -47,6 +47,22 @@ def check_copies(scene: SceneFields) -> None:
             )
 
 
+def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
+    """Check that what carries a surface is one body.
+
+    Raises
+    ------
+    DeclarationProblem
+        If it has copies.
+    """
+    if body in scene.bodies and scene.bodies[body].copies is not None:
+        raise DeclarationProblem(
+            f"one body carries a surface, and {body!r} has copies",
+            advice="declare the body that carries it by itself, without copies",
+            loc=("surfaces", surface, "body"),
+        )
+
+
 def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check the collisions of a scene.
 

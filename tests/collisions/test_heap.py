@@ -174,7 +174,7 @@ def test_where_copies_that_a_parameter_makes_overlap_is_told():
 def test_a_runner_that_travelled_and_corners_at_infinity_are_told_with_their_line():
     text = TWO.replace("[1, 1], [-1, 1]]", "[1, 1], [-1, a]]") + "parameters: {a: 1}\n"
     runner = pickle.loads(pickle.dumps(Runner(read_text(text, "two.yaml"))))
-    place = r"two\.yaml:11:\d+: bodies\.block\.shape\.0\.polygon\.3.*"
+    place = r"two\.yaml:11:\d+: bodies\.block\.shape\.polygon\.3.*"
     for value, words in ((math.inf, "must be finite"), (-1.0, "corner 4, at")):
         with pytest.raises(DeclarationError, match=f"{place}{words}.* with a={value:g} set"):
             runner.run({"a": value})
