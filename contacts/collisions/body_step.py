@@ -30,9 +30,9 @@ from statechart.kernels.tapes import BLOCK, filled
 # In a step in which no body goes so far, in parts of the smallest one's size, none passes another
 # or is deep in it.
 _FAR = 0.1
-# Impulses are known to this part of the largest that presses a body, and of what a step makes of
-# its weight, whatever is allowed.
-_LEAST = 1e-9
+# Impulses are known to this part of the largest that presses a body, whatever is allowed; below
+# that part of what a step makes of its weight they are rounding.
+_LEAST, _NOTHING = 1e-9, 1e-13
 
 
 @beside
@@ -90,7 +90,7 @@ def _kept(
             # What bears less of what presses a body most, or of its weight, is rounding: it touches
             # not.
             weight = room.look.pull[b] / numbers.inverse[b, 0]
-            bears = lasts and pn > max(least * room.borne[b], _LEAST * weight)
+            bears = lasts and pn > max(least * room.borne[b], _NOTHING * weight)
             if bears and sticks:
                 chunk.codes[k, b] = PIN
             elif bears and chunk.codes[k, b] == FREE:

@@ -195,9 +195,8 @@ class SteppedHeap:
             else:
                 self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
         if status == NOT_FINITE and not len(chunk.codes):
-            loose = ~np.isfinite(self._room.look.loose).all(axis=1)
-            which = [name for name, lost in zip(self._names, loose, strict=True) if lost]
-            what = f"a force on body {which[0]!r}" if which else "a coordinate"
+            lost = np.argwhere(~np.isfinite(self._room.look.loose))[:, 0].tolist()
+            what = f"a force on body {self._names[lost[0]]!r}" if lost else "a coordinate"
             raise NonFinite(f"{what} became infinite or undefined")
         bodies = len(self._names)
         self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
