@@ -175,7 +175,7 @@ def test_a_runner_that_travelled_and_corners_at_infinity_are_told_with_their_lin
     text = TWO.replace("[1, 1], [-1, 1]]", "[1, 1], [-1, a]]") + "parameters: {a: 1}\n"
     runner = pickle.loads(pickle.dumps(Runner(read_text(text, "two.yaml"))))
     place = r"two\.yaml:11:\d+: bodies\.block\.shape\.polygon\.3.*"
-    for value, words in ((math.inf, "must be finite"), (-1.0, "corner 4, at")):
+    for value, words in ((math.inf, "must be finite"), (-1.0, "corners 1 and 4 are in one place")):
         with pytest.raises(DeclarationError, match=f"{place}{words}.* with a={value:g} set"):
             runner.run({"a": value})
 
