@@ -18,8 +18,13 @@ _MOVES = 20
 _NO_ROOM = "no small move takes it out of all that it is in: make room, or start it elsewhere"
 
 
+Tried = Callable[[BodyNumbers, Array], SteppedHeap]
+"""Numbers, coordinates and rates -> what has taken a step of no length, which finds overlaps."""
+
+
 def check_apart(
-    tried: Callable[[Array], SteppedHeap],
+    tried: Tried,
+    numbers: BodyNumbers,
     names: Sequence[str],
     owners: Sequence[str],
     initial: Array,
@@ -30,8 +35,8 @@ def check_apart(
     Parameters
     ----------
     tried : callable
-        Coordinates and rates -> what has taken a step of no length from there, which finds who
-        overlaps.
+        See `Tried`.
+    numbers : BodyNumbers
     names, owners : sequence of str
         Of the bodies, and what they are declared by.
     initial : (6 b,) array
@@ -43,7 +48,8 @@ def check_apart(
     DeclarationProblem
         If one is.
     """
-    trial = tried(initial)
+    _check_places(numbers, names, owners, initial)
+    trial = tried(numbers, initial)
     deep = {
         list(names).index(name.removesuffix(".gap")): margin
         for name, margin in trial.margins.items()
@@ -60,7 +66,7 @@ def check_apart(
         b = next(iter(deep))
         where, out = trial.deepest_of(b), _NO_ROOM
         if not where:
-            b, where, out = _covered(tried, trial.numbers, names, initial, b, deep[b])
+            b, where, out = _covered(tried, trial, names, initial, b, deep[b])
     raise DeclarationProblem(
         f"body {names[b]!r} starts {-deep[b]:.6g} deep in {where}",
         advice=out,
@@ -68,9 +74,25 @@ def check_apart(
     )
 
 
-def _way_out(
-    tried: Callable[[Array], SteppedHeap], trial: SteppedHeap, initial: Array, b: int, near: float
-) -> str:
+def _check_places(
+    numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
+) -> None:
+    """Check that no copies that collide with each other start in one place."""
+    poses = np.column_stack([numbers.kinds, initial[: 3 * len(names)].reshape(-1, 3)])
+    _, places, which = np.unique(poses, axis=0, return_index=True, return_inverse=True)
+    firsts = places[which.reshape(-1)]
+    for b in np.flatnonzero(firsts != np.arange(len(names))).tolist():
+        kind = numbers.kinds[b]
+        if numbers.laws[kind, kind] >= 0:
+            raise DeclarationProblem(
+                f"bodies {names[firsts[b]]!r} and {names[b]!r} start in one place",
+                advice="let where they start depend on index, such as x: "
+                f"{float(f'{2.1 * numbers.sizes[b]:.2g}'):g}*index",
+                loc=("bodies", owners[b], "start"),
+            )
+
+
+def _way_out(tried: Tried, trial: SteppedHeap, initial: Array, b: int, near: float) -> str:
     """Return how a body gets out of all that it is in, and of what it would get into then, or "".
 
     The least move out of all that was met so far (least distance programming, Lawson and Hanson
@@ -96,13 +118,13 @@ def _way_out(
         move = -size * left[:2] / left[2]
         state = initial.copy()
         state[3 * b : 3 * b + 2] += move
-        trial = tried(state)
+        trial = tried(trial.numbers, state)
     return ""
 
 
 def _covered(
-    tried: Callable[[Array], SteppedHeap],
-    numbers: BodyNumbers,
+    tried: Tried,
+    trial: SteppedHeap,
     names: Sequence[str],
     initial: Array,
     b: int,
@@ -113,17 +135,33 @@ def _covered(
     No face of those is left to touch: of whom the body is as deep in with all others away, that is
     who it is in, or who is in it.
     """
+    numbers = trial.numbers
+
+    def as_deep(numbers: BodyNumbers, state: Array) -> bool:
+        gap = tried(numbers, state).margins.get(f"{names[b]}.gap", np.inf)
+        return gap <= (1.0 - _SAME) * margin
+
     places = initial[: 3 * len(names)].reshape(-1, 3)[:, :2]
+    apart = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
     away = np.hypot(*(places - places[b]).T)
     reach = numbers.sizes[b] + numbers.sizes
     for other in np.flatnonzero(away < reach).tolist():
         state = initial.copy()
         for i in range(len(names)):
             if i not in (b, other):
-                state[3 * i] += (i + 2.0) * (np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max())
-        gap = tried(state).margins.get(f"{names[b]}.gap", np.inf)
-        if other != b and gap <= (1.0 - _SAME) * margin:
+                state[3 * i] += (i + 2.0) * apart
+        if other != b and as_deep(numbers, state):
             one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
             far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
             return one, f"body {names[whole]!r}", far
-    return b, "several surfaces", "move it out"
+    far = f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
+    kinds = len(numbers.laws)
+    for s, surface in enumerate(trial.surfaces):
+        laws = numbers.laws.copy()
+        laws[:, :kinds] = -1
+        laws[:, kinds:][:, np.arange(len(trial.surfaces)) != s] = -1
+        if as_deep(numbers._replace(laws=laws), initial):
+            return b, f"surface {surface!r}", far
+    every = np.flatnonzero(numbers.laws[numbers.kinds[b], kinds:] >= 0)
+    listed = ", ".join(repr(trial.surfaces[s]) for s in every.tolist())
+    return b, f"surfaces {listed}", far.replace("from it", "from them")

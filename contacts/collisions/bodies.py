@@ -42,7 +42,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Region, State, stop_margins
 from statechart.automaton.time_stepper import USUAL
-from statechart.errors import DeclarationProblem, StepTooLarge
+from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.kernels.jit import by_python, is_ready
 
 # Bodies may overlap at the start by this part of the scene.
@@ -198,14 +198,17 @@ class BodyStepper(Stepper):
         law = get_args(Simultaneous).index(scene.simultaneous)
 
         def heap(
-            bodies: BodyNumbers, deepest: float = math.inf, forces: bool = True
+            bodies: BodyNumbers,
+            allowed: float = math.inf,
+            deepest: float = math.inf,
+            forces: bool = False,
         ) -> SteppedHeap:
             around = Surroundings(self._bodies, self._paths, self._recall, known, values)
             names = list(scene.bodies)
             return SteppedHeap(names, touched(scene), bodies, around, law, allowed, deepest, forces)
 
         bodies = self._started(setup, bodies, known, heap)
-        return setup, heap(bodies, DEEPEST * setup.scales.length, forces)
+        return setup, heap(bodies, allowed, DEEPEST * setup.scales.length, forces)
 
     def _setup(
         self, values: Array, moved: Array, remembered: Array, bodies: BodyNumbers
@@ -268,14 +271,20 @@ class BodyStepper(Stepper):
         )  # fmt: skip
         bodies = bodies._replace(joints=joints)
 
-        def trial(start: Array) -> SteppedHeap:
-            found = heap(bodies)
+        def trial(numbers: BodyNumbers, start: Array) -> SteppedHeap:
+            found = heap(numbers)
             found.steps(0.0, 1e-9 * length / speed, start, 1)
             return found
 
-        def looked(start: Array) -> SteppedHeap:
+        def looked(numbers: BodyNumbers, start: Array) -> SteppedHeap:
             # One step does not pay to compile it.
-            return trial(start) if is_ready(step_bodies) else by_python(lambda: trial(start))
+            if is_ready(step_bodies):
+                return trial(numbers, start)
+            return by_python(lambda: trial(numbers, start))
 
-        check_apart(looked, list(scene.bodies), owners, setup.initial, _START_DEPTH * length)
+        names, near = list(scene.bodies), _START_DEPTH * length
+        try:
+            check_apart(looked, bodies, names, owners, setup.initial, near)
+        except NonFinite as error:
+            raise DeclarationProblem(f"{error.message} at the start", loc=("forces",)) from None
         return bodies

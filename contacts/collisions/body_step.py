@@ -30,8 +30,9 @@ from statechart.kernels.tapes import BLOCK, filled
 # In a step in which no body goes so far, in parts of the smallest one's size, none passes another
 # or is deep in it.
 _FAR = 0.1
-# Impulses are known to this part of the largest that presses a body, whatever is allowed.
-_LEAST = 1e-9
+# Impulses are known to this part of the largest that presses a body, whatever is allowed; below
+# that part of what a step makes of its weight they are rounding.
+_LEAST, _NOTHING = 1e-9, 1e-13
 
 
 @beside
@@ -86,8 +87,10 @@ def _kept(
                 chunk.struck[k, b] = True
                 chunk.impulses[k, b, 0] += pn
                 chunk.impulses[k, b, 1] += pt if side == 0 else -pt
-            # What bears less of what presses a body most is rounding: it touches not.
-            bears = lasts and pn > least * room.borne[b]
+            # What bears less of what presses a body most, or of its weight, is rounding: it touches
+            # not.
+            weight = room.look.pull[b] / numbers.inverse[b, 0]
+            bears = lasts and pn > max(least * room.borne[b], _NOTHING * weight)
             if bears and sticks:
                 chunk.codes[k, b] = PIN
             elif bears and chunk.codes[k, b] == FREE:
@@ -192,6 +195,9 @@ def step_bodies(
         if len(applied.bodies) > 0:
             time = instant + (k + 0.5) * h
             pushed(numbers, applied, acting, around.memories[k + 1], time, h, room.look)
+            for b in applied.bodies:
+                if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
+                    return k, NOT_FINITE if k < steps else DONE
         seen = touching(numbers, ground, memory, room.look, room.grid, h, touches)
         full = seen.contacts < 0 or seen.contacts + len(numbers.joints.holds) >= len(touches.hit)
         if full and k < steps:

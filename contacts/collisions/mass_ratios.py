@@ -55,7 +55,8 @@ def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[s
         The tolerance.
     """
     ratio, light, heavy, missed = worst.tolist()
-    if ratio * _ROUNDING <= allowed:
+    # Beside bodies of one mass it is the tolerance that is below rounding.
+    if ratio * _ROUNDING <= allowed or allowed < _ROUNDING:
         return ()
     return (
         f"the masses of bodies {names[int(light)]!r} and {names[int(heavy)]!r}, which are pressed "

@@ -57,7 +57,7 @@ class SteppedHeap:
         deepest: float = math.inf,
         forces: bool = True,
     ) -> None:
-        self._surfaces = surfaces
+        self.surfaces = surfaces
         self.numbers, self._names, self._around, self._law = numbers, names, around, law
         count = len(names)
         self._memory = self._kept = Memory.room(numbers)
@@ -102,9 +102,9 @@ class SteppedHeap:
             return ""
         one, other = touches.bodies[i].tolist()
         pieces = len(self.numbers.pieces.sizes)
-        surface = int(touches.keys[i, 0]) % (pieces + len(self._surfaces)) - pieces
+        surface = int(touches.keys[i, 0]) % (pieces + len(self.surfaces)) - pieces
         if surface >= 0:
-            return f"surface {self._surfaces[surface]!r}"
+            return f"surface {self.surfaces[surface]!r}"
         return f"body {self._names[other if one == body else one]!r}"
 
     def pushes_out(self, body: int, near: float) -> tuple[Array, Array]:
@@ -195,7 +195,9 @@ class SteppedHeap:
             else:
                 self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
         if status == NOT_FINITE and not len(chunk.codes):
-            raise NonFinite("a coordinate became infinite or undefined")
+            lost = np.argwhere(~np.isfinite(self._room.look.loose))[:, 0].tolist()
+            what = f"a force on body {self._names[lost[0]]!r}" if lost else "a coordinate"
+            raise NonFinite(f"{what} became infinite or undefined")
         bodies = len(self._names)
         self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
         self._around.passed(len(chunk.codes))
@@ -212,9 +214,11 @@ class SteppedHeap:
         bodies = len(self._names)
         joint_forces = int((1 + (self.numbers.joints.holds == BOTH)).sum())
         solved = 3 * bodies + joint_forces
-        chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
         # Of one step more, which is looked at.
-        ahead, remembered = self._around.ahead(start, h, state[6 * bodies :], count + 1)
+        ahead, remembered, known = self._around.ahead(start, h, state[6 * bodies :], count + 1)
+        count = min(count, known)
+        remembered = remembered[: count + 1]
+        chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
         done, status = 0, FULL
         while status == FULL:
             taken, status = step_bodies(

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from contacts.collisions.declared_surfaces import touched
 from contacts.collisions.mechanics import BodyMechanics
 from contacts.collisions.paths import Paths, Where
 from contacts.collisions.recall import Recall
 from contacts.detection.applied import Ahead
 from statechart.arrays import Array
+from statechart.errors import NonFinite
 
 # A start that is a whole number of steps but for this part of one is that.
 _SAME = 1e-6
@@ -56,11 +58,19 @@ class Surroundings:
         """Take back the last steps."""
         self._last = self._kept
 
-    def ahead(self, start: float, h: float, remembered: Array, count: int) -> tuple[Ahead, Array]:
+    def ahead(
+        self, start: float, h: float, remembered: Array, count: int
+    ) -> tuple[Ahead, Array, int]:
         """Return what acts in the steps from an instant on, and what is remembered at their ends.
 
-        Before a run begins surfaces move as they do then, and so do they before a step of another
-        length.
+        And how many of them can be taken: as long as paths have values. Before a run begins
+        surfaces move as they do then, and so do they before a step of another length, and where
+        their paths end.
+
+        Raises
+        ------
+        NonFinite
+            If none can.
         """
         # Counted from the start of the run: instants are the same in chunks of any length.
         number = round(start / h)
@@ -81,8 +91,28 @@ class Surroundings:
         self._kept = self._last
         self._looks, self._h = looks, h
         frames, places = (np.concatenate(pair) for pair in zip(before, looks, strict=True))
+        known = len(looks.frames)
+        for rows in (frames, places):
+            ends = np.flatnonzero(~np.isfinite(rows[1:]).all(axis=(1, 2)))
+            known = min([known, *ends[:1].tolist()])
+        if known == 0:
+            raise NonFinite(
+                f"{self._without(looks)} has no value, or an infinite one, at t = {times[1]:.6g}"
+            )
+        if known < len(looks.frames):
+            for rows in (frames, places):
+                rows[known + 1 :] = 2.0 * rows[known] - rows[known - 1]
         seen = np.concatenate([memories[:1], memories[1::2]])
-        return Ahead(frames, places, seen, self._forces), memories[2::2]
+        return Ahead(frames, places, seen, self._forces), memories[2::2], known
+
+    def _without(self, looks: Where) -> str:
+        """Return whose path has no value at the first of some looks."""
+        scene = self._mechanics.scene
+        surfaces = np.flatnonzero(~np.isfinite(looks.frames[0]).all(axis=1)).tolist()
+        joints = np.flatnonzero(~np.isfinite(looks.places[0]).all(axis=1)).tolist()
+        named = [f"surface {touched(scene)[s]!r}" for s in surfaces]
+        named += [f"joint {list(scene.joints)[j]!r}" for j in joints]
+        return f"the path of {named[0]}"
 
     @property
     def count(self) -> int:

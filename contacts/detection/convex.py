@@ -22,6 +22,8 @@ FOUND = 5
 _PREFERRED = 1e-3
 # Points this close, relative to the length of the shorter edge, are one.
 _SAME = 1e-3
+# And as deep, relative to how close they may be: far above the rounding of gaps.
+_EVEN = 1e-6
 
 
 @part
@@ -113,15 +115,18 @@ def _clipped(
             x, y = x + part * (u - x), y + part * (v - y)
         gap = nx * (x - one[edge, 0]) + ny * (y - one[edge, 1])
         # Two points that are one but for rounding would share their impulse as they please: the
-        # deeper one is taken, which is the deeper one in a mirror, too.
+        # deeper one is taken, or their middle, which are the same in a mirror.
+        which = end
         if count == 1 and norm(x - found[0, 2], y - found[0, 3]) <= same:
-            if gap >= found[0, 4]:
+            if abs(gap - found[0, 4]) <= _EVEN * same:
+                x, y, which = 0.5 * (x + found[0, 2]), 0.5 * (y + found[0, 3]), 2
+            elif gap > found[0, 4]:
                 continue
             count = 0
         if gap <= within:
             sign = -1.0 if flip else 1.0
             write(found[count], -sign * nx, -sign * ny, x, y, gap)
-            features[count] = 4 * (64 * edge + facing) + 2 * end + (1 if flip else 0)
+            features[count] = 6 * (64 * edge + facing) + 2 * which + (1 if flip else 0)
             count += 1
     return count
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from contacts.scene.fields import SceneFields
+from contacts.scene.polygons import check_polygon
 from contacts.scene.shapes import INDEX, Shape
 from statechart.documents.document import Loc
 from statechart.documents.fields import FormulaText, check_names, value_of
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
-
-_Corners = Sequence[tuple[float, float]]
 
 
 def check_copies(scene: SceneFields) -> None:
@@ -46,6 +45,22 @@ def check_copies(scene: SceneFields) -> None:
                 loc=("bodies", name, "copies"),
                 key=True,
             )
+
+
+def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
+    """Check that what carries a surface is one body.
+
+    Raises
+    ------
+    DeclarationProblem
+        If it has copies.
+    """
+    if body in scene.bodies and scene.bodies[body].copies is not None:
+        raise DeclarationProblem(
+            f"one body carries a surface, and {body!r} has copies",
+            advice="declare the body that carries it by itself, without copies",
+            loc=("surfaces", surface, "body"),
+        )
 
 
 def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
@@ -153,8 +168,7 @@ def _check_shape(scene: SceneFields, at: Loc, shape: Shape, values: Mapping[str,
         places += [(text, (*at, "at", axis)) for axis, text in enumerate(shape.at)]
         for text, loc in places:
             check_names(parse(text), scene.parameters, *loc)
-            if not math.isfinite(value_of(text, values, *loc)):
-                raise DeclarationProblem("must be finite", loc=loc)
+            _check_finite(text, values, loc)
         if not parse(shape.disc).value(values) > 0.0:
             raise DeclarationProblem("a radius is positive", loc=(*at, "disc"))
         return
@@ -163,56 +177,14 @@ def _check_shape(scene: SceneFields, at: Loc, shape: Shape, values: Mapping[str,
         for axis, text in enumerate(corner):
             loc = (*at, "polygon", place, axis)
             check_names(parse(text), scene.parameters, *loc)
-            if not math.isfinite(value_of(text, values, *loc)):
-                raise DeclarationProblem("must be finite", loc=loc)
-    corners = [(parse(x).value(values), parse(y).value(values)) for x, y in shape.polygon]
-    turns, whole = _turns(corners)
-    problem = "a polygon is convex, its corners counter-clockwise"
-    if all(turn < 0.0 for turn in turns):
-        raise DeclarationProblem(
-            f"{problem}; these are clockwise", advice="reverse their order", loc=(*at, "polygon")
-        )
-    if not all(turn > 0.0 for turn in turns):
-        wrong = ([turn > 0.0 for turn in turns].index(False) + 1) % len(corners)
-        x, y = corners[wrong]
-        how = "lies on a straight edge, or twice in a place"
-        advice = "leave it out"
-        if turns[wrong - 1] < 0.0:
-            how, advice = "points inwards", _split(corners, wrong)
-        raise DeclarationProblem(
-            f"{problem}; corner {wrong + 1}, at ({x:.6g}, {y:.6g}), {how}",
-            advice=advice,
-            loc=(*at, "polygon", wrong),
-        )
-    if whole > 2.0 * math.pi + 1e-6:
-        raise DeclarationProblem(
-            f"{problem}; these go around {whole / (2.0 * math.pi):.0f} times",
-            advice="give every corner once, in order",
-            loc=(*at, "polygon"),
-        )
+            _check_finite(text, values, loc)
+    try:
+        check_polygon([(parse(x).value(values), parse(y).value(values)) for x, y in shape.polygon])
+    except DeclarationProblem as problem:
+        problem.loc = (*at, "polygon", *problem.loc)
+        raise
 
 
-def _turns(corners: _Corners) -> tuple[list[float], float]:
-    """Return by how much a polygon turns to the left after each edge, and its angle in all."""
-    following = [*corners[1:], corners[0]]
-    edges = [(b[0] - a[0], b[1] - a[1]) for a, b in zip(corners, following, strict=True)]
-    turns, whole = [], 0.0
-    for (x, y), (u, v) in zip(edges, [*edges[1:], edges[0]], strict=True):
-        turns.append(x * v - y * u)
-        whole += math.atan2(turns[-1], x * u + y * v)
-    return turns, whole
-
-
-def _split(corners: _Corners, inward: int) -> str:
-    """Return how to split a polygon at a corner that points inwards."""
-    count = len(corners)
-    order = [(inward + step) % count for step in range(count)]
-    for step in range(2, count - 1):
-        halves = order[: step + 1], [*order[step:], inward]
-        if all(min(_turns([corners[k] for k in half])[0]) > 0.0 for half in halves):
-            first, second = (", ".join(str(k + 1) for k in half) for half in halves)
-            return (
-                f"split it from there to corner {order[step] + 1}: shape: [{{polygon: corners "
-                f"{first}}}, {{polygon: corners {second}}}]"
-            )
-    return "split it there into convex ones: shape: [{polygon: [...]}, {polygon: [...]}]"
+def _check_finite(text: FormulaText, values: Mapping[str, float], loc: Loc) -> None:
+    if not math.isfinite(value := value_of(text, values, *loc)):
+        raise DeclarationProblem(f"must be finite, not {value:g}", loc=loc)

@@ -9,7 +9,7 @@ from typing import Self, get_args
 from pydantic import model_validator
 
 from contacts.scene.checks import check_finite, check_kinks, check_physical, check_rim
-from contacts.scene.collision_checks import check_collisions, check_copies
+from contacts.scene.collision_checks import check_carrier, check_collisions, check_copies
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.joints import Path
 from contacts.scene.other_laws import replaced
@@ -162,6 +162,8 @@ class Scene(SceneFields):
         for name, surface in self.surfaces.items():
             if surface.body is not None:
                 self._member(found, "body", surface.body, self.bodies, "surfaces", name, "body")
+                with found:
+                    check_carrier(self, name, surface.body)
         # Of a body with copies joints hold one, by its number; forces act on one or on all.
         single = self.owners()
         for name, joint in self.joints.items():

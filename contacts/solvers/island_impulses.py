@@ -73,7 +73,8 @@ def solve_rows(
     impulses : (m, 2)
         Of the step before; the best that are found, in place.
     allowed : float
-        Residual (see `contacts.solvers.contact_rows.residual`) at which they are good enough.
+        Residual (see `contacts.solvers.contact_rows.residual`) at which they are good enough;
+        infinite: nobody asks for any, as where it is only looked who touches.
     rests : bool
         Whether nothing moves: then they are found as exactly as can be, for the steps to come.
     last : bool
@@ -81,6 +82,9 @@ def solve_rows(
     """
     count = len(impulses)
     parting, joined = True, False
+    if not allowed < math.inf:
+        impulses[:] = 0.0
+        return 0.0, 0
     for i in range(count):
         held = slope(contacts.cones[i]) < 0.0
         parting, joined = parting and least[i, 0] >= 0.0 and not held, joined or held

@@ -38,8 +38,11 @@ from statechart.kernels.jit import late, part
 _STEPS, _STEPS_EACH = 12, 4
 STEPS = 48
 """And at most."""
-# Added to the diagonal of a compliance whose own entries are 1.
-_PROXIMAL, _CORRECTIONS = 1e-10, 4
+# Added to the diagonal of a compliance whose own entries are 1, until rounding is left. What
+# the motion does not determine moves by rounding divided by this: so that it begins large.
+_PROXIMAL, _CORRECTIONS = (1e-4, 1e-7, 1e-10), 6
+# Velocities below this part of the fastest are rounding, too.
+_ROUNDING = 1e-15
 # Velocities below this part of the approaches are rounding.
 _REST = 1e-12
 # What is as near as this to the edge of its cone slides.
@@ -107,8 +110,9 @@ def _changed(
 
 @part
 def _solve(
-    contacts: ContactRows, least: Array, impulses: Array, rates: Array, status: Ints, edges: Array
-) -> bool:
+    contacts: ContactRows, least: Array, impulses: Array, rates: Array, status: Ints,
+    edges: Array, rest: float,
+) -> bool:  # fmt: skip
     """Solve the equations that a status makes; impulses and rates are changed in place."""
     count = 0
     for i in range(len(impulses)):
@@ -130,7 +134,6 @@ def _solve(
             whose[at], which[at] = i, d
             at += 1
     for a in range(count):
-        order[a] = a
         scales[a] = 1.0 / np.sqrt(max(contacts.own[whose[a], which[a]], 1e-300))
     matrix, felt = np.empty((count, count)), rates_of(contacts, 1)
     for b in range(count):
@@ -142,20 +145,31 @@ def _solve(
         for a in range(count):
             matrix[a, b] = scales[a] * along(contacts, whose[a], which[a], felt) * scales[b]
         without(contacts, j, felt)
-        matrix[b, b] += _PROXIMAL
-    if not eliminated(matrix, order):
-        return False
-    for _ in range(_CORRECTIONS):
+    factors = np.empty((count, count))
+    for proximal in _PROXIMAL:
+        put_rows(matrix, factors)
         for a in range(count):
-            normal, slip = seen(contacts, whose[a], least, rates)
-            right[a] = -scales[a] * (normal if which[a] == 0 else slip)
-        substitute(matrix, order, right, step)
+            factors[a, a] += proximal
         for a in range(count):
-            i = whose[a]
-            impulses[i, which[a]] += scales[a] * step[a]
-            if status[i] == SLIDES:
-                impulses[i, 1] = edges[i] * impulses[i, 0]
-        moved(contacts, impulses, rates)
+            order[a] = a
+        if not eliminated(factors, order):
+            return False
+        for _ in range(_CORRECTIONS):
+            missed = 0.0
+            for a in range(count):
+                normal, slip = seen(contacts, whose[a], least, rates)
+                wrong = normal if which[a] == 0 else slip
+                right[a] = -scales[a] * wrong
+                missed = max(missed, abs(wrong))
+            substitute(factors, order, right, step)
+            for a in range(count):
+                i = whose[a]
+                impulses[i, which[a]] += scales[a] * step[a]
+                if status[i] == SLIDES:
+                    impulses[i, 1] = edges[i] * impulses[i, 0]
+            moved(contacts, impulses, rates)
+            if missed <= rest:
+                return True
     return True
 
 
@@ -213,16 +227,20 @@ def by_status(
     put_rows(impulses, now)
     status, edges = np.zeros(count, np.int64), np.zeros(count)
     _guess(contacts, least, now, rates, status, edges)
+    rest = _REST * size
+    rounding = rest
+    for i in range(len(least)):
+        rounding = max(rounding, _ROUNDING * abs(least[i, 0]), _ROUNDING * abs(least[i, 1]))
     most = min(_STEPS + _STEPS_EACH * len(now), most)
     for step in range(most):
         put_rows(now, begin)
-        if not _solve(contacts, least, now, rates, status, edges):
+        if not _solve(contacts, least, now, rates, status, edges, rounding):
             return lowest, step + 1
         if _blocked(contacts, begin, now, status, edges):
             moved(contacts, now, rates)
             different = True
         else:
-            different = _changed(contacts, least, now, rates, status, edges, _REST * size)
+            different = _changed(contacts, least, now, rates, status, edges, rest)
         left = residual(contacts, least, size, now, rates)
         if left < lowest:
             lowest = left

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
+from statechart.arrays import Array
+
 
 class Clock(NamedTuple):
     """Time as an unevaluated sum of two floats, so that long runs keep their resolution.
@@ -29,7 +33,7 @@ class Clock(NamedTuple):
     @property
     def short(self) -> Clock:
         """The same time with a high part of 15 digits: what is made of steps such as 1e-3."""
-        high = float(f"{self.high:.15g}")
+        high = _decimal(self.high)
         return Clock(high, (self.high - high) + self.low)
 
     def until(self, end: float) -> float:
@@ -40,3 +44,12 @@ class Clock(NamedTuple):
 def between(start: Clock, end: Clock) -> float:
     """Return the time from `start` to `end`, to full precision even where it is tiny."""
     return (end.high - start.high) + (end.low - start.low)
+
+
+def decimals(times: Array) -> Array:
+    """Return times of 15 digits, as runs by steps show them (see `Clock.short`)."""
+    return np.array([_decimal(t) for t in times.tolist()])
+
+
+def _decimal(time: float) -> float:
+    return float(f"{time:.15g}")

@@ -118,8 +118,9 @@ def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
         # A list without two of its items is told so once.
         return any(_short(other) and other["loc"] == _next(details["loc"]) for other in errors)
     if details["type"] == "too_short":
-        # A list whose items are all wrong is empty to pydantic.
-        return any(other["loc"][:-1] == details["loc"] for other in errors)
+        # Items that are wrong are none to pydantic.
+        at = details["loc"]
+        return any(len(one["loc"]) > len(at) and one["loc"][: len(at)] == at for one in errors)
     if details["type"] == "missing":
         # A key that is misspelt is missing, too.
         *above, name = details["loc"]
@@ -276,14 +277,16 @@ def _words(details: ErrorDetails, known: Sequence[str], *, built: bool) -> tuple
     shown = {"dict": "a mapping", "list": "a list", "None": "nothing"}.get(shown, shown)
     if isinstance(given, bool) and not built:
         shown = flow(given)
+    if isinstance(given, type):
+        brackets = "()" if kind == "union_tag_not_found" else "(...)"
+        name = given.__name__
+        return f"must be built, not the class {name}", f"write {name}{brackets}"
     if hasattr(given, "tolist"):
         return "must be plain numbers, not an array: write .tolist() behind it", ""
     if kind in _EXPECTED:
         return f"must be {_EXPECTED[kind]}, not {shown}", ""
     if kind == "output" and isinstance(given, Mapping) and given:
         return f"{context.get('message', details['msg'])}, not {next(iter(given))!r}", ""
-    if kind == "union_tag_not_found" and isinstance(given, type):
-        return f"must be built, not the class {given.__name__}", f"write {given.__name__}()"
     if kind == "union_tag_invalid":
         return f"must be one of {context['expected_tags']}, not {context['tag']!r}", ""
     if kind == "too_short":
@@ -369,10 +372,19 @@ class located:  # noqa: N801 - used as a statement, and in every run: cheaper th
             raise _located(self._document, problem, {}) from None
 
 
+def _written(document: Document | None, loc: Loc) -> Iterator[str]:
+    """Yield the parts of a place: a file that writes one thing where a list may be counts none."""
+    at: Loc = ()
+    for part in loc:
+        above, at = at, at if document is None else document.existing((*at, part))
+        if document is None or isinstance(part, str) or at != above:
+            yield str(part)
+
+
 def _located(
     document: Document | None, problem: DeclarationProblem, overrides: Mapping[str, float]
 ) -> DeclarationError:
-    path = ".".join(map(str, problem.loc))
+    path = ".".join(_written(document, problem.loc))
     message = f"{path}: {problem.message}" if path else problem.message
     if overrides:
         message += " with " + ", ".join(f"{k}={v:g}" for k, v in overrides.items()) + " set"

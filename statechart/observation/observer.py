@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.clock import decimals
 from statechart.automaton.dense_output import integrals
 from statechart.automaton.keeping import check_kept
 from statechart.automaton.regions import Mode
@@ -129,8 +130,11 @@ class Observer:
         modes = tuple(dict.fromkeys(held))
         places = {key: place for place, key in enumerate(modes)}
         table = self._table(trace, expressions, points)
+        shown = points.times
+        if times is None and trace.step is not None:
+            shown = decimals(shown)
         return Samples(
-            points.times,
+            shown,
             np.repeat(np.array(jumped, dtype=np.int64), counts),
             np.repeat(np.array([places[key] for key in held], dtype=np.intp), counts),
             modes,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statechart.arrays import Array
+from statechart.automaton.clock import decimals
 from statechart.automaton.keeping import check_kept
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
@@ -114,7 +115,8 @@ def _pieces(trace: Trace, rows: int) -> Iterator[tuple[Array, Array]]:
     times: list[Array] = []
     states: list[Array] = []
     for arc in trace.arcs:
-        times.append(arc.start.high + (arc.start.low + arc.times[:-1]))
+        begun = arc.start.high + (arc.start.low + arc.times[:-1])
+        times.append(begun if trace.step is None else decimals(begun))
         states.append(arc.coefficients[:, :, 0])
         if sum(map(len, times)) >= rows:
             yield np.concatenate(times), np.concatenate(states)

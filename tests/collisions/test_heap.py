@@ -128,6 +128,23 @@ def test_bodies_that_overlap_at_the_start_are_refused():
         Runner(interpret(read_text(TWO.replace("1 + 3*index", "0.75 + 3*index")))).run()
 
 
+def test_what_starts_in_the_middle_of_pieces_is_named():
+    """The end of a plate where pieces cover each other, whose faces touch nothing there."""
+    shape = "{polygon: [[-1, -1], [1, -1], [1, 1], [-1, 1]]}"
+    halves = ", ".join(f"{{polygon: [[{x}, -1], [{x} + 1, -1], [{x} + 1, 1], [{x}, 1]]}}"
+                       for x in (-1, 0))  # fmt: skip
+    plates = "low: {edge: [[-9, -9], [9, -9]]}, plate: {edge: [[0.1, 0], [0.1, 5]]}"
+    text = TWO.replace("copies: 2", "copies: 1").replace(shape, f"[{halves}]")
+    text = text.replace("{y: 1 + 3*index}", "{}").replace("surfaces: [ground]", "surfaces: [plate]")
+    text = text.replace("  ground: {height: 0}", f"  {plates}".replace(", plate", "\n  plate"))
+    for listed in ("[plate]", "[low, plate]"):
+        with pytest.raises(DeclarationError, match="deep in surface 'plate'; start") as caught:
+            Runner(read_text(text.replace("[plate]", listed))).run()
+        far = float(re.findall(r"start its centre (\S+) from it", str(caught.value))[0])
+        moved = text.replace("start: {}", f"start: {{x: 0.1 - {far}}}").replace("[plate]", listed)
+        Runner(read_text(moved)).start()
+
+
 def test_bodies_in_several_things_are_told_how_to_get_out_of_all_of_them():
     wall = "  ground: {height: 0}\n  wall: {line: [[-0.7, 5], [-0.7, -5]]}"
     wedged = TWO.replace("copies: 2", "copies: 1").replace("1 + 3*index", "0.5")
@@ -157,8 +174,8 @@ def test_where_copies_that_a_parameter_makes_overlap_is_told():
 def test_a_runner_that_travelled_and_corners_at_infinity_are_told_with_their_line():
     text = TWO.replace("[1, 1], [-1, 1]]", "[1, 1], [-1, a]]") + "parameters: {a: 1}\n"
     runner = pickle.loads(pickle.dumps(Runner(read_text(text, "two.yaml"))))
-    place = r"two\.yaml:11:\d+: bodies\.block\.shape\.0\.polygon\.3.*"
-    for value, words in ((math.inf, "must be finite"), (-1.0, "corner 4, at")):
+    place = r"two\.yaml:11:\d+: bodies\.block\.shape\.polygon\.3.*"
+    for value, words in ((math.inf, "must be finite"), (-1.0, "corners 1 and 4 are in one place")):
         with pytest.raises(DeclarationError, match=f"{place}{words}.* with a={value:g} set"):
             runner.run({"a": value})
 

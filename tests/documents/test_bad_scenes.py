@@ -177,3 +177,24 @@ def test_a_loop_that_cannot_close_says_how_near_it_comes() -> None:
 def test_values_that_are_set_are_judged_too(parameter: str, value: float, words: str) -> None:
     with pytest.raises(DeclarationError, match=words):
         Runner(read_text(SCENE)).run({parameter: value})
+
+
+def test_a_value_that_is_set_is_told_by_the_path_that_the_file_has() -> None:
+    text = """
+kind: scene
+name: bars
+parameters: {b: 0.1, R: 0.2}
+bodies:
+  one: {mass: 1, inertia: 1, shape: {polygon: [[-1, -b], [1, -b], [1, b], [-1, b]]}}
+  two: {mass: 1, inertia: 1, shape: [{disc: 0.1}, {disc: R}], start: {x: 3}}
+collisions: {all: {bodies: [one, two], friction: 0, restitution: 0}}
+stop: {time: 1}
+"""
+    runner = Runner(read_text(text))
+    with pytest.raises(DeclarationError, match=r"7:58: bodies\.two\.shape\.1\.disc: a radius"):
+        runner.run({"R": 0})
+    told = r"6:47: bodies\.one\.shape\.polygon: all corners lie on the line"
+    with pytest.raises(DeclarationError, match=told):
+        runner.run({"b": 0})
+    with pytest.raises(DeclarationError, match=told):
+        Runner(read_text(text.replace("b: 0.1", "b: 0")))

@@ -221,3 +221,16 @@ def test_times_of_steps_have_no_digits_that_the_step_has_not() -> None:
     assert [jump.t for jump in trace.jumps] == [float(Fraction(k, 2000)) for k in halves]
     for one, other in pairwise(trace.arcs):
         assert abs(between(one.end, other.start)) <= 1e-15
+
+
+def test_times_in_tables_have_no_digits_that_the_step_has_not(tmp_path: Path) -> None:
+    text = GRAINS.replace(", record: poses", "").replace("copies: 60", "copies: 2")
+    result = Runner(read_text(text)).run()
+    result.save(tmp_path / "run", samples=True)
+    rows = (tmp_path / "run" / "samples.csv").read_text().splitlines()[1:]
+    told = [row.split(",")[0] for row in rows]
+    # Eighths of steps, and of the halves of those with an impact.
+    parts = [float(Fraction(round(float(t) / 6.25e-5), 16000)) for t in told]
+    assert len(parts) > 1600
+    assert told == list(map(str, parts))
+    assert result.samples.t.tolist() == parts

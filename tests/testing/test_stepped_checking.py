@@ -214,6 +214,53 @@ def test_what_impulses_were_left_at_is_no_difference_of_a_scene_and_its_image():
     relation("mirror", scene, mirrored).holds(Subject(scene).case({}))
 
 
+BOXES = """
+kind: scene
+name: boxes
+gravity: 9.81
+bodies:
+BODIES
+surfaces:
+  low: {edge: [[-5, 0], [0.1, 0]]}
+  middle: {edge: [[0.1, 0], [0.3, 0]]}
+  rise: {edge: [[0.3, 0], [0.3, 0.263]]}
+  high: {edge: [[0.3, 0.263], [0.3, 3]]}
+collisions:
+  all:
+    bodies: [NAMES]
+    surfaces: [low, middle, rise, high]
+    friction: MU
+    restitution: E
+stop: {time: 0.5}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+@pytest.mark.parametrize(
+    ("mu", "e", "boxes"),
+    [
+        # Pushed by another, with friction beside what bears it: whose impulses are free in part.
+        (0.1, 0.5, [(0.8, 0.011, 0.1, 0.1, -0.1, 2), (0.6, 0.034, 0.075, 0.1, -0.44, 2.989)]),
+        (0.1, 0.248, [(2, 0.046, 0.1, 0.1, -0.1, 2), (0.8, 0.033, 0.069, 0.1, -0.411, 2)]),
+        # About to tip as it passes from one plate to the next.
+        (0.5, 0, [(0.8, 0.025, 0.1, 0.2, -0.1, 1.14)]),
+        # It falls beside the wall, which then bears nothing.
+        (0.377, 0, [(1.5, 0.044, 0.1, 0.286, -0.1, 1.925)]),
+    ],
+)
+def test_boxes_that_slide_into_each_other_and_a_wall_move_as_their_image(mu, e, boxes):
+    """Friction in a corner stands in for what bears a box: its impulses are those nearest none."""
+    bodies = "\n".join(
+        f"  b{k}: {{mass: {m}, inertia: {inertia}, shape: {{polygon: [[-{w}, -{h}], [{w}, -{h}], "
+        f"[{w}, {h}], [-{w}, {h}]]}}, start: {{x: {x}, y: {h}, dx: {dx}}}}}"
+        for k, (m, inertia, w, h, x, dx) in enumerate(boxes)
+    )
+    names = ", ".join(f"b{k}" for k in range(len(boxes)))
+    text = BOXES.replace("BODIES", bodies).replace("NAMES", names)
+    scene = model(text.replace("MU", str(mu)).replace("restitution: E", f"restitution: {e}"))
+    relation("mirror", scene, mirrored).holds(Subject(scene).case({}))
+
+
 def test_an_image_that_moves_otherwise_is_caught():
     def other(scene):
         image, reading = mirrored(scene)

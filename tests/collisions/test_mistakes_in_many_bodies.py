@@ -1,0 +1,97 @@
+"""What is said of scenes of many bodies that cannot be, or cease to be, run."""
+
+from __future__ import annotations
+
+import pytest
+
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError, NonFinite
+from statechart.running.runner import Runner
+
+SCENE = """\
+kind: scene
+name: grains
+parameters: {n: 3, r: 0.1}
+gravity: 9.81
+bodies:
+  grain:
+    copies: n
+    mass: 1
+    inertia: 0.01
+    shape: {disc: r}
+    start: {x: 0.3*index, y: r}
+  cart: {mass: 1, inertia: 1, start: {y: -5}}
+surfaces:
+  floor: {edge: [[-1, 0], [2, 0]]}
+collisions:
+  all: {bodies: [grain], surfaces: [floor], friction: 0.5, restitution: 0}
+stop: {time: 0.05}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+def test_copies_that_start_in_one_place_are_told_to_depend_on_their_number():
+    text = SCENE.replace("x: 0.3*index, ", "")
+    told = (
+        r"11:12: .*'grain0' and 'grain1' start in one place; .* on index, such as x: 0\.21\*index"
+    )
+    with pytest.raises(DeclarationError, match=told):
+        Runner(read_text(text)).run()
+    Runner(read_text(text.replace("y: r", "x: 0.21*index, y: r"))).start()
+    # What touches each other by no law may.
+    apart = SCENE.replace("start: {x: 0.3*index", "start: {x: 0").replace("copies: n", "copies: 1")
+    Runner(read_text(apart)).start()
+
+
+def test_copies_carry_no_surface():
+    text = SCENE.replace("[2, 0]]}", "[2, 0]], body: grain}")
+    with pytest.raises(DeclarationError, match=r"14:42: surfaces\.floor\.body: one body carries"):
+        read_and_run(text)
+    read_and_run(text.replace("body: grain", "body: cart").replace("y: -5", "y: 0"))
+
+
+def read_and_run(text):
+    return Runner(read_text(text)).run()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (
+            "[2, 0]]}",
+            "[2, 0]], displacement: [0, sqrt(0.02 - time) - sqrt(0.02)]}",
+            "the path of surface 'floor' has no value, or an infinite one, at t = 0.0205",
+        ),
+        (
+            "stop:",
+            "joints: {held: {point: {body: cart}, to: [0, 'sqrt(0.02 - 50*time**2) - 5']}}\nstop:",
+            "the path of joint 'held' has no value, or an infinite one, at t = 0.0205",
+        ),
+        (
+            "stop:",
+            "forces: {push: {body: grain, force: [sqrt(0.02 - time), 0]}}\nstop:",
+            "a force on body 'grain0' became infinite or undefined",
+        ),
+    ],
+)
+def test_what_ceases_to_have_a_value_ends_the_run_there(old, new, told):
+    runner = Runner(read_text(SCENE.replace("y: -5", "y: sqrt(0.02) - 5").replace(old, new)))
+    with pytest.raises(NonFinite, match=told) as caught:
+        runner.run()
+    assert caught.value.trace.t_end == 0.02
+    # As long as it has one it is not asked for later.
+    assert runner.run(until=0.02).trace.outcome.succeeded
+
+
+def test_a_force_without_a_value_at_the_start_is_told():
+    text = SCENE.replace(
+        "stop:", "forces: {f: {body: grain, force: [log(grain.dx - 5), 0]}}\nstop:"
+    )
+    with pytest.raises(DeclarationError, match=r"17:9: forces: a force on body 'grain0' .* start"):
+        read_and_run(text)
+
+
+def test_masses_are_not_blamed_for_a_tolerance_below_rounding():
+    text = SCENE.replace("step: 1e-3", "step: 1e-3, impulse_tolerance: 1e-20")
+    trace = Runner(read_text(text.replace("r, y: r", "r, y: 2*r"))).run().trace
+    assert not any("masses" in warning for warning in trace.warnings)
