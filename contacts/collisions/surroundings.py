@@ -67,6 +67,9 @@ class Surroundings:
         first = number if abs(start - number * h) <= _SAME * h else start / h
         times: Array = h * (first + 0.5 * np.arange(2 * count + 2, dtype=float))
         memories = self._recall.along(self._states, self._values, remembered, times)
+        seen = np.concatenate([memories[:1], memories[1::2]])
+        if not self._paths.any:
+            return Ahead(*self._paths.none(count + 2), seen, self._forces), memories[2::2]
         now = self._paths.at(self._known, times[:1], memories[:1])
         looks = self._paths.at(self._known, times[1::2], memories[1::2])
         before = Where(*(2.0 * a - b[:1] for a, b in zip(now, looks, strict=True)))
@@ -81,7 +84,6 @@ class Surroundings:
         self._kept = self._last
         self._looks, self._h = looks, h
         frames, places = (np.concatenate(pair) for pair in zip(before, looks, strict=True))
-        seen = np.concatenate([memories[:1], memories[1::2]])
         return Ahead(frames, places, seen, self._forces), memories[2::2]
 
     @property
@@ -96,5 +98,5 @@ class Surroundings:
 
     def passed(self, count: int) -> None:
         """Note how many of these steps were taken."""
-        if count:
+        if count and self._paths.any:
             self._last = Where(*(rows[count - 1 : count] for rows in self._looks)), self._h

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,16 @@ from statechart.automaton.trace import Arc, Jump, Key
 
 # An arc longer than so many bytes goes on as another one.
 _LONGEST = 2**23
+
+
+class _Tail(NamedTuple):
+    """A step, and the recorder before it: modes shown and told, jumps, and when it begins."""
+
+    step: Chunk
+    row: Ints
+    raw: Ints
+    jumps: int
+    clock: Clock
 
 
 @dataclass(eq=False)
@@ -60,8 +71,8 @@ class Recorder:
         Whether modes and jumps of regions are told; else it is counted how many jumps there are,
         and arcs end where they would.
     arcs_too : bool
-        Whether somebody looks at arcs; else they are made of the last step alone, in which a stop
-        condition may be met.
+        Whether somebody looks at arcs; else they are made of the last step of a run alone, in which
+        a stop condition may be met.
 
     Attributes
     ----------
@@ -89,25 +100,32 @@ class Recorder:
     indeterminate: dict[Key, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.row = self.start
+        self.row, self._sticking = self.start, bool(self.sticks.any())
         self._raw = self.start
         self.key = self._key(self.start)
         self.start_key = self.key
         self._began = self.clock
         self._open: list[tuple[Array, Array, Array]] = []
         self._size = 0
+        self._tail: _Tail | None = None
 
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
-        if not self.arcs_too:
-            chunk = self._last(chunk)
+        if self.arcs_too:
+            self._append(chunk)
+        else:
+            self._tail = self._counted(chunk)
+
+    def _append(self, chunk: Chunk) -> None:
         shown = self._shown(chunk.codes)
         hit: Bools = np.any(chunk.struck, axis=1)
-        changed = self._changed(shown) | hit
+        begins = np.ones(len(shown) + 1, np.bool_)
+        begins[:-1] = self._changed(shown) | hit
+        begins[1:-1] |= hit[:-1]
+        begins[0] = True
+        breaks = np.flatnonzero(begins)
         self._raw = chunk.codes[-1]
-        after = np.concatenate([[False], hit[:-1]])
-        breaks = np.unique(np.concatenate([[0], np.flatnonzero(changed | after), [len(shown)]]))
-        halves = self._halves(chunk, hit)
+        shared, halves = self.modes and bool(chunk.shared.any()), self._halves(chunk, hit)
         for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
             if hit[first]:
                 self._strike(chunk, first, shown[first], next(halves))
@@ -115,20 +133,35 @@ class Recorder:
             else:
                 self._jumps(shown[first], chunk.states[first])
             if last > first:
-                self._note_shared(chunk.shared[first:last])
+                if shared:
+                    self._note_shared(chunk.shared[first:last])
                 self._flow(chunk, first, last)
 
-    def _last(self, chunk: Chunk) -> Chunk:
-        """Count the jumps of all steps but the last, and return that one."""
-        last = len(chunk.codes) - 1
-        shown, hit = self._shown(chunk.codes)[:last], chunk.struck[:last].any(axis=1)
-        changed = shown != np.vstack([self.row, shown[:-1]]) if last else np.zeros((0, 1))
-        self.count += int(hit.sum()) + int(changed[~hit].sum())
-        if last:
-            self.row, self._raw = shown[-1], chunk.codes[last - 1]
-        self._open, self._size = [], 0
-        self.clock = self._began = self.clock.later(last * chunk.h).short
-        return chunk.after(last)
+    def _counted(self, chunk: Chunk) -> _Tail:
+        """Count the jumps of steps; return the last of them as it can be appended."""
+        last, half = len(chunk.codes) - 1, 0.5 * chunk.h
+        shown, hit = self._shown(chunk.codes), np.any(chunk.struck, axis=1).tolist()
+        jumps = np.where(hit, 1, np.count_nonzero(self._differs(shown), axis=1))
+        begin = self.clock.later(last * chunk.h).short
+        tail = _Tail(
+            chunk.after(last),
+            shown[last - 1] if last else self.row,
+            chunk.codes[last - 1] if last else self._raw,
+            self.count + int(jumps[:last].sum()),
+            begin,
+        )
+        self.row, self._raw = shown[last], chunk.codes[last]
+        self.count, self.clock = tail.jumps + int(jumps[last]), begin
+        # As it is appended.
+        for part in (half, half) if hit[last] else (chunk.h,):
+            self.clock = self.clock.later(part).short
+        return tail
+
+    def _append_tail(self, tail: _Tail) -> None:
+        """Append the last step of those that were only counted."""
+        self.row, self._raw, self.count, self.clock = tail[1:]
+        self._began, self._tail = self.clock, None
+        self._append(tail.step)
 
     def changes(self, chunk: Chunk) -> Bools:
         """Return the steps (k,) in which `add` will record jumps."""
@@ -193,16 +226,25 @@ class Recorder:
 
     def _shown(self, codes: Ints) -> Ints:
         """Let a slip that comes to rest in a step last to its end."""
+        if not self._sticking:
+            return codes
         before = np.vstack([self._raw, codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
         return np.where((codes == PIN) & slid & self.sticks, before, codes)
 
     def _changed(self, shown: Ints) -> Bools:
-        found: Bools = np.any(shown != np.vstack([self.row, shown[:-1]]), axis=1)
+        found: Bools = np.any(self._differs(shown), axis=1)
+        return found
+
+    def _differs(self, shown: Ints) -> Bools:
+        """Return which regions (k, r) are otherwise than in the step before."""
+        found = np.empty(shown.shape, np.bool_)
+        np.not_equal(shown[:1], self.row, out=found[:1])
+        np.not_equal(shown[1:], shown[:-1], out=found[1:])
         return found
 
     def _note_shared(self, shared: Bools) -> None:
-        if shared.any() and self.modes:
+        if shared.any():
             names = {self.regions[i] for i in np.flatnonzero(shared.any(axis=0)).tolist()}
             names.update(self.indeterminate.get(self.key, ()))
             self.indeterminate[self.key] = tuple(n for n in self.regions if n in names)
@@ -214,27 +256,33 @@ class Recorder:
         times: Array = h * np.arange(last - first + 1, dtype=float)
         self._arc(times, coefficients, chunk.solved[first:last])
 
-    def _halves(self, chunk: Chunk, hit: Bools) -> Iterator[tuple[Array, Array]]:
-        """Yield the coefficients (1, w, TERMS) of both halves of every step with impacts."""
+    def _halves(self, chunk: Chunk, hit: Bools) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield the coefficients (1, w, TERMS) of both halves of every step with impacts.
+
+        And the states (2, w) before and after these.
+        """
         steps, n = np.flatnonzero(hit), self.coordinates
+        if not len(steps):
+            return
         left, right = chunk.states[steps], chunk.states[steps + 1]
         first, second = struck(left, right, chunk.solved[steps, :n], chunk.h, n)
+        states = np.stack([first.sum(axis=2), second[:, :, 0]], axis=1)
         for i in range(len(steps)):
-            yield first[i : i + 1], second[i : i + 1]
+            yield first[i : i + 1], second[i : i + 1], states[i]
 
-    def _strike(self, chunk: Chunk, k: int, row: Ints, halves: tuple[Array, Array]) -> None:
+    def _strike(self, chunk: Chunk, k: int, row: Ints, halves: tuple[Array, Array, Array]) -> None:
         """Append a step with impacts in its middle: one jump, whose impulses all regions feel."""
-        times = np.array([0.0, 0.5 * chunk.h])
-        self._arc(times, halves[0], self._held(chunk.solved[k]))
+        times, (first, second, states) = np.array([0.0, 0.5 * chunk.h]), halves
+        self._arc(times, first, self._held(chunk.solved[k : k + 1]))
         self.close()
         if self.modes:
-            self._struck(chunk, k, row, halves[0][0].sum(axis=1), halves[1][0, :, 0].copy())
+            self._struck(chunk, k, row, states)
         else:
             self.row, self.count = row, self.count + 1
-        self._arc(times, halves[1], self._held(chunk.solved[k]))
+        self._arc(times, second, self._held(chunk.solved[k : k + 1]))
 
-    def _struck(self, chunk: Chunk, k: int, row: Ints, before: Array, after: Array) -> None:
-        """Append the jump of a step with impacts, at the state before and after it."""
+    def _struck(self, chunk: Chunk, k: int, row: Ints, states: Array) -> None:
+        """Append the jump of a step with impacts, at the states (2, w) before and after it."""
         felt = np.flatnonzero(chunk.impulses[k].any(axis=1))
         impulses = {
             self.regions[i]: (normal, tangential)
@@ -242,25 +290,20 @@ class Recorder:
                 felt.tolist(), chunk.impulses[k, felt].tolist(), strict=True
             )
         }
-        place = int(chunk.struck[k].argmax())
+        place, (before, after) = int(chunk.struck[k].argmax()), states
+        cause = self._cause(int(self.row[place]), int(row[place]), True)
         time = self.clock.high
-        self._jump(
-            place,
-            self._cause(int(self.row[place]), int(row[place]), True),
-            row,
-            before,
-            after,
-            impulses,
-            (self.energy(before, time), self.energy(after, time)),
-        )
+        energy = self.energy(before, time), self.energy(after, time)
+        self._jump(place, cause, row, before, after, impulses, energy)
 
     def _held(self, solved: Array) -> Array:
         """Return the unknowns (1, u) without forces where the mode at hand is open."""
-        found = solved[None].copy()
-        if self.forces is not None:
-            for i in np.flatnonzero((self.row == FREE) | (self.row == OFF_CODE)).tolist():
-                at = self.forces + 2 * i
-                found[0, at : at + 2] = 0.0
+        if self.forces is None:
+            return solved
+        found = solved.copy()
+        for i in np.flatnonzero((self.row == FREE) | (self.row == OFF_CODE)).tolist():
+            at = self.forces + 2 * i
+            found[0, at : at + 2] = 0.0
         return found
 
     def _arc(self, times: Array, coefficients: Array, solved: Array) -> None:
@@ -272,23 +315,23 @@ class Recorder:
 
     def close(self) -> None:
         """End the arc at hand."""
+        if self._tail is not None:
+            self._append_tail(self._tail)
         if not self._open:
             return
         pieces, self._open, self._size = self._open, [], 0
-        ends, reached = [np.zeros(1)], 0.0
-        for times, _, _ in pieces:
-            ends.append(reached + times[1:])
-            reached = float(ends[-1][-1])
+        times, coefficients, solved = pieces[0]
+        if len(pieces) > 1:
+            ends, reached = [times], float(times[-1])
+            for further, _, _ in pieces[1:]:
+                ends.append(reached + further[1:])
+                reached = float(ends[-1][-1])
+            times = np.concatenate(ends)
+            coefficients = np.concatenate([piece[1] for piece in pieces])
+            solved = np.concatenate([piece[2] for piece in pieces])
+        roles = roles_in(self.key)
         self.arcs.append(
-            Arc(
-                self.key,
-                roles_in(self.key),
-                self._began,
-                self.count,
-                np.concatenate(ends),
-                np.concatenate([piece[1] for piece in pieces]),
-                defined(np.concatenate([piece[2] for piece in pieces])),
-            )
+            Arc(self.key, roles, self._began, self.count, times, coefficients, defined(solved))
         )
         self._began = self.clock
 
