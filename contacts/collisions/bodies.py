@@ -137,6 +137,11 @@ class BodyStepper(Stepper):
         self._declared, self._bodies, self._regions = declared, mechanics, regions
         self._paths = Paths(mechanics.scene)
         self._recall = Recall(mechanics)
+        # What no value of a parameter changes.
+        self._constants = declared.constants()
+        self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
+        self._names, self._surfaces = list(mechanics.scene.bodies), touched(mechanics.scene)
+        self._unlikely = unlikely(declared)
 
     def own_step(self) -> float:
         """Return a step by the scales: of declared parameters, rounded to a digit.
@@ -188,14 +193,14 @@ class BodyStepper(Stepper):
         self, overrides: Mapping[str, float], allowed: float, forces: bool
     ) -> tuple[SceneSetup, SteppedHeap]:
         values, remembered = self._mechanics.parameters.values(overrides)
-        scene, known = self._scene, self._scene.values(overrides)
+        known = self._constants.values(overrides)
         if overrides:
             check_physical(self._declared, known)
             check_shapes(self._declared, known)
         moved = self._bodies.starts.at(values, known)
-        bodies = body_numbers(self._declared, known)
+        bodies = body_numbers(self._declared, known, self._owners)
         setup = self._setup(values, moved, remembered, bodies)
-        law = get_args(Simultaneous).index(scene.simultaneous)
+        law = get_args(Simultaneous).index(self._scene.simultaneous)
 
         def heap(
             bodies: BodyNumbers,
@@ -204,8 +209,9 @@ class BodyStepper(Stepper):
             forces: bool = False,
         ) -> SteppedHeap:
             around = Surroundings(self._bodies, self._paths, self._recall, known, values)
-            names = list(scene.bodies)
-            return SteppedHeap(names, touched(scene), bodies, around, law, allowed, deepest, forces)
+            return SteppedHeap(
+                self._names, self._surfaces, bodies, around, law, allowed, deepest, forces
+            )
 
         bodies = self._started(setup, bodies, known, heap)
         return setup, heap(bodies, allowed, DEEPEST * setup.scales.length, forces)
@@ -234,7 +240,7 @@ class BodyStepper(Stepper):
             bands={},
             sizes=np.ones(len(initial)),
             warnings=(
-                *unlikely(self._declared),
+                *self._unlikely,
                 *implied_remarks(self._scene, bodies.joints, moved),
             ),
         )  # fmt: skip
@@ -255,7 +261,7 @@ class BodyStepper(Stepper):
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
         begun = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
-        for surface, frame in zip(touched(scene), begun.frames[0], strict=True):
+        for surface, frame in zip(self._surfaces, begun.frames[0], strict=True):
             if not np.isfinite(frame).all():
                 turns = not np.isfinite(frame[2])
                 raise DeclarationProblem(
@@ -282,9 +288,9 @@ class BodyStepper(Stepper):
                 return trial(numbers, start)
             return by_python(lambda: trial(numbers, start))
 
-        names, near = list(scene.bodies), _START_DEPTH * length
+        near = _START_DEPTH * length
         try:
-            check_apart(looked, bodies, names, owners, setup.initial, near)
+            check_apart(looked, bodies, self._names, owners, setup.initial, near)
         except NonFinite as error:
             raise DeclarationProblem(f"{error.message} at the start", loc=("forces",)) from None
         return bodies

@@ -22,7 +22,9 @@ from statechart.formulas.formula import parse
 _Number = Callable[[str | int | float], float]
 
 
-def body_numbers(scene: Scene, known: Mapping[str, float]) -> BodyNumbers:
+def body_numbers(
+    scene: Scene, known: Mapping[str, float], owners: Mapping[str, str] | None = None
+) -> BodyNumbers:
     """Evaluate a scene with collisions.
 
     Parameters
@@ -31,6 +33,8 @@ def body_numbers(scene: Scene, known: Mapping[str, float]) -> BodyNumbers:
         As declared.
     known : mapping of str to float
         Parameters.
+    owners : mapping of str to str, optional
+        The scene's `owners`, of one that is evaluated many times.
 
     Raises
     ------
@@ -41,7 +45,8 @@ def body_numbers(scene: Scene, known: Mapping[str, float]) -> BodyNumbers:
     def number(text: str | int | float) -> float:
         return parse(text).value(known)
 
-    owners = scene.owners()
+    if owners is None:
+        owners = scene.owners()
     kinds, laws, materials = _laws(scene, [*owners.values()], number)
     # Copies have the numbers of one of them.
     outlines = [_outline(body, number) for body in scene.bodies.values()]
@@ -101,20 +106,26 @@ def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
     pieces = [piece for outline in outlines for piece in outline]
     first = np.cumsum(counts) - counts
     # Of every piece of every body which of the declared ones it is.
-    order = [np.arange(first[kind], first[kind] + counts[kind]) for kind in kinds.tolist()]
-    which = np.concatenate([np.empty(0, np.int64), *order])
+    which = _runs(first[kinds], counts[kinds])
     many = np.array([len(piece.corners) for piece in pieces], dtype=np.int64)
-    corners = [pieces[place].corners for place in which.tolist()]
+    corners = np.concatenate([np.empty((0, 2)), *(piece.corners for piece in pieces)])
     middles = np.array([piece.middle for piece in pieces], dtype=float).reshape(-1, 2)
     numbers = [np.array([piece[at] for piece in pieces], dtype=float)[which] for at in range(2, 6)]
     return PieceNumbers(
         np.repeat(np.arange(len(kinds)), counts[kinds]),
         np.concatenate([[0], np.cumsum(counts[kinds])]),
-        np.concatenate([np.empty((0, 2)), *corners]),
+        corners[_runs((np.cumsum(many) - many)[which], many[which])],
         np.concatenate([[0], np.cumsum(many[which])]),
         middles[which],
         *numbers,
     )
+
+
+def _runs(firsts: Ints, counts: Ints) -> Ints:
+    """Return one after another the so many whole numbers from each of these on."""
+    ends = np.cumsum(counts)
+    found: Ints = np.arange(counts.sum()) + np.repeat(firsts - ends + counts, counts)
+    return found
 
 
 def _inverse(owner: str, body: Body, number: _Number) -> list[float]:

@@ -40,6 +40,11 @@ class Paths:
     ----------
     scene : Scene
         As declared. Paths may use what its controllers remember.
+
+    Attributes
+    ----------
+    any : bool
+        Whether there are any.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -54,9 +59,14 @@ class Paths:
         for joint in scene.joints.values():
             path = joint.to if isinstance(joint.to, Path) else Path(x=0, y=0)
             expressions += [parse(text or 0).to_sympy(known) for text in (path.x, path.y)]
+        self.any = bool(self._moved or self._joints)
         self._tape = compile_tape(
             expressions, variables=tuple(memory.values()), parameters=parameters, time=time
         )
+
+    def none(self, count: int) -> Where:
+        """Return where all is at so many instants when nothing has a path."""
+        return Where(np.zeros((count, self._surfaces, 3)), np.zeros((count, 0, 2)))
 
     def at(self, known: Mapping[str, float], times: Array, memories: Array) -> Where:
         """Return where all is at instants.
@@ -70,9 +80,9 @@ class Paths:
             What controllers remember then.
         """
         count, moved = len(times), len(self._moved)
+        if not self.any:
+            return self.none(count)
         frames = np.zeros((count, self._surfaces, 3))
-        if not moved and not self._joints:
-            return Where(frames, np.zeros((count, 0, 2)))
         values = np.array([known[name] for name in self._names], dtype=float)
         found = self._tape.table(memories, values, times)
         frames[:, self._moved] = found[:, : 3 * moved].reshape(count, moved, 3)

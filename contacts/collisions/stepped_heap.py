@@ -86,11 +86,8 @@ class SteppedHeap:
     @property
     def margins(self) -> dict[str, float]:
         """The least gaps seen of every body, at the midpoints of steps."""
-        return {
-            f"{name}.gap": float(gap)
-            for name, gap in zip(self._names, self._least, strict=True)
-            if np.isfinite(gap)
-        }
+        least = zip(self._names, self._least.tolist(), strict=True)
+        return {f"{name}.gap": gap for name, gap in least if math.isfinite(gap)}
 
     def deepest_of(self, body: int) -> str:
         """Return what a body touches the deepest since the last step; "" where that is covered."""

@@ -77,6 +77,13 @@ class Surroundings:
         first = number if abs(start - number * h) <= _SAME * h else start / h
         times: Array = h * (first + 0.5 * np.arange(2 * count + 2, dtype=float))
         memories = self._recall.along(self._states, self._values, remembered, times)
+        seen = np.concatenate([memories[:1], memories[1::2]])
+        if not self._paths.any:
+            return (
+                Ahead(*self._paths.none(count + 2), seen, self._forces),
+                memories[2::2],
+                count + 1,
+            )
         now = self._paths.at(self._known, times[:1], memories[:1])
         looks = self._paths.at(self._known, times[1::2], memories[1::2])
         before = Where(*(2.0 * a - b[:1] for a, b in zip(now, looks, strict=True)))
@@ -102,7 +109,6 @@ class Surroundings:
         if known < len(looks.frames):
             for rows in (frames, places):
                 rows[known + 1 :] = 2.0 * rows[known] - rows[known - 1]
-        seen = np.concatenate([memories[:1], memories[1::2]])
         return Ahead(frames, places, seen, self._forces), memories[2::2], known
 
     def _without(self, looks: Where) -> str:
@@ -126,5 +132,5 @@ class Surroundings:
 
     def passed(self, count: int) -> None:
         """Note how many of these steps were taken."""
-        if count:
+        if count and self._paths.any:
             self._last = Where(*(rows[count - 1 : count] for rows in self._looks)), self._h

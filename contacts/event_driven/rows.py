@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
-from contacts.dynamics.run_numbers import Rules, room
+from contacts.dynamics.run_numbers import Numbers, Rules, room
 from contacts.dynamics.setup import LOOK_AHEAD, SHORT, TIE, SceneNumbers, doubtful, tolerated
 from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.run_on import CAUSES
@@ -63,65 +64,11 @@ class RowCall:
         literals = numbers.parameters.literals
         self._given_at = [(i, names.index(name)) for i, name in enumerate(inputs) if name in names]
         self._fixed = np.array([*(literals.get(name, math.nan) for name in inputs), math.inf])
-        variables, parameters = len(loop.memory.state), len(numbers.parameters.names)
-        # What contacts may do is the same whatever the values.
-        laws = numbers.contacts(np.zeros(parameters))
-        contacts, may = len(laws), allowed(tuple([law.states for law in laws]))
-        means = np.array([meaning(law) for law in laws], np.int64)
-        found = [numbers.coefficients(*item) for item in numbers.scene.contacts.items()]
-        places = [[-1 if place is None else place for place, _ in one] for one in found]
-        fixed = [[value for _, value in one] for one in found]
-        gap, speed, force = tolerated(relative)
-        conditions = numbers.conditions
-        bands = [*numbers.stops, *(name for _, name in conditions.listed)]
-        bands += [f"{law.name}.{OFF}" for law in laws]
-        scene = SceneRows(
-            loop.tapes,
-            rules,
-            np.array(places, np.int64).reshape(contacts, 3),
-            np.array(fixed, float).reshape(contacts, 3),
-            np.array([bands.index(m) if m in bands else -1 for m in loop.margins], np.int64),
-            may,
-            means,
-            _starts([law.name for law in laws], numbers.scene.initial_modes),
-            gap,
-            speed,
-            force,
-            DRIFT,
-            CREEP,
-            UNSEEN,
-            TIE,
-            doubtful(relative),
-            FAST,
-            SHORT,
-            LOOK_AHEAD,
-        )
-        made = room(parameters, variables, rules, contacts)
-        count = int(loop.tapes[1, 5])
-        watch = Watch(
-            np.empty(parameters),
-            np.empty(len(KINDS)),
-            np.empty(len(loop.margins)),
-            np.empty(variables),
-            loop.tapes[1],
-            np.zeros(count),
-            np.zeros(count),
-            0.0,
-        )
-        instants = SceneWatch(
-            loop.tapes[0],
-            loop.tapes[2],
-            rules.owners,
-            np.empty(len(rules.owners)),
-            may,
-            np.empty((contacts, 2)),
-            np.empty(contacts),
-            means,
-            *[0.0] * 11,
-        )
-        self.series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
+        laws = numbers.contacts(np.zeros(len(numbers.parameters.names)))
+        scene = _declared(numbers, rules, loop, laws, relative)
         self._given = loop.program, loop.pace, loop.memory, scene, *tape.program
-        self._memory = made, watch, instants, self.series
+        self._memory = _memory(numbers, rules, loop, scene)
+        self.series = self._memory[-1]
         self._entry: Callable[..., int] | None = None
 
     def inputs(self, table: Array) -> Array:
@@ -149,3 +96,68 @@ def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
             fits = {state, *superstates_of((state,)).values()}
             found[place, code] = wanted is None or wanted in fits
     return found
+
+
+def _declared(
+    numbers: SceneNumbers, rules: Rules, loop: Loop, laws: Sequence[ContactLaw], relative: float
+) -> SceneRows:
+    """Return what is the same whatever the values: what contacts may do, where coefficients are."""
+    count = len(laws)
+    found = [numbers.coefficients(*item) for item in numbers.scene.contacts.items()]
+    places = [[-1 if place is None else place for place, _ in one] for one in found]
+    fixed = [[value for _, value in one] for one in found]
+    gap, speed, force = tolerated(relative)
+    bands = [*numbers.stops, *(name for _, name in numbers.conditions.listed)]
+    bands += [f"{law.name}.{OFF}" for law in laws]
+    return SceneRows(
+        loop.tapes,
+        rules,
+        np.array(places, np.int64).reshape(count, 3),
+        np.array(fixed, float).reshape(count, 3),
+        np.array([bands.index(m) if m in bands else -1 for m in loop.margins], np.int64),
+        allowed(tuple([law.states for law in laws])),
+        np.array([meaning(law) for law in laws], np.int64),
+        _starts([law.name for law in laws], numbers.scene.initial_modes),
+        gap,
+        speed,
+        force,
+        DRIFT,
+        CREEP,
+        UNSEEN,
+        TIE,
+        doubtful(relative),
+        FAST,
+        SHORT,
+        LOOK_AHEAD,
+    )
+
+
+def _memory(
+    numbers: SceneNumbers, rules: Rules, loop: Loop, scene: SceneRows
+) -> tuple[Numbers, Watch, SceneWatch, Array]:
+    """Return where runs are made: of their starts, steps and instants, and series of jumps."""
+    variables, parameters = len(loop.memory.state), len(numbers.parameters.names)
+    contacts, count = len(scene.meanings), int(loop.tapes[1, 5])
+    watch = Watch(
+        np.empty(parameters),
+        np.empty(len(KINDS)),
+        np.empty(len(loop.margins)),
+        np.empty(variables),
+        loop.tapes[1],
+        np.zeros(count),
+        np.zeros(count),
+        0.0,
+    )
+    instants = SceneWatch(
+        loop.tapes[0],
+        loop.tapes[2],
+        rules.owners,
+        np.empty(len(rules.owners)),
+        scene.allowed,
+        np.empty((contacts, 2)),
+        np.empty(contacts),
+        scene.meanings,
+        *[0.0] * 11,
+    )
+    series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
+    return room(parameters, variables, rules, contacts), watch, instants, series

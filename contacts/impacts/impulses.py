@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -177,6 +178,11 @@ class _Problem:
             not any(restitution[i] > 0.0 for i in group),
         )
 
+    @cached_property
+    def reaches(self) -> Array:
+        """The sizes of the Jacobians (g, 2, m)."""
+        return np.abs(self.jacobians)
+
     def solve(self, codes: Sequence[Sequence[int]]) -> list[Impulses]:
         """Solve the combinations of modes, and return those that agree with the laws."""
         table = np.array(codes, dtype=np.int64).reshape(-1, len(self.group))
@@ -225,9 +231,7 @@ class _Problem:
     def _after(self, change: Array) -> tuple[Array, Array]:
         """Return the velocities (.., g, 2) after, and the sizes of the terms they consist of."""
         after = self.start + np.einsum("gdn,...n->...gd", self.jacobians, change)
-        terms = np.abs(self.start) + np.einsum(
-            "gdn,...n->...gd", np.abs(self.jacobians), np.abs(change)
-        )
+        terms = np.abs(self.start) + np.einsum("gdn,...n->...gd", self.reaches, np.abs(change))
         # Velocities that cancel (a ball that stays on the floor under an impact) carry rounding
         # of the impulses, though their own terms are zero.
         return after, np.maximum(terms, _ROUNDED * terms.max(axis=(-2, -1), keepdims=True))
@@ -243,7 +247,8 @@ class _Problem:
         sizes = np.hypot(impulses[..., 0], impulses[..., 1])
         cone_n, cone_t = self.cones.T
         V, H = impulses[..., 0], impulses[..., 1]
-        sign = np.select([table == SLIDE_PLUS, table == SLIDE_MINUS], [1.0, -1.0])
+        forwards, backwards, free = table == SLIDE_PLUS, table == SLIDE_MINUS, table == FREE
+        sign = np.where(forwards, 1.0, np.where(backwards, -1.0, 0.0))
         outside = np.where(
             sign != 0.0,
             sign * cone_t * H - cone_n * V,
@@ -251,12 +256,9 @@ class _Problem:
         )
         outside = np.divide(outside, sizes, out=np.zeros_like(sizes), where=sizes > 0.0)
         shut = np.maximum(np.abs(normal), outside)
-        worst = np.where(table == FREE, -normal, shut)
-        along = np.select(
-            [table == SLIDE_PLUS, table == SLIDE_MINUS, (table == PIN) | (table == _PRESS)],
-            [-slip, slip, np.abs(slip)],
-            default=-np.inf,
-        )
+        worst = np.where(free, -normal, shut)
+        still = np.where((table == PIN) | (table == _PRESS), np.abs(slip), -np.inf)
+        along = np.where(forwards, -slip, np.where(backwards, slip, still))
         if self.plastic:
             # Combinations that solve nothing may have any impulses.
             with np.errstate(over="ignore", invalid="ignore"):
@@ -265,10 +267,13 @@ class _Problem:
                 )
                 runaway |= work > _GAIN * size
         found = np.maximum(worst, along).max(axis=1)
-        return np.where(runaway, np.inf, np.maximum(found, self._unexplained(changes, impulses)))
+        unexplained = self._unexplained(changes, impulses, terms)
+        return np.where(runaway, np.inf, np.maximum(found, unexplained))
 
-    def _unexplained(self, changes: Array, impulses: Array) -> Array:
+    def _unexplained(self, changes: Array, impulses: Array, speeds: Array) -> Array:
         """Return the largest change of momentum (..,) that no impulse explains, relatively.
+
+        Of terms of the velocities after it as large as these speeds (.., g, 2).
 
         The solver compares a row with the largest; a light body beside heavy ones has its own. A
         mass that couples two coordinates is known to the rounding of both; and a momentum that
@@ -278,11 +283,10 @@ class _Problem:
         sizes = np.hypot(impulses[..., 0], impulses[..., 1])
         roots = np.sqrt(np.diag(self.mass))
         terms = np.abs(changes) @ np.where(self.mass != 0.0, np.outer(roots, roots), 0.0)
-        terms += np.einsum("gdn,...g->...n", np.abs(self.jacobians), sizes)
-        reach = np.abs(self.jacobians).max(axis=(0, 1))
+        terms += np.einsum("gdn,...g->...n", self.reaches, sizes)
+        reach = self.reaches.max(axis=(0, 1))
         inertia = np.divide(roots**2, reach, out=np.zeros_like(reach), where=reach > 0.0)
-        fastest = self._after(changes)[1].max(axis=(-2, -1))
-        terms += _ROUNDED * fastest[..., None] * inertia
+        terms += _ROUNDED * speeds.max(axis=(-2, -1))[..., None] * inertia
         missed = np.abs(changes @ self.mass - pushes)
         relative = np.divide(missed, terms, out=np.zeros_like(terms), where=terms > 0.0)
         return np.asarray(relative.max(axis=-1))
@@ -327,7 +331,7 @@ class _Problem:
         )
         code = np.where(shut, code, FREE)
         given, unknown = smallest(code, self.jacobians, self.cones, collision.impulses)
-        if self._unexplained(collision.change, given) > _TIE:
+        if self._unexplained(collision.change, given, terms) > _TIE:
             given = collision.impulses
         change, impulses = np.zeros(self.size), np.zeros((count, 2))
         change[self.moved] = collision.change

@@ -193,6 +193,10 @@ class SceneFields(Declaration):
         flat = self.controlled.flat.values()
         return frozenset(timer for region in flat for timer in region.timers)
 
+    def counted(self, values: Mapping[str, float]) -> dict[str, int | None]:
+        """Return how many copies there are of every body; None where it is declared as one."""
+        return copies(self, values)
+
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the scene itself, or the one with as many copies as `overrides` make.
 

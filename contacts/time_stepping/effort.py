@@ -44,20 +44,23 @@ class Effort:
 
     def add(self, chunk: Chunk, start: float) -> None:
         """Count steps, of which the first begins at `start`."""
-        missed, iterations, contacts, softened, ambiguous, left = chunk.efforts.T
-        self._iterations += int(iterations.sum())
-        self._contacts += int(contacts.sum())
-        self._most = max(self._most, int(contacts.max()))
-        self._missed += int((missed > self._tolerance).sum())
-        self._softened += int(softened.sum())
-        if not self._ambiguous and ambiguous.any():
+        missed, _, _, _, ambiguous, left = chunk.efforts.T
+        _, iterations, contacts, softened, struck, _ = chunk.efforts.sum(axis=0).tolist()
+        most_missed, _, most, _, _, most_left = chunk.efforts.max(axis=0).tolist()
+        self._iterations += int(iterations)
+        self._contacts += int(contacts)
+        self._most = max(self._most, int(most))
+        if most_missed > self._tolerance:
+            self._missed += int((missed > self._tolerance).sum())
+        self._softened += int(softened)
+        if struck and not self._ambiguous:
             self._first = start + (int(np.argmax(ambiguous)) + 0.5) * chunk.h
-        self._ambiguous += int(ambiguous.sum())
-        self._unended += int((left > 0.0).sum())
-        self._left = max(self._left, float(left.max()))
-        k = int(np.argmax(missed))
-        if missed[k] > self.residual:
-            self.residual, self._when = float(missed[k]), start + k * chunk.h
+        self._ambiguous += int(struck)
+        if most_left > 0.0:
+            self._unended += int((left > 0.0).sum())
+        self._left = max(self._left, most_left)
+        if most_missed > self.residual:
+            self.residual, self._when = most_missed, start + int(np.argmax(missed)) * chunk.h
 
     @property
     def counts(self) -> dict[str, int]:

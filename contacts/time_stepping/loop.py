@@ -26,12 +26,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
+import numpy as np
+
 from contacts.time_stepping.begun import Begun, Span, Stepping
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.effort import Effort
 from contacts.time_stepping.polynomials import TERMS
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.refused import Refused, no_room, squeezed, too_large
+from contacts.time_stepping.refused import Refused, evenly, no_room, squeezed, too_large
 from contacts.time_stepping.stops import StopConditions
 from contacts.time_stepping.track import Track
 from statechart import interrupts
@@ -101,6 +103,7 @@ class SteppedRun:
         self.effort = Effort(span.impulses)
         poses = span.keeping.record is Record.POSES
         self._track = Track(len(stepping.angles)) if poses else None
+        self._turning = evenly(len(stepping.angles) + np.flatnonzero(stepping.angles))
 
     def end(self, outcome: Outcome, message: str) -> None:
         """Let the run end, and say why."""
@@ -261,7 +264,7 @@ class SteppedRun:
     def _refused(self, chunk: Chunk, start: float) -> Refused | None:
         """Return the first step that cannot be taken as it is."""
         regions, size, step = self.stepping.regions, self.setup.scales.length, self.span.step
-        found = too_large(chunk, self.stepping.angles, regions, size, step)
+        found = too_large(chunk, self._turning, regions, size, step)
         if found is None or not found.deep:
             return found
         k = found.step

@@ -48,22 +48,22 @@ def struck(
     acceleration : (k, n) array
         Under what lasts.
     """
-    middle = 0.5 * (left + right)[:, 2 * n :]
+    kept = slice(2 * n, None)
+    middle = 0.5 * (left[:, kept] + right[:, kept])
     # Of the velocities as they were and will be, so that the ends of the step are exact.
+    rates, gained = right[:, n : 2 * n], 0.5 * h * acceleration
+    second = np.empty_like(right)
+    second[:, :n] = right[:, :n] - 0.5 * h * (rates - 0.25 * h * acceleration)
+    second[:, n : 2 * n] = rates - gained
+    second[:, kept] = middle
     halves = []
-    for state, sign in ((left, 1.0), (right, -1.0)):
+    for begin, change in ((left, middle - left[:, kept]), (second, -(middle - right[:, kept]))):
         half = np.zeros((*left.shape, TERMS))
-        rates = state[:, n : 2 * n]
-        near = rates + sign * 0.25 * h * acceleration
-        other = state[:, :n] + sign * 0.5 * h * near
-        fast = rates + sign * 0.5 * h * acceleration
-        begin = (state[:, :n], rates) if sign > 0.0 else (other, fast)
-        half[:, :n, 0], half[:, n : 2 * n, 0] = begin
-        half[:, :n, 1] = 0.5 * h * begin[1]
+        half[:, :, 0] = begin
+        half[:, :n, 1] = 0.5 * h * begin[:, n : 2 * n]
         half[:, :n, 2] = 0.125 * h**2 * acceleration
-        half[:, n : 2 * n, 1] = 0.5 * h * acceleration
-        half[:, 2 * n :, 0] = state[:, 2 * n :] if sign > 0.0 else middle
-        half[:, 2 * n :, 1] = sign * (middle - state[:, 2 * n :])
+        half[:, n : 2 * n, 1] = gained
+        half[:, kept, 1] = change
         halves.append(half)
     return halves[0], halves[1]
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,16 @@ from statechart.automaton.trace import Arc, Jump, Key
 
 # An arc longer than so many bytes goes on as another one.
 _LONGEST = 2**23
+
+
+class _Tail(NamedTuple):
+    """A step, and the recorder before it: modes shown and told, jumps, and when it begins."""
+
+    step: Chunk
+    row: Ints
+    raw: Ints
+    jumps: int
+    clock: Clock
 
 
 @dataclass(eq=False)
@@ -58,8 +69,8 @@ class Recorder:
         Whether modes and jumps of regions are told; else it is counted how many jumps there are,
         and arcs end where they would.
     arcs_too : bool
-        Whether somebody looks at arcs; else they are made of the last step alone, in which a stop
-        condition may be met.
+        Whether somebody looks at arcs; else they are made of the last step of a run alone, in which
+        a stop condition may be met.
 
     Attributes
     ----------
@@ -86,13 +97,14 @@ class Recorder:
 
     def __post_init__(self) -> None:
         self._keys: dict[bytes, Key] = {}
-        self.row = self.start
+        self.row, self._sticking = self.start, bool(self.sticks.any())
         self._raw = self.start
         self.key = self._key(self.start)
         self.start_key = self.key
         self._began = self.clock
         self._open: list[Stretch] = []
         self._size = 0
+        self._tail: _Tail | None = None
         self._maker = Maker(self.regions, self.energy)
         self._arcs: list[Line | Arc] = []
         self._jumps: list[Stroke | Jump] = []
@@ -108,8 +120,12 @@ class Recorder:
 
     def add(self, chunk: Chunk) -> None:
         """Append steps."""
-        if not self.arcs_too:
-            chunk = self._last(chunk)
+        if self.arcs_too:
+            self._append(chunk)
+        else:
+            self._tail = self._counted(chunk)
+
+    def _append(self, chunk: Chunk) -> None:
         shown = self._shown(chunk.codes)
         hit: Bools = np.any(chunk.struck, axis=1)
         steps = Steps.of(chunk, hit, self.coordinates, self.clock)
@@ -132,17 +148,31 @@ class Recorder:
         if self._size > _LONGEST:
             self.close()
 
-    def _last(self, chunk: Chunk) -> Chunk:
-        """Count the jumps of all steps but the last, and return that one."""
-        last = len(chunk.codes) - 1
-        shown, hit = self._shown(chunk.codes)[:last], chunk.struck[:last].any(axis=1)
-        changed = shown != self._before(shown) if last else np.zeros((0, 1))
-        self.count += int(hit.sum()) + int(changed[~hit].sum())
-        if last:
-            self.row, self._raw = shown[-1], chunk.codes[last - 1]
-        self._open, self._size = [], 0
-        self.clock = self._began = self.clock.later(last * chunk.h).short
-        return chunk.after(last)
+    def _counted(self, chunk: Chunk) -> _Tail:
+        """Count the jumps of steps; return the last of them as it can be appended."""
+        last, half = len(chunk.codes) - 1, 0.5 * chunk.h
+        shown, hit = self._shown(chunk.codes), np.any(chunk.struck, axis=1).tolist()
+        jumps = np.where(hit, 1, np.count_nonzero(self._differs(shown), axis=1))
+        begin = self.clock.later(last * chunk.h).short
+        tail = _Tail(
+            chunk.after(last),
+            shown[last - 1] if last else self.row,
+            chunk.codes[last - 1] if last else self._raw,
+            self.count + int(jumps[:last].sum()),
+            begin,
+        )
+        self.row, self._raw = shown[last], chunk.codes[last]
+        self.count, self.clock = tail.jumps + int(jumps[last]), begin
+        # As it is appended.
+        for part in (half, half) if hit[last] else (chunk.h,):
+            self.clock = self.clock.later(part).short
+        return tail
+
+    def _append_tail(self, tail: _Tail) -> None:
+        """Append the last step of those that were only counted."""
+        self.row, self._raw, self.count, self.clock = tail[1:]
+        self._began, self._tail = self.clock, None
+        self._append(tail.step)
 
     def changes(self, chunk: Chunk) -> Bools:
         """Return the steps (k,) in which `add` will record jumps."""
@@ -211,6 +241,8 @@ class Recorder:
 
     def _shown(self, codes: Ints) -> Ints:
         """Let a slip that comes to rest in a step last to its end."""
+        if not self._sticking:
+            return codes
         before = np.vstack([self._raw, codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
         return np.where((codes == PIN) & slid & self.sticks, before, codes)
@@ -219,7 +251,14 @@ class Recorder:
         return np.vstack([self.row, shown[:-1]])
 
     def _changed(self, shown: Ints) -> Bools:
-        found: Bools = np.any(shown != self._before(shown), axis=1)
+        found: Bools = np.any(self._differs(shown), axis=1)
+        return found
+
+    def _differs(self, shown: Ints) -> Bools:
+        """Return which regions (k, r) are otherwise than in the step before."""
+        found = np.empty(shown.shape, np.bool_)
+        np.not_equal(shown[:1], self.row, out=found[:1])
+        np.not_equal(shown[1:], shown[:-1], out=found[1:])
         return found
 
     def _note_shared(self, shared: Bools) -> None:
@@ -255,6 +294,8 @@ class Recorder:
 
     def close(self) -> None:
         """End the arc at hand."""
+        if self._tail is not None:
+            self._append_tail(self._tail)
         if not self._open:
             return
         self._arcs.append(Line(self.key, self._began, self.count, tuple(self._open)))

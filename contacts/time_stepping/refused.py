@@ -11,7 +11,7 @@ import numpy as np
 from contacts.states import OFF_CODE
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.energy import MOST_ADDED
-from statechart.arrays import Array, Bools
+from statechart.arrays import Array, Ints
 from statechart.errors import StepTooLarge, UnsolvedImpulses
 
 DEEPEST = 0.1
@@ -41,15 +41,15 @@ class Refused(NamedTuple):
 
 
 def too_large(
-    chunk: Chunk, angles: Bools, regions: Sequence[str], size: float, step: float
+    chunk: Chunk, angles: slice | Ints, regions: Sequence[str], size: float, step: float
 ) -> Refused | None:
     """Return the first step that is too large for what happens in it.
 
     Parameters
     ----------
     chunk : Chunk
-    angles : (n,) array of bool
-        Coordinates that are angles.
+    angles : slice or (a,) array of int
+        Where the rates of angles are in a state; see `evenly`.
     regions : sequence of str
     size : float
         Of the scene.
@@ -57,8 +57,7 @@ def too_large(
         As asked for, of which those of the chunk may be parts.
     """
     h = chunk.h
-    rates = chunk.states[1:, len(angles) + np.flatnonzero(angles)]
-    turn: Array = h * np.max(np.abs(rates), axis=1, initial=0.0)
+    turn: Array = h * np.max(np.abs(chunk.states[1:, angles]), axis=1, initial=0.0)
     wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
     wrong |= chunk.gained > MOST_ADDED
     if not wrong.any():
@@ -89,6 +88,14 @@ def too_large(
     ), regions[int(np.argmin(_gaps(chunk)[k]))])  # fmt: skip
 
 
+def evenly(places: Ints) -> slice | Ints:
+    """Return a slice where places are evenly apart: it copies nothing."""
+    steps = np.diff(places)
+    if len(steps) and np.all(steps == steps[0]):
+        return slice(int(places[0]), int(places[-1]) + 1, int(steps[0]))
+    return places
+
+
 def squeezed(chunk: Chunk, regions: Sequence[str], step: float, fastest: float) -> Refused | None:
     """Return the first step in which something sinks that no impulses keep out.
 
@@ -101,10 +108,13 @@ def squeezed(chunk: Chunk, regions: Sequence[str], step: float, fastest: float) 
     fastest : float
         Approach before the chunk.
     """
+    helpless = chunk.efforts[:, 0] > _HELPLESS
+    if not helpless.any():
+        return None
     gaps = _gaps(chunk)
     deepest: Array = np.min(gaps, axis=1, initial=math.inf)
     approach = np.maximum.accumulate(np.maximum(chunk.approach, fastest))
-    wrong = (deepest < -step * approach) & (chunk.efforts[:, 0] > _HELPLESS)
+    wrong = (deepest < -step * approach) & helpless
     if not wrong.any():
         return None
     k = int(np.argmax(wrong))

@@ -27,14 +27,15 @@ def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
     """
     if event.region is None and jump.cause == event.cause:
         return True
-    return any(
-        event.region in (None, region.name)
-        and (
-            event.cause in _causes(region, jump, before, after)
-            or (event.region is not None and _entered(region, before, after, event.cause))
-        )
-        for region, before, after in zip(regions, jump.source, jump.target, strict=True)
-    )
+    named = event.region
+    for region, before, after in zip(regions, jump.source, jump.target, strict=True):
+        if named is not None and region.name != named:
+            continue
+        if event.cause in _causes(region, jump, before, after):
+            return True
+        if named is not None and _entered(region, before, after, event.cause):
+            return True
+    return False
 
 
 def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, ...]:

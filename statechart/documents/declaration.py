@@ -155,6 +155,10 @@ class Declaration(Part):
         """Variables that nobody declared: what transitions wait by."""
         return frozenset()
 
+    def counted(self, values: Mapping[str, float]) -> Mapping[str, int | None]:
+        """Return how many there are of what parameters with these values count."""
+        return {}
+
     def variant(self, overrides: Mapping[str, float]) -> Self:
         """Return the model that runs with `overrides`: another where they change what it has."""
         return self
@@ -288,15 +292,7 @@ class Declaration(Part):
         return {}
 
     def omitted(self, values: Mapping[str, float], *, stepped: bool) -> Mapping[str, str]:
-        """Return what a run does without, and why.
-
-        Parameters
-        ----------
-        values : mapping of str to float
-            Parameters of the run.
-        stepped : bool
-            Whether it was by time stepping.
-        """
+        """Return what a run with these values of parameters, stepped or not, lacks, and why."""
         return {}
 
     def check_values(self, values: Mapping[str, float]) -> None:

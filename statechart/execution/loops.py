@@ -32,6 +32,29 @@ _WORTH = 2000
 _STEPS, _PART = 512, 1 << 17
 
 
+class _Worth:
+    """Whether it pays to have something compiled: it is, on disk, or it was asked for often.
+
+    To look on the disk takes as long as a short run: that is done when twice as much was asked for.
+
+    Parameters
+    ----------
+    compiled : callable
+        Looks.
+    """
+
+    def __init__(self, compiled: Callable[[], bool]) -> None:
+        self._compiled, self._asked, self._found = compiled, 0, False
+
+    def asked(self, count: int = 1) -> bool:
+        """Return whether it does, for so many more."""
+        before = self._asked.bit_length()
+        self._asked += count
+        if not self._found and self._asked.bit_length() > before:
+            self._found = self._compiled()
+        return self._found or self._asked > _WORTH
+
+
 class Modes:
     """The modes of a simulator for one set of zero parameters, as a `Program`; grows.
 
@@ -57,9 +80,9 @@ class Modes:
         self._entries: dict[Kind, Entry] = {}
         self._bands: dict[str, int] = {}
         self._loop: Loop | None = None
-        self._asked, self._worth = 0, False
+        self._worth = _Worth(ordinary.compiled)
         self._calls: dict[tuple[str, ...], RowCall | None] = {}
-        self._rows_asked, self._rows_worth = 0, False
+        self._rows_worth = _Worth(ordinary.rows_compiled)
 
     def compiled(self, kind: Kind) -> CompiledMode:
         """Return a mode that was added."""
@@ -95,10 +118,7 @@ class Modes:
 
         As a loop it is compiled once it is worth that.
         """
-        self._rows_asked += count
-        if not self._rows_worth:
-            self._rows_worth = self._rows_asked > _WORTH or self._ordinary.rows_compiled()
-        if not self._rows_worth or not self._compiled:
+        if not self._rows_worth.asked(count) or not self._compiled:
             return None
         if names not in self._calls:
             if self._loop is None:
@@ -120,10 +140,7 @@ class Modes:
         """Return what loops run through from a flow on; None where they cannot enter it."""
         if (mode, roles) not in self._compiled:
             return None
-        self._asked += 1
-        if not self._worth:
-            self._worth = self._asked > _WORTH or self._ordinary.compiled()
-        if not self._worth:
+        if not self._worth.asked():
             return None
         if self._loop is None:
             self._loop = self._made()

@@ -11,7 +11,7 @@ from statechart.documents.document import Document
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read
 from statechart.errors import DeclarationError, close_matches
-from statechart.loading.kind import kinds, loaded
+from statechart.loading.kind import entry, kinds, loaded
 from statechart.loading.offered import module
 
 
@@ -28,23 +28,26 @@ def interpret(document: Document) -> Declaration:
     DeclarationError
         If it names no known kind, or is not a correct model of it.
     """
-    name, offered = document.data.get("kind"), kinds()
-    if not isinstance(name, str) or name not in offered:
-        at = document.position(("kind",))
-        given = document.data.get("kind") is not None
-        known = close_matches(str(name), offered)
-        raise DeclarationError(
-            f"unknown kind {name!r}"
-            if given
-            else "kind: nothing is written"
-            if "kind" in document.data
-            else "'kind' is missing",
-            advice=known if given else f"begin with kind: scene; {known}",
-            source=at.source,
-            line=at.line,
-            column=at.column,
-        )
-    return validate(document, loaded(offered[name]).model)
+    name = document.data.get("kind")
+    try:
+        offered = entry(name) if isinstance(name, str) else None
+    except KeyError:
+        offered = None
+    if offered is not None:
+        return validate(document, loaded(offered).model)
+    at = document.position(("kind",))
+    given, known = name is not None, close_matches(str(name), kinds())
+    raise DeclarationError(
+        f"unknown kind {name!r}"
+        if given
+        else "kind: nothing is written"
+        if "kind" in document.data
+        else "'kind' is missing",
+        advice=known if given else f"begin with kind: scene; {known}",
+        source=at.source,
+        line=at.line,
+        column=at.column,
+    )
 
 
 def load(path_or_name: str | Path) -> Declaration:
@@ -117,8 +120,8 @@ def find(path_or_name: str) -> Path:
         raise DeclarationError(f"not a path: {error}", source=repr(path_or_name)) from None
     if is_file:
         return path
-    for entry in importlib.metadata.entry_points(group="statechart.models"):
-        of_name: Callable[[str], Path | None] = getattr(module(entry), entry.attr)
+    for offered in importlib.metadata.entry_points(group="statechart.models"):
+        of_name: Callable[[str], Path | None] = getattr(module(offered), offered.attr)
         if (found := of_name(path_or_name)) is not None:
             return found
     if exists:
@@ -132,6 +135,6 @@ def find(path_or_name: str) -> Path:
 def shipped() -> list[str]:
     """Return the names of the models that installed packages offer."""
     names: list[str] = []
-    for entry in importlib.metadata.entry_points(group="statechart.models"):
-        names += getattr(module(entry), "names", list)()
+    for offered in importlib.metadata.entry_points(group="statechart.models"):
+        names += getattr(module(offered), "names", list)()
     return names

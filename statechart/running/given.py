@@ -26,6 +26,7 @@ class Given:
 
     def __init__(self, model: Declaration) -> None:
         self._parameters, self._constants = model.parameters, model.constants()
+        self._counted = model.counted if model.whole else None
         self._end = None if model.stop.time is None else parse(model.stop.time)
 
     def check(self, overrides: Mapping[str, float], document: Document | None) -> None:
@@ -50,6 +51,16 @@ class Given:
         self.check(overrides, document)
         with located(document, overrides):
             return self._constants.values(overrides)
+
+    def counted(
+        self, overrides: Mapping[str, float], document: Document | None
+    ) -> Mapping[str, int | None]:
+        """Return how many there are of what parameters count, with `overrides`."""
+        if self._counted is None:
+            return {}
+        values = self.values(overrides, document)
+        with located(document, overrides):
+            return self._counted(values)
 
     def end(
         self, overrides: Mapping[str, float], until: float | None, document: Document | None

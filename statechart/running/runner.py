@@ -107,7 +107,7 @@ class Runner:
         model, self.document = resolved(model)
         self.model = model
         self._given = Given(model)
-        self._counting = bool(model.whole)
+        self._counted = self._given.counted({}, self.document)
         read_at = working_time()
         try:
             self.automaton = kind(model.kind).automaton(model)
@@ -116,12 +116,11 @@ class Runner:
             with located(self.document, {}, loc):
                 raise
         self._timings = {"read": read_at - began, "compose": working_time() - read_at}
-        self._progress = progress
         self._asked = Setting(
             engine, method, tolerance, accuracy, step, budget, max_step, impulse_tolerance,
             impulse_bound, record,
         )  # fmt: skip
-        self.study, self._alone = study, once
+        self.study, self._alone, self._progress = study, once, progress
         self._turn = threading.RLock()  # what is compiled has memory that serves one run at a time
         # The last one with other copies of bodies: composing takes its time.
         self._varied: Runner | None = None
@@ -178,31 +177,36 @@ class Runner:
         """
         overrides = dict(parameters or {})
         end = self.end(overrides, until=until)
-        if self._counting:
+        fitting = self._fitting(overrides)
+        measured = fitting._plan.measured
+        if measured is not None and (overrides or end != measured):
+            fitting = fitting._other(fitting.model, None)
+        return fitting._run(overrides, end, certify=certify, throw=throw)
+
+    def _fitting(self, overrides: Mapping[str, float]) -> Runner:
+        """Return what runs as many copies as these values make: this one where it does."""
+        if self._given.counted(overrides, self.document) == self._counted:
+            return self
+        varied = self._varied
+        if varied is None or varied._given.counted(overrides, self.document) != varied._counted:
             with located(self.document, overrides):
                 variant = self.model.variant(overrides)
-            if variant is not self.model:
-                varied = self._varied
-                if varied is None or varied.model.variant(overrides) is not varied.model:
-                    self._varied = varied = self._other(variant, self.study)
-                return varied.run(overrides, until=end, certify=certify, throw=throw)
-        measured = self._plan.measured
-        if measured is not None and (overrides or end != measured):
-            return self._other(self.model, None).run(
-                overrides, until=end, certify=certify, throw=throw
-            )
+            self._varied = varied = self._other(variant, self.study)
+        return varied
+
+    def _run(self, given: Mapping[str, float], end: float, *, certify: bool, throw: bool) -> Result:
         if certify and self.setting.stepped:
             raise DeclarationError(
                 "the engine impulse cannot certify: its steps follow no differential equation",
                 advice="leave certify out, or take the engine taylor or scipy",
             )
         # Where it is declared is known later than what is run, of a runner that travelled.
-        with self._turn, located(self.document, overrides):
+        with self._turn, located(self.document, given):
             began, answers = working_time(), self._answers
-            answer, basis = answers.answer(overrides, end)
+            answer, basis = answers.answer(given, end)
             trace, asked = answer.trace, None
             if certify:
-                trace = answers.certified(answer, overrides, end)
+                trace = answers.certified(answer, given, end)
             if answers.searching:
                 asked = Asked(self.setting, basis, answer.cost, answer.not_judged)
             warnings = (*filter(None, (answers.reason, *trace.warnings)), *answer.warnings)

@@ -1,4 +1,5 @@
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read, read_text
 from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, Position
+from statechart.loading.kind import entry as installed
 from statechart.loading.kind import kind, kinds
 from statechart.loading.load import find, interpret, load
 
@@ -317,7 +319,15 @@ def test_models_are_immutable() -> None:
 
 
 @pytest.fixture
-def _installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def _anew() -> Iterator[None]:
+    """Look for what is installed anew, and again afterwards."""
+    installed.cache_clear()
+    yield
+    installed.cache_clear()
+
+
+@pytest.fixture
+def _installed(_anew: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Offer one kind, one broken kind and one shipped model, whatever is installed."""
     shipped = tmp_path / "shipped.yaml"
     shipped.write_text(BALL, encoding="utf-8")
@@ -381,6 +391,7 @@ def test_models_are_found_by_path_or_name(tmp_path: Path, monkeypatch: pytest.Mo
         find("a" * 5000)
 
 
+@pytest.mark.usefixtures("_anew")
 def test_the_installed_kinds_and_models_are_optional(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.metadata.entry_points", lambda *, group: [])
     with pytest.raises(DeclarationError, match="no such file, and no shipped model"):

@@ -1,0 +1,21 @@
+"""When a compiled loop is taken that lies on disk, or is compiled."""
+
+from statechart.execution.loops import _WORTH, _Worth
+
+
+def test_the_disk_is_looked_at_when_twice_as_much_was_asked_for() -> None:
+    looked: list[bool] = []
+
+    def look() -> bool:
+        looked.append(len(looked) > 5)
+        return looked[-1]
+
+    worth = _Worth(look)
+    assert [worth.asked() for _ in range(100)] == [False] * 63 + [True] * 37
+    assert len(looked) == 7
+
+
+def test_what_was_asked_for_often_is_worth_to_be_compiled() -> None:
+    worth = _Worth(lambda: False)
+    assert not worth.asked(_WORTH)
+    assert worth.asked()
