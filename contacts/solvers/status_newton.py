@@ -41,6 +41,8 @@ STEPS = 48
 # Added to the diagonal of a compliance whose own entries are 1, until rounding is left. What
 # the motion does not determine moves by rounding divided by this: so that it begins large.
 _PROXIMAL, _CORRECTIONS = (1e-4, 1e-7, 1e-10), 6
+# So much of what is missed a correction leaves at most, where all of them are to bring it to rest.
+_SLOW = 1e-2
 # Velocities below this part of the fastest are rounding, too.
 _ROUNDING = 1e-15
 # Velocities below this part of the approaches are rounding.
@@ -154,6 +156,7 @@ def _solve(
             order[a] = a
         if not eliminated(factors, order):
             return False
+        before = np.inf
         for _ in range(_CORRECTIONS):
             missed = 0.0
             for a in range(count):
@@ -161,6 +164,9 @@ def _solve(
                 wrong = normal if which[a] == 0 else slip
                 right[a] = -scales[a] * wrong
                 missed = max(missed, abs(wrong))
+            if missed > max(_SLOW * before, rest):
+                break
+            before = missed
             substitute(factors, order, right, step)
             for a in range(count):
                 i = whose[a]
