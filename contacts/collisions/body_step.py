@@ -13,12 +13,13 @@ import numpy as np
 
 from contacts.collisions.island_step import Room, solved
 from contacts.collisions.islands import push
+from contacts.collisions.order import PLASTIC
 from contacts.detection.applied import Ahead
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.detection.ground import Ground
 from contacts.detection.joints import joined
 from contacts.detection.look import fastest_turn, look_at, pushed
-from contacts.detection.touches import velocity
+from contacts.detection.touches import Touches, velocity
 from contacts.detection.touching import Seen, touching
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
@@ -92,6 +93,38 @@ def _kept(
                 chunk.codes[k, b] = PIN
             elif bears and chunk.codes[k, b] == FREE:
                 chunk.codes[k, b] = SLIDE
+
+
+@part
+def _may_land(touches: Touches, law: int, count: int) -> bool:
+    """Whether all that is struck in a step may land, after the middle of the step."""
+    found = False
+    for i in range(count):
+        if touches.hit[i]:
+            if touches.memory[i, 1] <= 0.0 or (touches.materials[i, 2] > 0.0 and law != PLASTIC):
+                return False
+            found = True
+    return found
+
+
+@part
+def _landing(room: Room, rates: Array, forced: Array, h: float, count: int) -> float:
+    """Return how long after the middle of a step the first of what lands in it touches.
+
+    Forces alone would make rates `forced`. Impulses that act later keep the bound of the energy
+    (`contacts.time_stepping.loop`). Earlier ones, of what is inside, do not, and would move what is
+    struck on farther than was looked at.
+    """
+    touches, first = room.touches, 0.5 * h
+    for i in range(count):
+        if touches.hit[i]:
+            if room.bounces[i] != 0:
+                return 0.0
+            change = velocity(touches.bodies, touches.rows, rates, i, 0)
+            change -= velocity(touches.bodies, touches.rows, forced, i, 0)
+            if change * first > touches.memory[i, 1]:
+                first = touches.memory[i, 1] / change
+    return first
 
 
 @late
@@ -209,7 +242,9 @@ def step_bodies(
         if joins:
             places = around.places[k : k + 3]
             count = joined(numbers, places, memory, room.look, h, count, touches)
-        solved(numbers, law, forces, h, room, count, allowed, chunk.efforts[k])
+        lands = _may_land(touches, law, seen.contacts)
+        apart = forces or lands
+        solved(numbers, law, apart, h, room, count, allowed, chunk.efforts[k])
         rates, forced = loose.copy(), loose.copy()
         for i in range(count):
             for d in range(2):
@@ -218,13 +253,15 @@ def step_bodies(
                         touches.bodies, touches.rows, numbers.inverse, rates, i, d,
                         room.pressed[i, d],
                     )  # fmt: skip
-                if forces and room.steady[i, d] != 0.0:
+                if apart and room.steady[i, d] != 0.0:
                     push(
                         touches.bodies, touches.rows, numbers.inverse, forced, i, d,
                         room.steady[i, d],
                     )  # fmt: skip
         if deepest < math.inf and h * fastest_turn(rates) > math.pi:
             return k, COARSE
+        # What lands has gone on as it did until it touched.
+        chunk.late[k] = _landing(room, rates, forced, h, seen.contacts) if lands else 0.0
         _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
         if joins:
             _kept_joints(numbers, memory, room, seen.contacts, k, chunk)
@@ -237,6 +274,8 @@ def step_bodies(
                 chunk.solved[k, at] = min(max(forced[b, d] - old[b, d], -most), most) / h
                 state[n + at] = rates[b, d]
                 state[at] += 0.5 * h * rates[b, d]
+                if lands:
+                    state[at] += chunk.late[k] * (forced[b, d] - rates[b, d])
                 if not math.isfinite(state[at]):
                     return k, NOT_FINITE
         put(state, chunk.states[k + 1])

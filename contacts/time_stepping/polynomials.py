@@ -1,7 +1,7 @@
 """The polynomials of steps: positions of the second degree, rates of the first.
 
 That is what the midpoint rule's positions and velocities at the ends of a step amount to. A step
-with impacts has them in its middle, and is two halves with the lasting forces on both sides.
+with impacts has them at one instant, and is two parts with the lasting forces on both sides.
 """
 
 from __future__ import annotations
@@ -35,31 +35,33 @@ def smooth(left: Array, right: Array, h: Array | float, n: int) -> Array:
 
 
 def struck(
-    left: Array, right: Array, acceleration: Array, h: Array | float, n: int
+    left: Array, right: Array, acceleration: Array, lengths: tuple[Array, Array], n: int
 ) -> tuple[Array, Array]:
-    """Return the coefficients (k, w, TERMS) of both halves of steps with impacts in their middle.
+    """Return the coefficients (k, w, TERMS) of both parts of steps, before and after impacts.
 
     Parameters
     ----------
-    left, right, h, n
+    left, right, n
         As of `smooth`.
     acceleration : (k, n) array
         Under what lasts.
+    lengths : two (k, 1) arrays
+        Of the parts.
     """
     middle = 0.5 * (left + right)[:, 2 * n :]
     # Of the velocities as they were and will be, so that the ends of the step are exact.
     halves = []
-    for state, sign in ((left, 1.0), (right, -1.0)):
+    for state, sign, h in ((left, 1.0, lengths[0]), (right, -1.0, lengths[1])):
         half = np.zeros((*left.shape, TERMS))
         rates = state[:, n : 2 * n]
-        near = rates + sign * 0.25 * h * acceleration
-        other = state[:, :n] + sign * 0.5 * h * near
-        fast = rates + sign * 0.5 * h * acceleration
+        near = rates + sign * 0.5 * h * acceleration
+        other = state[:, :n] + sign * h * near
+        fast = rates + sign * h * acceleration
         begin = (state[:, :n], rates) if sign > 0.0 else (other, fast)
         half[:, :n, 0], half[:, n : 2 * n, 0] = begin
-        half[:, :n, 1] = 0.5 * h * begin[1]
-        half[:, :n, 2] = 0.125 * h**2 * acceleration
-        half[:, n : 2 * n, 1] = 0.5 * h * acceleration
+        half[:, :n, 1] = h * begin[1]
+        half[:, :n, 2] = 0.5 * h**2 * acceleration
+        half[:, n : 2 * n, 1] = h * acceleration
         half[:, 2 * n :, 0] = state[:, 2 * n :] if sign > 0.0 else middle
         half[:, 2 * n :, 1] = sign * (middle - state[:, 2 * n :])
         halves.append(half)

@@ -1,9 +1,9 @@
 """From time steps to a trace: the mode of every region at every step, arcs and jumps.
 
-Impacts are in the middle of their step. A mode that begins without an impact begins with its step;
-sticking begins with the step after the one that ended the slip. A step that holds an impulse has no
-force, nor have those after it that still carry the landing: what is shown is that of the nearest
-other step of the mode.
+Impacts are in the middle of their step, or later in it where that says so. A mode that begins
+without an impact begins with its step; sticking begins with the step after the one that ended the
+slip. A step that holds an impulse has no force, nor have those after it that still carry the
+landing: what is shown is that of the nearest other step of the mode.
 """
 
 from __future__ import annotations
@@ -215,22 +215,26 @@ class Recorder:
         self._arc(times, coefficients, chunk.solved[first:last])
 
     def _halves(self, chunk: Chunk, hit: Bools) -> Iterator[tuple[Array, Array]]:
-        """Yield the coefficients (1, w, TERMS) of both halves of every step with impacts."""
+        """Yield the coefficients (1, w, TERMS) of both parts of every step with impacts."""
         steps, n = np.flatnonzero(hit), self.coordinates
         left, right = chunk.states[steps], chunk.states[steps + 1]
-        first, second = struck(left, right, chunk.solved[steps, :n], chunk.h, n)
+        before = 0.5 * chunk.h + chunk.late[steps, None]
+        lengths = before, chunk.h - before
+        first, second = struck(left, right, chunk.solved[steps, :n], lengths, n)
         for i in range(len(steps)):
             yield first[i : i + 1], second[i : i + 1]
 
     def _strike(self, chunk: Chunk, k: int, row: Ints, halves: tuple[Array, Array]) -> None:
-        """Append a step with impacts in its middle: one jump, whose impulses all regions feel."""
-        times = np.array([0.0, 0.5 * chunk.h])
+        """Append a step with impacts: one jump, whose impulses all regions feel."""
+        before = 0.5 * chunk.h + chunk.late[k]
+        times = np.array([0.0, before])
         self._arc(times, halves[0], self._held(chunk.solved[k]))
         self.close()
         if self.modes:
             self._struck(chunk, k, row, halves[0][0].sum(axis=1), halves[1][0, :, 0].copy())
         else:
             self.row, self.count = row, self.count + 1
+        times = np.array([0.0, chunk.h - before])
         self._arc(times, halves[1], self._held(chunk.solved[k]))
 
     def _struck(self, chunk: Chunk, k: int, row: Ints, before: Array, after: Array) -> None:

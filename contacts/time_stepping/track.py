@@ -29,13 +29,17 @@ class _Begun(NamedTuple):
 
 
 class _Block(NamedTuple):
-    """Consecutive steps: ends (k + 1,), states (k + 1, w), solved (k, u), which are struck (k,)."""
+    """Consecutive steps: ends (k + 1,), states (k + 1, w), solved (k, u), struck or not (k,), when.
+
+    The last is how long after their middles (k,).
+    """
 
     begun: _Begun
     times: Array
     states: Array
     solved: Array
     hit: Bools
+    late: Array
 
 
 class Track:
@@ -94,6 +98,7 @@ class Track:
             np.concatenate([*(chunk.states[:-1] for chunk in chunks), chunks[-1].states[-1:]]),
             np.concatenate([chunk.solved for chunk in chunks]),
             np.concatenate([chunk.struck.any(axis=1) for chunk in chunks]),
+            np.concatenate([chunk.late for chunk in chunks]),
         ]
         self._blocks.add(_Block(begun, *arrays))
         self._begun, self._open, self._size = None, [], 0
@@ -105,9 +110,11 @@ class Track:
         places = np.cumsum(pieces) - pieces
         coefficients = np.empty((int(pieces.sum()), left.shape[1], TERMS))
         coefficients[places[~hit]] = smooth(left[~hit], right[~hit], h[~hit, None], n)
-        halves = struck(left[hit], right[hit], block.solved[hit, :n], h[hit, None], n)
+        before = 0.5 * h[hit] + np.asarray(block.late)[hit]
+        lengths = before[:, None], (h[hit] - before)[:, None]
+        halves = struck(left[hit], right[hit], block.solved[hit, :n], lengths, n)
         coefficients[places[hit]], coefficients[places[hit] + 1] = halves
-        middles = block.times[:-1][hit] + 0.5 * h[hit]
-        times = np.insert(block.times, np.flatnonzero(hit) + 1, middles)
+        instants = block.times[:-1][hit] + before
+        times = np.insert(block.times, np.flatnonzero(hit) + 1, instants)
         (start, j, key), solved = block.begun, np.repeat(block.solved, pieces, axis=0)
         return Arc(key, roles_in(key), start, j, times, coefficients, defined(solved))
