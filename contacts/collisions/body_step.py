@@ -22,17 +22,19 @@ from contacts.detection.look import fastest_turn, look_at, pushed
 from contacts.detection.touches import Touches, velocity
 from contacts.detection.touching import Seen, touching
 from contacts.states import FREE, PIN, SLIDE
-from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
+from contacts.time_stepping.chunk import BESIDE, COARSE, DONE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array
 from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import beside, kernel, late, part
 from statechart.kernels.tapes import BLOCK, filled
 
+# Impacts are no later after the middle of a step than this part of it: something is after them.
+_LATEST = 0.5 - BESIDE
 # In a step in which no body goes so far, in parts of the smallest one's size, none passes another
 # or is deep in it.
 _FAR = 0.1
-# Impulses are known to this part of the largest that presses a body, whatever is allowed.
-_LEAST = 1e-9
+LEAST = 1e-9
+"""Impulses are known to this part of the largest on a body, whatever is allowed."""
 
 
 @beside
@@ -59,7 +61,7 @@ def _kept(
             b = touches.bodies[i, side]
             if b >= 0 and not room.bounces[i]:
                 room.borne[b] = max(room.borne[b], pressed[i, 0])
-    least = max(allowed, _LEAST)
+    least = max(allowed, LEAST)
     for i in range(seen.contacts):
         pn, pt = pressed[i]
         lasts = pn > 0.0 and not room.bounces[i]
@@ -87,8 +89,9 @@ def _kept(
                 chunk.struck[k, b] = True
                 chunk.impulses[k, b, 0] += pn
                 chunk.impulses[k, b, 1] += pt if side == 0 else -pt
-            # What bears less of what presses a body most is rounding: it touches not.
-            bears = lasts and pn > least * room.borne[b]
+            # What bears less of what presses or pulls a body most is rounding: it touches not.
+            pulled = room.look.pull[b] / numbers.inverse[b, 0]
+            bears = lasts and pn > max(least * room.borne[b], LEAST * pulled)
             if bears and sticks:
                 chunk.codes[k, b] = PIN
             elif bears and chunk.codes[k, b] == FREE:
@@ -115,7 +118,7 @@ def _landing(room: Room, rates: Array, forced: Array, h: float, count: int) -> f
     (`contacts.time_stepping.loop`). Earlier ones, of what is inside, do not, and would move what is
     struck on farther than was looked at.
     """
-    touches, first = room.touches, 0.5 * h
+    touches, first = room.touches, _LATEST * h
     for i in range(count):
         if touches.hit[i]:
             if room.bounces[i] != 0:
